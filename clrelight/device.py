@@ -1,0 +1,383 @@
+"""Choose an OpenCL device, hold arrays on it, and launch kernels with checked arguments."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import os
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from clrelight.errors import DeviceError, KernelBuildError
+from clrelight.kernel_source import read_kernel_source
+
+DEVICE_VARIABLE = "CLRELIGHT_DEVICE"
+_INSTALL_HINT = "install one with: pip install 'pyopencl[pocl]' (no root needed)"
+
+# OpenCL scalar and element types and the NumPy types that have the same bits.
+_DTYPES: dict[str, tuple[str, ...]] = {
+    "char": ("int8",),
+    "uchar": ("uint8",),
+    "short": ("int16",),
+    "ushort": ("uint16", "float16"),
+    "half": ("float16",),
+    "int": ("int32",),
+    "uint": ("uint32",),
+    "long": ("int64",),
+    "ulong": ("uint64",),
+    "float": ("float32",),
+    "double": ("float64",),
+}
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """What `clrelight devices` lists of one OpenCL device.
+
+    Attributes
+    ----------
+    index : int
+        Position in the list of all devices; a legal ``--device``.
+    name, platform, version, driver : str
+        As the driver reports them.
+    kind : str
+        ``"gpu"``, ``"cpu"`` or ``"other"``.
+    float64 : bool
+        Whether kernels may use double precision.
+    memory_bytes : int
+        Global memory as the driver reports it.
+    compute_units : int
+        Number of compute units (hardware threads on a CPU).
+    packaged : bool
+        Whether this is the PoCL that came from the Python package index.
+    default : bool
+        Whether it is taken when none is asked for.
+    """
+
+    index: int
+    name: str
+    platform: str
+    version: str
+    driver: str
+    kind: str
+    float64: bool
+    memory_bytes: int
+    compute_units: int
+    packaged: bool
+    default: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name and driver in one string, as tables and files record it."""
+        return f"{self.name} ({self.version}, driver {self.driver})"
+
+
+@dataclass(frozen=True)
+class DeviceArray:
+    """An array in device memory; on a CPU it shares the memory of `host`."""
+
+    buffer: Any
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    host: NDArray | None = None
+
+
+def list_devices() -> list[DeviceInfo]:
+    """Return every OpenCL device; empty where there is no driver. The default one has ``default=True``."""
+    return [info for info, _ in _devices()]
+
+
+def open_device(spec: str | None = None) -> Device:
+    """Return the device that `spec`, else ``CLRELIGHT_DEVICE``, names; one object per device and thread.
+
+    Parameters
+    ----------
+    spec : str, optional
+        An index of `list_devices`, ``"gpu"``, ``"cpu"``, ``"pocl"``, or a part of a device's name. Default:
+        a GPU if there is one, else the packaged PoCL, else the first device.
+
+    Raises
+    ------
+    DeviceError
+        If there is no device, or none fits.
+    """
+    asked = spec if spec is not None else os.environ.get(DEVICE_VARIABLE)
+    devices = _devices()
+    if not devices:
+        raise DeviceError(f"no OpenCL device found; {_INSTALL_HINT}")
+    index = _match(asked, [info for info, _ in devices])
+    opened = _local_cache("opened")
+    if index not in opened:
+        opened[index] = Device(*devices[index])
+    return opened[index]
+
+
+def _match(asked: str | None, infos: list[DeviceInfo]) -> int:
+    if asked is None or asked == "":
+        return next(info.index for info in infos if info.default)
+    wanted = asked.strip().lower()
+    if wanted.isdigit():
+        found = [info.index for info in infos if info.index == int(wanted)]
+    elif wanted in ("cpu", "gpu"):
+        # Of several CPU drivers the packaged one is the one we test.
+        found = [i.index for i in sorted(infos, key=lambda i: not i.packaged) if i.kind == wanted]
+    elif wanted == "pocl":
+        found = [i.index for i in sorted(infos, key=lambda i: not i.packaged) if "pocl" in i.version.lower()]
+    else:
+        found = [info.index for info in infos if wanted in f"{info.name} {info.platform}".lower()]
+    if not found:
+        names = "; ".join(f"{info.index}: {info.name}" for info in infos)
+        raise DeviceError(f"no OpenCL device matches {asked!r}; there are {names}")
+    return found[0]
+
+
+@functools.cache
+def _devices() -> list[tuple[DeviceInfo, Any]]:
+    import pyopencl as cl
+
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:
+        return []
+    found = []
+    for platform in platforms:
+        try:
+            devices = platform.get_devices()
+        except cl.Error:
+            continue
+        for device in devices:
+            found.append((_describe(cl, len(found), platform, device), device))
+    if found:
+        infos = [info for info, _ in found]
+        best = min(infos, key=lambda i: (i.kind != "gpu", not i.packaged, i.index))
+        found[best.index] = (DeviceInfo(**{**best.__dict__, "default": True}), found[best.index][1])
+    return found
+
+
+def _describe(cl: Any, index: int, platform: Any, device: Any) -> DeviceInfo:
+    kind = "other"
+    if device.type & cl.device_type.GPU:
+        kind = "gpu"
+    elif device.type & cl.device_type.CPU:
+        kind = "cpu"
+    return DeviceInfo(
+        index=index,
+        name=device.name.strip(),
+        platform=platform.name.strip(),
+        version=platform.version.strip(),
+        driver=device.driver_version.strip(),
+        kind=kind,
+        float64="cl_khr_fp64" in device.extensions,
+        memory_bytes=int(device.global_mem_size),
+        compute_units=int(device.max_compute_units),
+        packaged=_is_packaged_pocl(platform.version),
+    )
+
+
+def _is_packaged_pocl(platform_version: str) -> bool:
+    for package in ("pocl-binary-distribution", "pocl_binary_distribution"):
+        try:
+            version = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+        # The wheel's own libpocl is named to the loader by pyopencl; a system PoCL has another version.
+        return f"PoCL {version}" in platform_version
+    return False
+
+
+_threads = threading.local()
+
+
+def _local_cache(name: str) -> dict:
+    # Kernel objects hold their arguments, so two threads may never share one.
+    if not hasattr(_threads, name):
+        setattr(_threads, name, {})
+    return getattr(_threads, name)
+
+
+class Device:
+    """An OpenCL context and queue, with arrays and checked launches. Get one from `open_device`."""
+
+    def __init__(self, info: DeviceInfo, device: Any) -> None:
+        import pyopencl as cl
+
+        self.info = info
+        self._cl = cl
+        self._context = cl.Context([device])
+        self._queue = cl.CommandQueue(self._context)
+        self._kernels: dict[tuple, tuple[Any, list[tuple[str, str]]]] = {}
+        self._programs: dict[tuple, Any] = {}
+
+    @property
+    def shares_memory(self) -> bool:
+        """Whether arrays stay in host memory (CPU devices)."""
+        return self.info.kind == "cpu"
+
+    def upload(self, array: NDArray) -> DeviceArray:
+        """Return `array` for kernels to read; on a CPU its memory is used in place and must not change."""
+        if not array.flags.c_contiguous:
+            raise ValueError(
+                f"expected a C-contiguous array, got strides {array.strides} for shape {array.shape}"
+            )
+        if array.size == 0:
+            raise ValueError(f"an array on a device cannot be empty, got shape {array.shape}")
+        flags = self._cl.mem_flags
+        where = flags.USE_HOST_PTR if self.shares_memory else flags.COPY_HOST_PTR
+        buffer = self._cl.Buffer(self._context, flags.READ_ONLY | where, hostbuf=array)
+        return DeviceArray(buffer, array.shape, array.dtype, array if self.shares_memory else None)
+
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike, host: NDArray | None = None) -> DeviceArray:
+        """Return an uninitialised array that kernels may write.
+
+        `host`, when given, is a C-contiguous array of that shape and type; a CPU device writes straight into it.
+        """
+        dtype = np.dtype(dtype)
+        size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+        if size == 0:
+            raise ValueError(f"an array on a device cannot be empty, got shape {shape}")
+        flags = self._cl.mem_flags
+        if not self.shares_memory:
+            return DeviceArray(self._cl.Buffer(self._context, flags.READ_WRITE, size), tuple(shape), dtype)
+        if host is None:
+            host = np.empty(shape, dtype)
+        elif host.shape != tuple(shape) or host.dtype != dtype or not host.flags.c_contiguous:
+            raise ValueError(
+                f"expected a C-contiguous {dtype} host array of shape {shape}, got {host.dtype} {host.shape}"
+            )
+        buffer = self._cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=host)
+        return DeviceArray(buffer, tuple(shape), dtype, host)
+
+    def download(self, array: DeviceArray) -> NDArray:
+        """Wait for the queue and return the array's values as NumPy (the same memory on a CPU)."""
+        self._queue.finish()
+        if array.host is not None:
+            return array.host
+        values = np.empty(array.shape, array.dtype)
+        self._cl.enqueue_copy(self._queue, values, array.buffer)
+        return values
+
+    def finish(self) -> None:
+        """Wait until everything launched has ended."""
+        self._queue.finish()
+
+    def launch(
+        self,
+        file: str,
+        kernel: str,
+        global_size: tuple[int, ...],
+        *arguments: Any,
+        defines: Mapping[str, object] | None = None,
+        local_size: tuple[int, ...] | None = None,
+    ) -> None:
+        """Queue one kernel after checking each argument against the kernel's own signature.
+
+        An array argument must have the element type of the pointer, and one axis per letter behind the last
+        underscore of the parameter's name (``coeffs_kp``: k by p); a letter has one extent in all arguments. A
+        scalar named ``size_x`` must be the extent of letter x where an array has that letter.
+
+        Parameters
+        ----------
+        file, kernel : str
+            Kernel file relative to the kernel folder, and the kernel's name in it.
+        global_size : tuple of int
+            Work-items along each axis.
+        *arguments : DeviceArray or number
+            In the kernel's order.
+        defines : mapping, optional
+            ``-D`` definitions of the build.
+        local_size : tuple of int, optional
+            Work-items of a group; default ``(1, ...)``.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument does not fit the signature.
+        KernelBuildError
+            If the program does not build.
+        """
+        compiled, parameters = self._kernel(file, kernel, dict(defines or {}))
+        values = check_arguments(f"{file}:{kernel}", parameters, arguments)
+        compiled.set_args(*(v.buffer if isinstance(v, DeviceArray) else v for v in values))
+        if any(size < 1 for size in global_size):
+            raise ValueError(f"{file}:{kernel}: the global size must be positive, got {global_size}")
+        self._cl.enqueue_nd_range_kernel(
+            self._queue, compiled, global_size, local_size or (1,) * len(global_size)
+        )
+
+    def _kernel(self, file: str, name: str, defines: dict[str, object]) -> tuple[Any, list[tuple[str, str]]]:
+        key = (file, name, tuple(sorted(defines.items())))
+        if key not in self._kernels:
+            compiled = getattr(self._program(file, defines), name)
+            what = self._cl.kernel_arg_info
+            parameters = [
+                (compiled.get_arg_info(i, what.TYPE_NAME), compiled.get_arg_info(i, what.NAME))
+                for i in range(compiled.num_args)
+            ]
+            self._kernels[key] = (compiled, parameters)
+        return self._kernels[key]
+
+    def _program(self, file: str, defines: dict[str, object]) -> Any:
+        key = (file, tuple(sorted(defines.items())))
+        if key not in self._programs:
+            options = [
+                "-cl-kernel-arg-info",
+                "-cl-std=CL1.2",
+                *(f"-D{k}={v}" for k, v in sorted(defines.items())),
+            ]
+            program = self._cl.Program(self._context, read_kernel_source(file))
+            try:
+                self._programs[key] = program.build(options)
+            except self._cl.RuntimeError as error:  # not the builtin RuntimeError
+                raise KernelBuildError(file, defines, str(error)) from None
+        return self._programs[key]
+
+
+def check_arguments(where: str, parameters: list[tuple[str, str]], arguments: tuple) -> list[Any]:
+    """Return the arguments ready for a kernel, or say which one does not fit (see `Device.launch`)."""
+    if len(arguments) != len(parameters):
+        names = ", ".join(name for _, name in parameters)
+        raise TypeError(f"{where} takes {len(parameters)} arguments ({names}), got {len(arguments)}")
+    extents: dict[str, tuple[int, str]] = {}
+    for (type_name, name), value in zip(parameters, arguments, strict=True):
+        if type_name.endswith("*"):
+            _check_array(where, type_name, name, value, extents)
+    return [
+        value if type_name.endswith("*") else _check_scalar(where, type_name, name, value, extents)
+        for (type_name, name), value in zip(parameters, arguments, strict=True)
+    ]
+
+
+def _check_array(
+    where: str, type_name: str, name: str, value: Any, extents: dict[str, tuple[int, str]]
+) -> None:
+    element = type_name.rstrip("* ").rstrip("0123456789")
+    if not isinstance(value, DeviceArray):
+        raise TypeError(f"{where}: {name} must be an array on the device, got {type(value).__name__}")
+    if value.dtype.name not in _DTYPES[element]:
+        raise TypeError(
+            f"{where}: {name} is {type_name}, which takes {_DTYPES[element][0]}, got {value.dtype.name}"
+        )
+    letters = name.rsplit("_", 1)[-1]
+    if len(value.shape) != len(letters):
+        raise ValueError(f"{where}: {name} has {len(letters)} axes by its name, got shape {value.shape}")
+    for letter, extent in zip(letters, value.shape, strict=True):
+        known, owner = extents.setdefault(letter, (extent, name))
+        if known != extent:
+            raise ValueError(f"{where}: {name} has {extent} along {letter}, but {owner} has {known}")
+
+
+def _check_scalar(
+    where: str, type_name: str, name: str, value: Any, extents: dict[str, tuple[int, str]]
+) -> Any:
+    if isinstance(value, DeviceArray) or np.ndim(value) != 0:
+        raise TypeError(f"{where}: {name} must be one {type_name}, got {type(value).__name__}")
+    scalar = np.dtype(_DTYPES[type_name][0]).type(value)
+    if name.startswith("size_") and name[5:] in extents and extents[name[5:]][0] != int(scalar):
+        extent, owner = extents[name[5:]]
+        raise ValueError(f"{where}: {name} is {int(scalar)}, but {owner} has {extent} along {name[5:]}")
+    return scalar

@@ -1,0 +1,40 @@
+"""Errors that a caller may want to catch by type; everything else is a plain ValueError or TypeError."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+
+class InputError(ValueError):
+    """Something the user gave is wrong; the message is one line that says what, and what would be right."""
+
+
+class StoreFormatError(InputError):
+    """A file is not one of ours, is damaged, or comes from a newer version."""
+
+
+class PayloadError(InputError):
+    """Encoded bytes are damaged, cut short, or not ours."""
+
+
+class DeviceError(InputError):
+    """No OpenCL device fits the request."""
+
+
+class KernelBuildError(RuntimeError):
+    """An OpenCL program did not build.
+
+    Attributes
+    ----------
+    file : str
+        Kernel file, relative to the kernel folder.
+    defines : dict
+        The preprocessor definitions of this build.
+    log : str
+        The compiler's log, with true file names and lines.
+    """
+
+    def __init__(self, file: str, defines: Mapping[str, object], log: str) -> None:
+        self.file, self.defines, self.log = file, dict(defines), log
+        settings = " ".join(f"{k}={v}" for k, v in self.defines.items()) or "none"
+        super().__init__(f"{file} does not build (defines: {settings})\n{log.strip()}")

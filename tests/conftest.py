@@ -1,0 +1,21 @@
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def device():
+    from clrelight.device import open_device
+
+    return open_device()
+
+
+@pytest.fixture(scope="session")
+def real_data():
+    """Return the folder of the real stacks, or skip with the reason."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("CLRELIGHT_DATA", beside))
+    if not folder.is_dir():
+        pytest.skip(f"real data is absent: no folder {folder} (set CLRELIGHT_DATA)")
+    return folder
