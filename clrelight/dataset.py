@@ -51,9 +51,7 @@ class LightStack:
     def __post_init__(self) -> None:
         shape = tuple(self.images_ihwc.shape)
         if len(shape) != 4 or min(shape) < 1:
-            raise InputError(
-                f"images must be (light, height, width, channel), none of them empty, got shape {shape}"
-            )
+            raise InputError(f"images must be (light, height, width, channel), none of them empty, got shape {shape}")
         if np.dtype(self.images_ihwc.dtype).name not in SAMPLE_DTYPES:
             raise InputError(f"images must be {', '.join(SAMPLE_DTYPES)}, got {self.images_ihwc.dtype}")
         if self.transfer not in TRANSFERS:
@@ -62,16 +60,11 @@ class LightStack:
             raise InputError(f"peak must be a positive number, got {self.peak}")
         check_directions(self.directions_i3, shape[0])
         if self.weights_i is not None and (
-            self.weights_i.shape != shape[:1]
-            or not np.all(np.isfinite(self.weights_i) & (self.weights_i >= 0))
+            self.weights_i.shape != shape[:1] or not np.all(np.isfinite(self.weights_i) & (self.weights_i >= 0))
         ):
-            raise InputError(
-                f"weights must be {shape[0]} finite numbers >= 0, got shape {self.weights_i.shape}"
-            )
+            raise InputError(f"weights must be {shape[0]} finite numbers >= 0, got shape {self.weights_i.shape}")
         if self.mask_hw is not None and (self.mask_hw.shape != shape[1:3] or self.mask_hw.dtype != np.bool_):
-            raise InputError(
-                f"mask must be bool of shape {shape[1:3]}, got {self.mask_hw.dtype} {self.mask_hw.shape}"
-            )
+            raise InputError(f"mask must be bool of shape {shape[1:3]}, got {self.mask_hw.dtype} {self.mask_hw.shape}")
 
     @property
     def n_light(self) -> int:
@@ -129,9 +122,7 @@ class CoefficientMap:
         if self.coeffs_khwc.dtype != np.float32:
             raise InputError(f"coefficients must be float32, got {self.coeffs_khwc.dtype}")
         if self.degree < 0 or shape[0] != coefficient_count(self.degree):
-            raise InputError(
-                f"degree {self.degree} has {(self.degree + 1) ** 2} coefficients, got {shape[0]}"
-            )
+            raise InputError(f"degree {self.degree} has {(self.degree + 1) ** 2} coefficients, got {shape[0]}")
         if self.transfer not in TRANSFERS:
             raise InputError(f"transfer must be one of {', '.join(TRANSFERS)}, got {self.transfer!r}")
         if not (np.isfinite(self.peak) and self.peak > 0):
@@ -168,6 +159,4 @@ def check_directions(directions_i3: NDArray, n_light: int | None) -> None:
         raise InputError(f"there are {n_light} images but {len(directions_i3)} light directions")
     bad = np.flatnonzero(~(np.abs(np.linalg.norm(directions_i3, axis=1) - 1.0) <= _UNIT_TOLERANCE))
     if bad.size:
-        raise InputError(
-            f"light {bad[0]} has direction {directions_i3[bad[0]]}, which is no finite unit vector"
-        )
+        raise InputError(f"light {bad[0]} has direction {directions_i3[bad[0]]}, which is no finite unit vector")

@@ -221,9 +221,7 @@ class Device:
     def upload(self, array: NDArray) -> DeviceArray:
         """Return `array` for kernels to read; on a CPU its memory is used in place and must not change."""
         if not array.flags.c_contiguous:
-            raise ValueError(
-                f"expected a C-contiguous array, got strides {array.strides} for shape {array.shape}"
-            )
+            raise ValueError(f"expected a C-contiguous array, got strides {array.strides} for shape {array.shape}")
         if array.size == 0:
             raise ValueError(f"an array on a device cannot be empty, got shape {array.shape}")
         flags = self._cl.mem_flags
@@ -305,9 +303,7 @@ class Device:
         compiled.set_args(*(v.buffer if isinstance(v, DeviceArray) else v for v in values))
         if any(size < 1 for size in global_size):
             raise ValueError(f"{file}:{kernel}: the global size must be positive, got {global_size}")
-        self._cl.enqueue_nd_range_kernel(
-            self._queue, compiled, global_size, local_size or (1,) * len(global_size)
-        )
+        self._cl.enqueue_nd_range_kernel(self._queue, compiled, global_size, local_size or (1,) * len(global_size))
 
     def _kernel(self, file: str, name: str, defines: dict[str, object]) -> tuple[Any, list[tuple[str, str]]]:
         key = (file, name, tuple(sorted(defines.items())))
@@ -352,16 +348,12 @@ def check_arguments(where: str, parameters: list[tuple[str, str]], arguments: tu
     ]
 
 
-def _check_array(
-    where: str, type_name: str, name: str, value: Any, extents: dict[str, tuple[int, str]]
-) -> None:
+def _check_array(where: str, type_name: str, name: str, value: Any, extents: dict[str, tuple[int, str]]) -> None:
     element = type_name.rstrip("* ").rstrip("0123456789")
     if not isinstance(value, DeviceArray):
         raise TypeError(f"{where}: {name} must be an array on the device, got {type(value).__name__}")
     if value.dtype.name not in _DTYPES[element]:
-        raise TypeError(
-            f"{where}: {name} is {type_name}, which takes {_DTYPES[element][0]}, got {value.dtype.name}"
-        )
+        raise TypeError(f"{where}: {name} is {type_name}, which takes {_DTYPES[element][0]}, got {value.dtype.name}")
     letters = name.rsplit("_", 1)[-1]
     if len(value.shape) != len(letters):
         raise ValueError(f"{where}: {name} has {len(letters)} axes by its name, got shape {value.shape}")
@@ -371,9 +363,7 @@ def _check_array(
             raise ValueError(f"{where}: {name} has {extent} along {letter}, but {owner} has {known}")
 
 
-def _check_scalar(
-    where: str, type_name: str, name: str, value: Any, extents: dict[str, tuple[int, str]]
-) -> Any:
+def _check_scalar(where: str, type_name: str, name: str, value: Any, extents: dict[str, tuple[int, str]]) -> Any:
     if isinstance(value, DeviceArray) or np.ndim(value) != 0:
         raise TypeError(f"{where}: {name} must be one {type_name}, got {type(value).__name__}")
     scalar = np.dtype(_DTYPES[type_name][0]).type(value)

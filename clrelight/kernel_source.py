@@ -17,9 +17,7 @@ def kernel_folder() -> Path:
     for folder in (_PACKAGE_FOLDER, _CHECKOUT_FOLDER):
         if (folder / "common").is_dir():
             return folder
-    raise FileNotFoundError(
-        f"no OpenCL kernels in {_PACKAGE_FOLDER} nor in {_CHECKOUT_FOLDER}: reinstall clrelight"
-    )
+    raise FileNotFoundError(f"no OpenCL kernels in {_PACKAGE_FOLDER} nor in {_CHECKOUT_FOLDER}: reinstall clrelight")
 
 
 @functools.cache

@@ -1,1 +1,5 @@
-"""To come."""
+"""Codecs: a coefficient map to bytes and back. One file per codec; importing this package registers them all."""
+
+from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, encode, register
+
+__all__ = ["Codec", "Encoded", "codec_class", "codec_ids", "decode", "encode", "register"]

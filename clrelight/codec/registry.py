@@ -1,0 +1,184 @@
+"""The registry of codecs: what one is, how its bytes are wrapped, and how it is found by name."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.conventions import degree_of
+from clrelight.device import Device
+from clrelight.errors import InputError, PayloadError
+
+MAGIC = b"CLRE"
+WRAPPER_VERSION = 1
+MAX_EXTENT = 1 << 20
+MAX_COEFFICIENTS = 1 << 32
+
+_REGISTRY: dict[str, type[Codec]] = {}
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """A coefficient map as bytes.
+
+    Attributes
+    ----------
+    codec : str
+        Id of the codec.
+    config : mapping
+        The codec's options, for the record; decoding does not need them.
+    shape : tuple of int
+        (n_coeff, height, width, channel).
+    body : bytes
+        Payload and every side table: all that grows with the data, and what sizes count.
+    info : mapping
+        What else the codec measured, such as ``entropy_bits`` (an estimate, bits per coefficient).
+    """
+
+    codec: str
+    config: Mapping[str, Any]
+    shape: tuple[int, int, int, int]
+    body: bytes
+    info: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def encoded_bytes(self) -> int:
+        """Payload and every side table in bytes."""
+        return len(self.body)
+
+    @property
+    def bits_per_coefficient(self) -> float:
+        """``8 encoded_bytes / (n_coeff height width channel)``."""
+        return 8.0 * len(self.body) / float(np.prod(self.shape, dtype=np.int64))
+
+    def header(self) -> bytes:
+        """Return the few fixed bytes in front of the body: magic, version, codec, shape, length, checksum."""
+        name = self.codec.encode("ascii")
+        head = MAGIC + struct.pack("<BB", WRAPPER_VERSION, len(name)) + name
+        head += struct.pack("<4IQ", *self.shape, len(self.body))
+        return head + struct.pack("<I", zlib.crc32(self.body, zlib.crc32(head)))
+
+    def to_bytes(self) -> bytes:
+        """Return header and body: these bytes alone decode."""
+        return self.header() + self.body
+
+    @classmethod
+    def from_bytes(cls, payload: bytes) -> Self:
+        """Take apart what `to_bytes` made; PayloadError if it is damaged, cut, or not ours."""
+        if payload[:4] != MAGIC:
+            raise PayloadError(f"not a clrelight payload: it starts with {payload[:4]!r}, expected {MAGIC!r}")
+        if len(payload) < 6 or len(payload) < 6 + payload[5] + 28:
+            raise PayloadError(f"the payload is cut short within its header, at {len(payload)} bytes")
+        if payload[4] != WRAPPER_VERSION:
+            raise PayloadError(f"payload version {payload[4]} is not known, this program reads {WRAPPER_VERSION}")
+        at = 6 + payload[5]
+        *shape, length = struct.unpack_from("<4IQ", payload, at)
+        (checksum,) = struct.unpack_from("<I", payload, at + 24)
+        body = payload[at + 28 :]
+        if len(body) != length:
+            raise PayloadError(f"the payload should have {length} bytes behind its header, it has {len(body)}")
+        if zlib.crc32(body, zlib.crc32(payload[: at + 24])) != checksum:
+            raise PayloadError("the payload's checksum does not fit: it is damaged")
+        # Checked although the sum fits: a foreign writer may compute checksums too.
+        if min(shape) < 1 or max(shape) > MAX_EXTENT or int(np.prod(shape, dtype=object)) > MAX_COEFFICIENTS:
+            raise PayloadError(f"the payload claims an impossible shape {tuple(shape)}")
+        try:
+            degree_of(shape[0])
+            codec = payload[6:at].decode("ascii")
+        except ValueError as error:
+            raise PayloadError(f"the payload's header is not valid: {error}") from None
+        return cls(codec, {}, tuple(shape), bytes(body))
+
+
+class Codec(ABC):
+    """A way to turn a coefficient map into bytes and back. Subclasses are frozen dataclasses with an `id`.
+
+    Their fields are the options (JSON values), checked in ``__post_init__`` with InputError.
+    """
+
+    id: ClassVar[str]
+    summary: ClassVar[str]
+
+    @abstractmethod
+    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+        """Return payload with side tables, and what else was measured, from finite float32 coefficients."""
+
+    @classmethod
+    @abstractmethod
+    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+        """Return the coefficients from the bytes alone; PayloadError if they do not make sense."""
+
+    def to_config(self) -> dict[str, Any]:
+        """Return the options as a JSON object; `from_config` takes it back."""
+        return asdict(self)  # type: ignore[call-overload]
+
+    @classmethod
+    def from_config(cls, config: Mapping[str, Any]) -> Self:
+        """Make the codec from its options; InputError names one that it does not have."""
+        known = [f.name for f in fields(cls)]  # type: ignore[arg-type]
+        for key in config:
+            if key not in known:
+                raise InputError(f"codec {cls.id} has no option {key!r}; it has: {', '.join(known) or 'none'}")
+        return cls(**config)
+
+
+def register(codec: type[Codec]) -> type[Codec]:
+    """Enter a codec class under its id (a class decorator); ValueError if the id is taken."""
+    if codec.id in _REGISTRY:
+        raise ValueError(f"a codec {codec.id!r} is registered already: {_REGISTRY[codec.id]!r}")
+    _REGISTRY[codec.id] = codec
+    return codec
+
+
+def codec_ids() -> list[str]:
+    """Return the known ids."""
+    return sorted(_REGISTRY)
+
+
+def codec_class(codec_id: str) -> type[Codec]:
+    """Return the class of an id; InputError lists the known ones."""
+    if codec_id not in _REGISTRY:
+        raise InputError(f"unknown codec {codec_id!r}; known are {', '.join(codec_ids())}")
+    return _REGISTRY[codec_id]
+
+
+def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> Encoded:
+    """Encode a coefficient map.
+
+    Parameters
+    ----------
+    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32
+    codec : Codec
+    device : Device
+
+    Raises
+    ------
+    InputError
+        If a coefficient is not finite, or the codec cannot hold one.
+    """
+    coeffs = np.ascontiguousarray(coeffs_khwc, dtype=np.float32)
+    if coeffs.ndim != 4 or coeffs.size == 0:
+        raise InputError(f"coefficients must be (coefficient, height, width, channel), got shape {coeffs.shape}")
+    if not np.isfinite(coeffs).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(coeffs))[0])
+        raise InputError(
+            f"coefficient (k, row, column, channel) = {where} is {coeffs[where]}, expected a finite number"
+        )
+    body, info = codec.encode_body(coeffs, device)
+    return Encoded(codec.id, codec.to_config(), tuple(coeffs.shape), body, info)
+
+
+def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
+    """Return the (n_coeff, height, width, channel) float32 coefficients of encoded bytes."""
+    encoded = payload if isinstance(payload, Encoded) else Encoded.from_bytes(payload)
+    coeffs = codec_class(encoded.codec).decode_body(encoded.body, encoded.shape, device)
+    if coeffs.shape != encoded.shape or coeffs.dtype != np.float32:
+        raise PayloadError(f"codec {encoded.codec} gave {coeffs.dtype} {coeffs.shape} for {encoded.shape}")
+    return coeffs
