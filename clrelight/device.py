@@ -53,6 +53,10 @@ class DeviceInfo:
         Global memory as the driver reports it.
     compute_units : int
         Number of compute units (hardware threads on a CPU).
+    local_memory_bytes : int
+        Local memory of one work-group.
+    vector_width : int
+        Native float vector width.
     packaged : bool
         Whether this is the PoCL that came from the Python package index.
     default : bool
@@ -68,6 +72,8 @@ class DeviceInfo:
     float64: bool
     memory_bytes: int
     compute_units: int
+    local_memory_bytes: int
+    vector_width: int
     packaged: bool
     default: bool = False
 
@@ -175,6 +181,8 @@ def _describe(cl: Any, index: int, platform: Any, device: Any) -> DeviceInfo:
         float64="cl_khr_fp64" in device.extensions,
         memory_bytes=int(device.global_mem_size),
         compute_units=int(device.max_compute_units),
+        local_memory_bytes=int(device.local_mem_size),
+        vector_width=int(device.native_vector_width_float),
         packaged=_is_packaged_pocl(platform.version),
     )
 
@@ -212,6 +220,8 @@ class Device:
         self._queue = cl.CommandQueue(self._context)
         self._kernels: dict[tuple, tuple[Any, list[tuple[str, str]]]] = {}
         self._programs: dict[tuple, Any] = {}
+        # A queued kernel may use host memory that nothing else refers to: keep it until the queue is empty.
+        self._in_flight: list[Any] = []
 
     @property
     def shares_memory(self) -> bool:
@@ -252,7 +262,7 @@ class Device:
 
     def download(self, array: DeviceArray) -> NDArray:
         """Wait for the queue and return the array's values as NumPy (the same memory on a CPU)."""
-        self._queue.finish()
+        self.finish()
         if array.host is not None:
             return array.host
         values = np.empty(array.shape, array.dtype)
@@ -262,6 +272,7 @@ class Device:
     def finish(self) -> None:
         """Wait until everything launched has ended."""
         self._queue.finish()
+        self._in_flight.clear()
 
     def launch(
         self,
@@ -303,6 +314,7 @@ class Device:
         compiled.set_args(*(v.buffer if isinstance(v, DeviceArray) else v for v in values))
         if any(size < 1 for size in global_size):
             raise ValueError(f"{file}:{kernel}: the global size must be positive, got {global_size}")
+        self._in_flight.append(values)
         self._cl.enqueue_nd_range_kernel(self._queue, compiled, global_size, local_size or (1,) * len(global_size))
 
     def _kernel(self, file: str, name: str, defines: dict[str, object]) -> tuple[Any, list[tuple[str, str]]]:

@@ -1,0 +1,160 @@
+"""Apply a small matrix to every column of an array on the device: the work-horse of fitting and relighting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.conventions import srgb_to_linear
+from clrelight.device import Device, DeviceArray
+
+COLUMN_PADDING = 16
+"""Arrays that stay on the device have columns padded to a multiple of this, so that kernels need no tail."""
+
+_CHUNK = 256
+_DEPTH = 64
+_MAX_TILE = 256
+_SAMPLE_TYPES = {"uint8": "uchar", "uint16": "ushort", "float16": "half", "float32": "float"}
+
+
+@dataclass(frozen=True)
+class SampleCurve:
+    """How kernels turn code values into linear radiance.
+
+    Attributes
+    ----------
+    peak : float
+        Code value that means 1.0.
+    transfer : str
+        ``"linear"`` or ``"srgb"``.
+    """
+
+    peak: float = 1.0
+    transfer: str = "linear"
+
+    def mode(self, dtype: np.dtype) -> int:
+        """Return the CURVE of the kernels: 0 none, 1 a table of all code values, 2 the formula."""
+        if self.transfer == "linear":
+            return 0
+        return 1 if np.issubdtype(dtype, np.integer) else 2
+
+    def table(self, dtype: np.dtype) -> NDArray[np.float32]:
+        """Return linear radiance for each code value, float32; one unused entry where no table is used."""
+        if self.mode(dtype) != 1:
+            return np.zeros(1, np.float32)
+        return srgb_to_linear(np.arange(np.iinfo(dtype).max + 1) / self.peak).astype(np.float32)
+
+    def operator_scale(self) -> float:
+        """Return the factor that a matrix on code values must carry for its result to be in units of the peak."""
+        return 1.0 / self.peak if self.transfer == "linear" else 1.0
+
+
+@dataclass(frozen=True)
+class PackedOperator:
+    """A matrix on the device, in row blocks as ``matmul.cl`` reads it."""
+
+    packed_o: DeviceArray
+    heights_b: DeviceArray
+    shape: tuple[int, int]
+
+
+def vector_width(device: Device) -> int:
+    """Return the lanes of the vectors that kernels use on this device, 8 or 16."""
+    return 16 if device.info.vector_width >= 16 else 8
+
+
+def tile_defines(device: Device) -> dict[str, object]:
+    """Return the definitions that tiles need: the largest tile whose local memory the device has."""
+    vector = vector_width(device)
+    tile = _MAX_TILE
+    while tile > 2 * vector and tile * 4 * (_CHUNK + 8) > device.info.local_memory_bytes:
+        tile //= 2
+    chunk = _CHUNK
+    while chunk > _DEPTH and tile * 4 * (chunk + 8) > device.info.local_memory_bytes:
+        chunk //= 2
+    return {"VECTOR": vector, "TILE": tile, "CHUNK": chunk, "DEPTH": _DEPTH}
+
+
+def sample_defines(dtype: np.dtype) -> dict[str, object]:
+    """Return the definitions that name the stored type of samples."""
+    return {"SAMPLE_T": _SAMPLE_TYPES[np.dtype(dtype).name], "SAMPLE_HALF": int(np.dtype(dtype) == np.float16)}
+
+
+def pad_columns(columns: int) -> int:
+    """Return the number of columns of an array that stays on the device."""
+    return -(-columns // COLUMN_PADDING) * COLUMN_PADDING
+
+
+def row_blocks(rows: int, widest: int) -> list[int]:
+    """Split rows into the fewest blocks of at most `widest`, as even as they can be."""
+    count = -(-rows // widest)
+    return [rows // count + (b < rows % count) for b in range(count)]
+
+
+def pack_operator(device: Device, operator_mi: NDArray) -> PackedOperator:
+    """Upload a matrix (n_out, n_in), rounded to float32."""
+    operator = np.asarray(operator_mi, dtype=np.float32)
+    # 32 vector registers hold two vectors of sums for 8 rows; where there are 16, for 6.
+    heights = row_blocks(len(operator), 8 if vector_width(device) == 16 else 6)
+    ends = np.cumsum(heights)
+    blocks = [operator[end - height : end].T.ravel() for height, end in zip(heights, ends, strict=True)]
+    return PackedOperator(
+        device.upload(np.concatenate(blocks)), device.upload(np.array(heights, np.int32)), operator.shape
+    )
+
+
+def apply_operator(
+    device: Device,
+    operator: PackedOperator,
+    source_ip: DeviceArray,
+    out_mq: DeviceArray,
+    *,
+    curve: SampleCurve | None = None,
+    energy_q: DeviceArray | None = None,
+    weight_i: DeviceArray | None = None,
+) -> None:
+    """Queue ``out = operator source``, and the weighted energy of each column where asked for.
+
+    Parameters
+    ----------
+    operator : PackedOperator, shape (n_out, n_in)
+    source_ip : DeviceArray, shape (n_in, P)
+        Any of the sample types.
+    out_mq : DeviceArray, shape (n_out, Q), float32
+        Columns from P on become 0.
+    curve : SampleCurve, optional
+        Turns code values into radiance (its `operator_scale` is the caller's to put in the operator).
+    energy_q : DeviceArray, shape (Q,), float32, optional
+        ``sum_i weight_i source_i**2``.
+    weight_i : DeviceArray, shape (n_in,), float32, optional
+        Needed with `energy_q`.
+    """
+    curve = curve or SampleCurve()
+    tile = tile_defines(device)
+    columns = out_mq.shape[1]
+    if operator.shape != (out_mq.shape[0], source_ip.shape[0]):
+        raise ValueError(f"operator {operator.shape} does not map {source_ip.shape[0]} rows to {out_mq.shape[0]}")
+    with_energy = energy_q is not None
+    device.launch(
+        "matmul.cl",
+        "apply_operator_mq",
+        (-(-columns // int(str(tile["TILE"]))),),
+        out_mq,
+        *((energy_q, weight_i) if with_energy else ()),
+        source_ip,
+        operator.packed_o,
+        operator.heights_b,
+        device.upload(curve.table(source_ip.dtype)),
+        1.0 / curve.peak,
+        *out_mq.shape,
+        *source_ip.shape,
+        operator.heights_b.shape[0],
+        defines={
+            **tile,
+            **sample_defines(source_ip.dtype),
+            "WITH_ENERGY": int(with_energy),
+            "CURVE": curve.mode(source_ip.dtype),
+        },
+    )

@@ -1,0 +1,40 @@
+/* Constrained eigenbasis: keep the leading eigenvectors while the squared norm stays within a bound.
+ * Noise-resistant fitting, eq. 31-35, but stopping before the sum crosses E, so that the constraint holds (the paper's
+ * pseudocode keeps the term that crosses; CROSSING does as printed).
+ *
+ *   z_rq        (R, Q) float    in: W' beta; out: z_r / sigma_r for the kept r, else 0
+ *   rank_q      (Q) int         out: number of eigenvectors kept
+ *   energy_q    (Q) float       E, in the units of z^2
+ *   singular_r  (R) float       sigma, descending
+ *
+ *   CROSSING    0, or 1 to keep the eigenvector whose term crosses E
+ */
+#include "common/columns.clh"
+
+#ifndef CROSSING
+#error "CROSSING must be defined: 0 or 1"
+#endif
+
+__kernel void truncate_rq(__global float *restrict z_rq, __global int *restrict rank_q,
+                          __global const float *restrict energy_q, __global const float *restrict singular_r,
+                          const int size_r, const int size_q)
+{
+    const int q = get_global_id(0) * LANES;
+    const lanes energy = LOAD_LANES(energy_q + q);
+    lanes sum = 0.0f;
+    lanes_mask keeping = -1, rank = 0;
+    for (int r = 0; r < N_COMPONENT; r++) {
+        __global float *row = z_rq + (long)r * size_q + q;
+        const lanes z = LOAD_LANES(row) / singular_r[r];
+#if CROSSING
+        keeping &= sum < energy;
+        sum = z * z + sum;
+#else
+        sum = z * z + sum;
+        keeping &= sum <= energy;
+#endif
+        rank -= keeping;
+        STORE_LANES(select((lanes)0.0f, z, keeping), row);
+    }
+    vstore8(rank, 0, rank_q + q);
+}

@@ -1,0 +1,109 @@
+/* Constrained least squares: the least lambda >= 0 that keeps the squared norm of the coefficients within a bound.
+ * Noise-resistant fitting, eq. 19-25, with b' = sigma z so that nothing is squared twice:
+ *
+ *   t_r(lambda) = sigma_r z_r / (sigma_r^2 + lambda),      f(lambda) = sum_r t_r^2 <= E
+ *
+ *   z_rq        (R, Q) float    in: W' beta; out: t(lambda), the coefficients in the eigenbasis
+ *   lambda_q    (Q) float       out: lambda, 0 where f(0) <= E
+ *   energy_q    (Q) float       E, in the units of z^2
+ *   singular_r  (R) float       sigma, descending
+ *
+ * Bisection. The paper starts at lambda = 1 with lower bound 0 and halves. Halving the interval leaves lambda off by
+ * up to 0.3 of itself when sigma^2 spans nine decades, so we halve its logarithm: go down or up by 16 until lambda is
+ * bracketed, then take geometric means. The upper end is returned: there the constraint holds. |z sigma| / sqrt(E)
+ * is an upper end in any case.
+ *
+ * Newton, safeguarded: lambda <- lambda + (f/r) (sqrt(f/E) - 1) with r = sum t^2/(s + lambda). 1/|c| is concave in
+ * lambda, so the iteration comes from the left and never overshoots.
+ */
+#include "common/columns.clh"
+
+#define STEP 16.0f
+
+static lanes squared_norm(const lanes *b, __global const float *restrict singular_r, const lanes lambda)
+{
+    lanes f = 0.0f;
+    for (int r = 0; r < N_COMPONENT; r++) {
+        const lanes t = b[r] / (singular_r[r] * singular_r[r] + lambda);
+        f = t * t + f;
+    }
+    return f;
+}
+
+static lanes load_scaled(lanes *b, __global const float *restrict z_rq, __global const float *restrict singular_r,
+                         const int q, const int size_q)
+{
+    lanes norm = 0.0f;
+    for (int r = 0; r < N_COMPONENT; r++) {
+        b[r] = singular_r[r] * LOAD_LANES(z_rq + (long)r * size_q + q);
+        norm = b[r] * b[r] + norm;
+    }
+    return norm;
+}
+
+static void store_shrunk(__global float *restrict z_rq, const lanes *b, __global const float *restrict singular_r,
+                         const lanes lambda, const int q, const int size_q)
+{
+    for (int r = 0; r < N_COMPONENT; r++)
+        STORE_LANES(b[r] / (singular_r[r] * singular_r[r] + lambda), z_rq + (long)r * size_q + q);
+}
+
+__kernel void shrink_by_bisection_rq(__global float *restrict z_rq, __global float *restrict lambda_q,
+                                     __global const float *restrict energy_q,
+                                     __global const float *restrict singular_r, const int iterations,
+                                     const int size_r, const int size_q)
+{
+    const int q = get_global_id(0) * LANES;
+    lanes b[N_COMPONENT];
+    const lanes norm = load_scaled(b, z_rq, singular_r, q, size_q);
+    const lanes energy = LOAD_LANES(energy_q + q);
+    const lanes_mask held = squared_norm(b, singular_r, 0.0f) <= energy;
+
+    lanes low = 0.0f, high = sqrt(norm / energy), lambda = fmin(1.0f, high);
+    lanes_mask bracketed = 0;
+    if (!all(held)) {
+        for (int k = 0; k < iterations; k++) {
+            const lanes_mask feasible = squared_norm(b, singular_r, lambda) <= energy;
+            high = select(high, lambda, feasible);
+            low = select(lambda, low, feasible);
+            bracketed |= feasible;
+            const lanes up = fmin(lambda * STEP, high), down = high / STEP;
+            const lanes middle = sqrt(low) * sqrt(high);
+            lambda = select(select(up, middle, bracketed), down, low == 0.0f);
+        }
+    }
+    lambda = select(high, (lanes)0.0f, held);
+    STORE_LANES(lambda, lambda_q + q);
+    store_shrunk(z_rq, b, singular_r, lambda, q, size_q);
+}
+
+__kernel void shrink_by_newton_rq(__global float *restrict z_rq, __global float *restrict lambda_q,
+                                  __global const float *restrict energy_q,
+                                  __global const float *restrict singular_r, const int iterations,
+                                  const int size_r, const int size_q)
+{
+    const int q = get_global_id(0) * LANES;
+    lanes b[N_COMPONENT];
+    const lanes norm = load_scaled(b, z_rq, singular_r, q, size_q);
+    const lanes energy = LOAD_LANES(energy_q + q);
+    /* Black columns: any finite lambda gives zeros; 0/0 must not spread. */
+    const lanes_mask empty = energy <= 0.0f;
+    lanes lambda = fmax(sqrt(norm / energy) - singular_r[0] * singular_r[0], 0.0f);
+    lambda = select(lambda, (lanes)0.0f, empty);
+
+    for (int k = 0; k < iterations; k++) {
+        lanes f = 0.0f, slope = 0.0f;
+        for (int r = 0; r < N_COMPONENT; r++) {
+            const lanes inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
+            const lanes t = b[r] * inverse;
+            f = t * t + f;
+            slope = t * t * inverse + slope;
+        }
+        const lanes next = fmax(lambda + f / slope * (sqrt(f / energy) - 1.0f), 0.0f);
+        const lanes_mask moved = !empty && fabs(next - lambda) > 4e-7f * lambda;
+        lambda = select(lambda, next, moved);
+        if (!any(moved)) break;
+    }
+    STORE_LANES(lambda, lambda_q + q);
+    store_shrunk(z_rq, b, singular_r, lambda, q, size_q);
+}
