@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,23 @@ class LightStack:
         if self.mask_hw is not None and (self.mask_hw.shape != shape[1:3] or self.mask_hw.dtype != np.bool_):
             raise InputError(f"mask must be bool of shape {shape[1:3]}, got {self.mask_hw.dtype} {self.mask_hw.shape}")
 
+    def read_rows(self, first: int, end: int) -> NDArray:
+        """Return rows first..end of every image, C-contiguous (n_light, end - first, width, channel).
+
+        Raises InputError, naming light and pixel, where a float sample is negative or not finite.
+        """
+        tile_ihwc = np.ascontiguousarray(self.images_ihwc[:, first:end])
+        if tile_ihwc.dtype.kind == "f":
+            check_radiance(tile_ihwc, first)
+        return tile_ihwc
+
+    def select(self, lights_i: NDArray[np.intp]) -> LightStack:
+        """Return the stack of these lights only; images stay where they are until read."""
+        images = self.images_ihwc
+        chosen = images[lights_i] if isinstance(images, np.ndarray) else LightSubset(images, lights_i)
+        weights = None if self.weights_i is None else self.weights_i[lights_i]
+        return replace(self, images_ihwc=chosen, directions_i3=self.directions_i3[lights_i], weights_i=weights)
+
     @property
     def n_light(self) -> int:
         """Number of lights, which is the number of images."""
@@ -76,6 +93,20 @@ class LightStack:
         """Height, width and channels of each image."""
         height, width, channel = self.images_ihwc.shape[1:]
         return int(height), int(width), int(channel)
+
+
+class LightSubset:
+    """Some lights of an image dataset that is read when indexed."""
+
+    def __init__(self, images_ihwc: Any, lights_i: NDArray[np.intp]) -> None:
+        self._images, self._lights = images_ihwc, lights_i
+        self.shape = (len(lights_i), *images_ihwc.shape[1:])
+        self.dtype = images_ihwc.dtype
+
+    def __getitem__(self, key: tuple[slice, ...]) -> NDArray:
+        # HDF5 reads scattered lights slowly and rows of all lights fast, so pick after reading.
+        lights, *rest = key
+        return self._images[(slice(None), *rest)][self._lights][lights]
 
 
 @dataclass(frozen=True)
@@ -160,3 +191,29 @@ def check_directions(directions_i3: NDArray, n_light: int | None) -> None:
     bad = np.flatnonzero(~(np.abs(np.linalg.norm(directions_i3, axis=1) - 1.0) <= _UNIT_TOLERANCE))
     if bad.size:
         raise InputError(f"light {bad[0]} has direction {directions_i3[bad[0]]}, which is no finite unit vector")
+
+
+def check_radiance(tile_ihwc: NDArray, first_row: int = 0) -> None:
+    """Raise InputError, naming the first sample that is negative or not finite."""
+    # min and max see every NaN and infinity, and cost no temporary array.
+    if np.isfinite(tile_ihwc.max()) and tile_ihwc.min() >= 0:
+        return
+    bad = ~(np.isfinite(tile_ihwc) & (tile_ihwc >= 0))
+    light, row, column, channel = (int(v) for v in np.argwhere(bad)[0])
+    raise InputError(
+        f"image {light} is {tile_ihwc[light, row, column, channel]} at row {first_row + row}, column {column}, "
+        f"channel {channel}: radiance must be finite and not negative"
+    )
+
+
+def split_lights(n_light: int, holdout: int | None) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the indices of the lights to fit and of those held out, every K-th (``index % K == K - 1``)."""
+    index = np.arange(n_light)
+    if holdout is None:
+        return index, index[:0]
+    if holdout < 2:
+        raise InputError(f"holdout must be at least 2 (every K-th light is kept out), got {holdout}")
+    held = index % holdout == holdout - 1
+    if not held.any():
+        raise InputError(f"holdout {holdout} keeps no light out of {n_light}; use at most {n_light}")
+    return index[~held], index[held]

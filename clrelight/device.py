@@ -150,7 +150,7 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
         platforms = cl.get_platforms()
     except cl.Error:
         return []
-    found = []
+    found: list[tuple[DeviceInfo, Any]] = []
     for platform in platforms:
         try:
             devices = platform.get_devices()

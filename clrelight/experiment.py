@@ -1,0 +1,469 @@
+"""An experiment: a grid of scenes, methods, degrees, codecs and rates, measured row by row, resumable."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import itertools
+import json
+import math
+import os
+import subprocess
+import time
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec import Codec, codec_class, decode, encode
+from clrelight.conventions import TRANSFERS
+from clrelight.dataset import CoefficientMap, LightStack, split_lights
+from clrelight.device import Device, open_device
+from clrelight.errors import InputError
+from clrelight.fit import FitMethod, method_class
+from clrelight.fit.run import collect_fit, prepare_fit
+from clrelight.metrics import measure_errors, summarize_errors
+from clrelight.relight import relight, to_display
+from clrelight.results import NO_CODEC, ROW_DTYPE, Results
+from clrelight.store import open_stack, read_results, write_results
+
+RING = "ring"
+PAPER_METHODS = ("uls", "sloan", "cls", "ceb")
+PAPER_RATES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Bits per coefficient of the wavelet curve, figure 15."""
+PICTURE_RATE = 4.0
+"""Of the wavelet rows, the rate whose pictures are kept (figures 4c, 8c, 12c)."""
+PICTURE_LIGHT = np.array([0.5, 0.5, math.sqrt(0.5)])
+"""Pictures show the light nearest to this direction."""
+MAX_PICTURE_SIDE = 512
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class CodecSetting:
+    """A codec with its options; `codec` is None for the float32 coefficients as they are."""
+
+    codec: Codec | None = None
+
+    @property
+    def id(self) -> str:
+        """Name in the table."""
+        return NO_CODEC if self.codec is None else self.codec.id
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Options as a JSON object."""
+        return {} if self.codec is None else self.codec.to_config()
+
+    @property
+    def rate(self) -> float:
+        """Bits per coefficient asked for, NaN where the codec is not asked for any."""
+        return float(self.config.get("rate", math.nan))
+
+    @property
+    def picture_name(self) -> str:
+        """Last part of a picture's key."""
+        return self.id if math.isnan(self.rate) else f"{self.id}@{self.rate:g}"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to measure.
+
+    Attributes
+    ----------
+    scenes : tuple of str
+        ``"ring"`` or paths of stack files.
+    methods : tuple of FitMethod
+    degrees : tuple of int
+    codecs : tuple of CodecSetting
+    holdout : int or None
+        Keep every K-th light out of the fits and measure there too.
+    weights, sampling : str
+        As in `clrelight.fit.fit`.
+    ring : mapping
+        Arguments of `datasets_synth.ring.render_ring`.
+    """
+
+    scenes: tuple[str, ...] = (RING,)
+    methods: tuple[FitMethod, ...] = ()
+    degrees: tuple[int, ...] = (6,)
+    codecs: tuple[CodecSetting, ...] = ()
+    holdout: int | None = None
+    weights: str = "uniform"
+    sampling: str = "hemisphere"
+    ring: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def row_count(self) -> int:
+        """Rows of the finished table."""
+        return len(self.scenes) * len(self.methods) * len(self.degrees) * len(self.codecs)
+
+
+def paper_experiment(
+    scene: str = RING,
+    *,
+    methods: tuple[str, ...] = PAPER_METHODS,
+    degrees: tuple[int, ...] = (6,),
+    codecs: tuple[str, ...] = (NO_CODEC, "half", "s3tc", "uniform", "wavelet"),
+    rates: tuple[float, ...] = PAPER_RATES,
+    holdout: int | None = None,
+    ring: Mapping[str, Any] | None = None,
+) -> Experiment:
+    """Return the paper's experiment (table I and III, figures 7 and 15) on one scene."""
+    settings: list[CodecSetting] = []
+    for name in codecs:
+        settings += make_settings(name, {"rate": list(rates)} if name == "wavelet" else {})
+    return Experiment(
+        (scene,),
+        tuple(method_class(name)() for name in methods),
+        degrees,
+        tuple(settings),
+        holdout,
+        ring=dict(ring or {}),
+    )
+
+
+def make_settings(codec_id: str, config: Mapping[str, Any]) -> list[CodecSetting]:
+    """Return one setting for each combination of the options that are lists."""
+    if codec_id == NO_CODEC:
+        if config:
+            raise InputError(f"codec {NO_CODEC!r} has no options, got {', '.join(config)}")
+        return [CodecSetting()]
+    kind = codec_class(codec_id)
+    axes = [[(key, v) for v in (value if isinstance(value, list) else [value])] for key, value in config.items()]
+    return [CodecSetting(kind.from_config(dict(combination))) for combination in itertools.product(*axes)]
+
+
+_TOML_KEYS = ("scenes", "methods", "degrees", "holdout", "weights", "sampling", "ring", "method", "codec")
+
+
+def load_experiment(path: str | os.PathLike[str]) -> Experiment:
+    """Read an experiment from TOML (docs/experiments.md); InputError names what is not right."""
+    file = Path(path)
+    try:
+        given = tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"no such file: {file}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{file} is not valid TOML: {error}") from None
+    for key in given:
+        if key not in _TOML_KEYS:
+            raise InputError(f"{file}: unknown key {key!r}; known are {', '.join(_TOML_KEYS)}")
+    options = _typed(file, given, "method", dict, {})
+    methods = []
+    for name in _typed(file, given, "methods", list, list(PAPER_METHODS)):
+        methods.append(method_class(name).from_config(options.get(name, {})))
+    settings: list[CodecSetting] = []
+    for entry in _typed(file, given, "codec", list, [{"id": NO_CODEC}]):
+        if not isinstance(entry, dict) or not isinstance(entry.get("id"), str):
+            raise InputError(f"{file}: every [[codec]] needs an id")
+        settings += make_settings(entry["id"], {k: v for k, v in entry.items() if k != "id"})
+    scenes = [
+        scene if scene == RING else str(file.parent / scene) for scene in _typed(file, given, "scenes", list, [RING])
+    ]
+    degrees = _typed(file, given, "degrees", list, [6])
+    if not scenes or not methods or not settings or not degrees or not all(type(d) is int for d in degrees):
+        raise InputError(f"{file}: scenes, methods, degrees (whole numbers) and codecs must not be empty")
+    return Experiment(
+        tuple(scenes),
+        tuple(methods),
+        tuple(degrees),
+        tuple(settings),
+        _typed(file, given, "holdout", int, None),
+        _typed(file, given, "weights", str, "uniform"),
+        _typed(file, given, "sampling", str, "hemisphere"),
+        _typed(file, given, "ring", dict, {}),
+    )
+
+
+def _typed(file: Path, given: Mapping[str, Any], key: str, kind: type, default: Any) -> Any:
+    value = given.get(key, default)
+    if key in given and (not isinstance(value, kind) or isinstance(value, bool)):
+        raise InputError(f"{file}: {key} must be a {kind.__name__}, got {value!r}")
+    return value
+
+
+def run_experiment(
+    experiment: Experiment,
+    out: str | os.PathLike[str],
+    *,
+    device: Device | None = None,
+    progress: Progress | None = None,
+    force: bool = False,
+) -> Results:
+    """Measure every row of an experiment; rows that `out` holds already are kept, not measured again.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    out : path
+        Results file; written whole after every row.
+    device : Device, optional
+    progress : callable, optional
+        Called with what is being done, rows done, and rows in all.
+    force : bool
+        Start anew although `out` exists.
+
+    Returns
+    -------
+    Results
+        The table with the rows in the experiment's order, and rows of earlier experiments before them.
+    """
+    device = device or open_device()
+    results = read_results(out) if Path(out).exists() and not force else Results(np.empty(0, ROW_DTYPE))
+    done = {_key(row) for row in results.table}
+    report = progress or (lambda what, count, total: None)
+    count = 0
+    for scene in experiment.scenes:
+        planned = [
+            (method, degree, setting)
+            for method in experiment.methods
+            for degree in experiment.degrees
+            for setting in experiment.codecs
+        ]
+        report(f"open {_scene_name(scene)}", count, experiment.row_count)
+        with _open_scene(scene, experiment, report, count) as stack:
+            bench = _Bench(stack, experiment, device)
+            for (method, degree), group in itertools.groupby(planned, key=lambda item: item[:2]):
+                for _, _, setting in group:
+                    identity = bench.identity(method, degree, setting)
+                    if _key(identity) not in done:
+                        report(
+                            f"{stack.name}: {method.title} degree {degree}, {setting.picture_name}",
+                            count,
+                            experiment.row_count,
+                        )
+                        results = bench.measure(results, identity, method, degree, setting)
+                        write_results(out, results)
+                        done.add(_key(identity))
+                    count += 1
+    report("done", count, experiment.row_count)
+    return results
+
+
+_IDENTITY = (
+    "scene",
+    "method",
+    "degree",
+    "fit_config",
+    "codec",
+    "codec_config",
+    "n_light",
+    "n_holdout",
+    "height",
+    "width",
+    "channel",
+    "seed",
+)
+
+
+def _key(row: np.void) -> tuple:
+    return tuple(row[name] for name in _IDENTITY)
+
+
+def _scene_name(scene: str) -> str:
+    return scene if scene == RING else Path(scene).stem
+
+
+@contextmanager
+def _open_scene(scene: str, experiment: Experiment, report: Progress, count: int) -> Iterator[LightStack]:
+    if scene != RING:
+        with open_stack(scene) as stack:
+            yield stack
+        return
+    from datasets_synth.ring import render_ring
+
+    try:
+        stack = render_ring(
+            **experiment.ring,
+            progress=lambda i, n: report(f"render ring, light {i} of {n}", count, experiment.row_count),
+        )
+    except TypeError as error:
+        raise InputError(f"ring: {error}") from None
+    yield stack
+
+
+class _Bench:
+    """One scene of an experiment, with the last fit kept while its codecs are measured."""
+
+    def __init__(self, stack: LightStack, experiment: Experiment, device: Device) -> None:
+        self.stack, self.experiment, self.device = stack, experiment, device
+        self.fitted, self.held = split_lights(stack.n_light, experiment.holdout)
+        self.fit_stack = stack if experiment.holdout is None else stack.select(self.fitted)
+        self._fit: tuple[tuple, CoefficientMap, float] | None = None
+        self._reference: tuple[int, NDArray[np.uint8], int] | None = None
+
+    def identity(self, method: FitMethod, degree: int, setting: CodecSetting) -> np.void:
+        """Return the row with all that is known before measuring."""
+        experiment = self.experiment
+        height, width, channel = self.stack.image_shape
+        fit_config = {**method.to_config(), "weights": experiment.weights, "sampling": experiment.sampling}
+        values = {
+            "scene": self.stack.name,
+            "method": method.id,
+            "degree": degree,
+            "fit_config": _json(fit_config),
+            "codec": setting.id,
+            "codec_config": _json(setting.config),
+            "rate": setting.rate,
+            "n_light": len(self.fitted),
+            "n_holdout": len(self.held),
+            "n_coeff": (degree + 1) ** 2,
+            "height": height,
+            "width": width,
+            "channel": channel,
+            "seed": int(experiment.ring.get("seed", 0)),
+            "device": self.device.info.label,
+            "versions": software_versions(),
+            "commit": source_commit(),
+        }
+        row = np.zeros(1, ROW_DTYPE)
+        for name, kind in ROW_DTYPE.fields.items() if ROW_DTYPE.fields else ():
+            if name in values:
+                row[0][name] = _fixed(values[name], kind[0])
+        return row[0]
+
+    def measure(self, results: Results, row: np.void, method: FitMethod, degree: int, setting: CodecSetting) -> Results:
+        """Fit if need be, encode, decode, compare; return the results with this row and its pictures."""
+        coefficients, row["seconds_fit"] = self._coefficients(method, degree)
+        row["mean_energy"] = _mean_energy(coefficients.coeffs_khwc)
+        row["entropy_bits"] = math.nan
+        row["bits_per_coefficient"], row["encoded_bytes"] = 32.0, coefficients.coeffs_khwc.nbytes
+        seconds = row["seconds_encode"] = row["seconds_decode"] = 0.0
+        if setting.codec is not None:
+            start = time.perf_counter()
+            encoded = encode(coefficients.coeffs_khwc, setting.codec, self.device)
+            row["seconds_encode"] = time.perf_counter() - start
+            start = time.perf_counter()
+            # From the bytes alone, so that nothing the encoder knows can leak into the measurement.
+            decoded_khwc = decode(encoded.to_bytes(), self.device)
+            row["seconds_decode"] = time.perf_counter() - start
+            row["bits_per_coefficient"], row["encoded_bytes"] = encoded.bits_per_coefficient, encoded.encoded_bytes
+            row["entropy_bits"] = encoded.info.get("entropy_bits", math.nan)
+            coefficients = _with_coefficients(coefficients, decoded_khwc)
+        start = time.perf_counter()
+        mse_i = measure_errors(coefficients, self.stack, device=self.device)
+        seconds = time.perf_counter() - start
+        row["seconds_measure"] = seconds
+        at_fitted = summarize_errors(mse_i[self.fitted])
+        row["psnr_mean"], row["psnr_pooled"] = at_fitted.psnr_mean, at_fitted.psnr_pooled
+        row["psnr_mean_holdout"] = row["psnr_pooled_holdout"] = math.nan
+        if len(self.held):
+            at_held = summarize_errors(mse_i[self.held])
+            row["psnr_mean_holdout"], row["psnr_pooled_holdout"] = at_held.psnr_mean, at_held.psnr_pooled
+        table = np.concatenate([results.table, np.array([row], ROW_DTYPE)])
+        return Results(table, *self._illustrate(results, coefficients, method, degree, setting))
+
+    def _coefficients(self, method: FitMethod, degree: int) -> tuple[CoefficientMap, float]:
+        key = (method, degree)
+        if self._fit is None or self._fit[0] != key:
+            self._fit = None  # let the old map go before the new one is made
+            prepared = prepare_fit(
+                self.fit_stack,
+                method,
+                degree,
+                weights=self.experiment.weights,
+                sampling=self.experiment.sampling,
+                device=self.device,
+            )
+            coefficients = collect_fit(prepared)
+            self._fit = (key, coefficients, sum(prepared.report.seconds.values()))
+        return self._fit[1], self._fit[2]
+
+    def _illustrate(
+        self, results: Results, coefficients: CoefficientMap, method: FitMethod, degree: int, setting: CodecSetting
+    ) -> tuple[dict[str, NDArray[np.uint8]], dict[str, NDArray[np.float64]]]:
+        pictures, profiles = dict(results.pictures), dict(results.profiles)
+        name, scene = f"{self.stack.name}/{method.id}/{degree}", self.stack.name
+        light, reference, pixel = self._reference_picture()
+        if setting.codec is None:
+            column = coefficients.coeffs_khwc.reshape(coefficients.n_coeff, -1)[:, pixel]
+            profiles[name] = column.astype(np.float64)
+        if math.isnan(setting.rate) or setting.rate == PICTURE_RATE:
+            image = relight(coefficients, self.stack.directions_i3[light : light + 1], device=self.device)[0]
+            pictures[f"{scene}/reference"] = reference
+            pictures[f"{name}/{setting.picture_name}"] = shrink_picture(to_display(image, self.stack.transfer))
+        return pictures, profiles
+
+    def _reference_picture(self) -> tuple[int, NDArray[np.uint8], int]:
+        """Return the light that pictures show, its photograph, and the typical pixel's column.
+
+        Typical is the column whose mean over the lights is the median of all that are not black.
+        """
+        if self._reference is None:
+            light = int(np.argmax(self.stack.directions_i3 @ PICTURE_LIGHT))
+            height = self.stack.image_shape[0]
+            step = max(1, (1 << 26) // (self.stack.n_light * self.stack.image_shape[1] * self.stack.image_shape[2] * 4))
+            rows = [self.stack.read_rows(first, min(first + step, height)) for first in range(0, height, step)]
+            means = np.concatenate([tile.mean(axis=0, dtype=np.float64).ravel() for tile in rows])
+            order = np.argsort(means, kind="stable")
+            lit = order[means[order] > 0]
+            image = np.concatenate([tile[light] for tile in rows]).astype(np.float64) / self.stack.peak
+            # The photograph is in the stack's transfer already, which is what a display gets.
+            shown = shrink_picture(to_display(image, TRANSFERS[0]))
+            self._reference = (light, shown, int(lit[len(lit) // 2]) if len(lit) else 0)
+        return self._reference
+
+
+def _with_coefficients(source: CoefficientMap, coeffs_khwc: NDArray[np.float32]) -> CoefficientMap:
+    values = {f.name: getattr(source, f.name) for f in fields(source)}
+    return CoefficientMap(**{**values, "coeffs_khwc": coeffs_khwc})
+
+
+def _mean_energy(coeffs_khwc: NDArray[np.float32]) -> float:
+    planes = (np.vdot(plane.astype(np.float64), plane.astype(np.float64)) for plane in coeffs_khwc)
+    return float(sum(planes)) / float(np.prod(coeffs_khwc.shape[1:]))
+
+
+def shrink_picture(image_hwc: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the image averaged over square blocks until no side is above `MAX_PICTURE_SIDE`."""
+    height, width, channel = image_hwc.shape
+    block = -(-max(height, width) // MAX_PICTURE_SIDE)
+    if block == 1:
+        return image_hwc
+    kept = image_hwc[: height // block * block, : width // block * block]
+    blocks = kept.reshape(height // block, block, width // block, block, channel)
+    return np.rint(blocks.mean(axis=(1, 3))).astype(np.uint8)
+
+
+def software_versions() -> str:
+    """Return the versions that matter for a number, in one line."""
+    names = ("clrelight", "pyopencl", "pocl-binary-distribution", "numpy", "scipy", "h5py", "constriction")
+    found = []
+    for name in names:
+        try:
+            found.append(f"{name} {importlib.metadata.version(name)}")
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return ", ".join(found)
+
+
+def source_commit() -> str:
+    """Return the commit of the checkout this runs from, with ``+`` if it has changes; empty for an installed package."""
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return ""
+    try:
+        ask = {"cwd": root, "capture_output": True, "text": True, "timeout": 10, "check": True}
+        commit = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], **ask).stdout.strip()
+        changed = subprocess.run(["git", "status", "--porcelain", "-uno"], **ask).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return commit + ("+" if changed else "")
+
+
+def _json(config: Mapping[str, Any]) -> str:
+    return json.dumps(config, sort_keys=True, separators=(",", ":"))
+
+
+def _fixed(value: Any, dtype: np.dtype) -> Any:
+    if dtype.kind != "S":
+        return value
+    encoded = str(value).encode("utf-8")
+    return encoded[: dtype.itemsize].decode("utf-8", "ignore").encode("utf-8")

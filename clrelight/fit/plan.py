@@ -1,0 +1,131 @@
+"""What is the same for every pixel: the matrices of a fit, made once in float64 on the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.basis import decompose, evaluate_basis
+from clrelight.conventions import coefficient_count
+from clrelight.dataset import LightStack
+from clrelight.errors import InputError
+from clrelight.sampling import solid_angle_weights
+
+WEIGHTINGS = ("uniform", "solid-angle")
+SAMPLINGS = ("hemisphere", "scattered")
+
+_SEEN = 1e-9
+"""A basis function whose share of its energy on the samples is below this is not seen by them."""
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """The lights of a fit, and how much each counts.
+
+    Attributes
+    ----------
+    directions_i3 : ndarray, shape (n_light, 3), float64
+    solid_angles_i : ndarray, shape (n_light,), float64
+        Steradian; all ``2 pi / n_light`` for the uniform weighting.
+    sampling : str
+        ``"hemisphere"``, or ``"scattered"`` for samples on a part of it (section V-D of the paper).
+    """
+
+    directions_i3: NDArray[np.float64]
+    solid_angles_i: NDArray[np.float64]
+    sampling: str = "hemisphere"
+
+    @property
+    def row_weights_i(self) -> NDArray[np.float64]:
+        """Weights of the least squares, mean 1, so that lambda keeps its unit."""
+        return self.solid_angles_i / self.solid_angles_i.mean()
+
+
+@dataclass(frozen=True)
+class FitPlan:
+    """The matrices of one fit.
+
+    Attributes
+    ----------
+    analysis_ri : ndarray, shape (rank, n_light), float64
+        Radiance samples to components ``z``.
+    synthesis_kr : ndarray, shape (n_coeff, rank), float64, or None
+        Shrunk components to coefficients; None where the components are the coefficients.
+    singular_r : ndarray, shape (rank,), float64
+        Singular values of the weighted basis matrix.
+    energy_i : ndarray, shape (n_light,), float64
+        The bound is ``E_c = sum_i energy_i beta_i**2``.
+    condition : float
+        Largest over smallest singular value.
+    notes : tuple of str
+        What the user should know.
+    """
+
+    analysis_ri: NDArray[np.float64]
+    synthesis_kr: NDArray[np.float64] | None
+    singular_r: NDArray[np.float64]
+    energy_i: NDArray[np.float64]
+    condition: float
+    notes: tuple[str, ...] = field(default=())
+
+
+def make_lighting(stack: LightStack, weights: str, sampling: str) -> Lighting:
+    """Return the lights of a stack with their weights; InputError for an unknown name."""
+    if weights not in WEIGHTINGS:
+        raise InputError(f"weights must be one of {', '.join(WEIGHTINGS)}, got {weights!r}")
+    if sampling not in SAMPLINGS:
+        raise InputError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")
+    angles = np.full(stack.n_light, 2.0 * np.pi / stack.n_light)
+    if weights == "solid-angle":
+        angles = solid_angle_weights(stack.directions_i3) if stack.weights_i is None else stack.weights_i
+    return Lighting(stack.directions_i3, angles, sampling)
+
+
+def plan_least_squares(lighting: Lighting, degree: int, *, without: tuple[int, ...] = ()) -> FitPlan:
+    """Return the plan of a least-squares fit: ``z = W' beta`` with the thin SVD ``Y = W diag(sigma) U'``.
+
+    Rows are weighted by the square root of the lights' weights. For scattered sampling the basis is scaled to
+    ``Y* = Y D^-1`` with ``D^2 = kappa``, the energy of each basis function over the samples (eq. 26-30); the area of
+    the sampled region scales kappa and the bound alike, and cancels.
+
+    Parameters
+    ----------
+    lighting : Lighting
+    degree : int
+    without : tuple of int
+        Indices of basis functions that the fit may not use; their coefficients are 0.
+    """
+    basis_ik = evaluate_basis(lighting.directions_i3, degree)
+    weight_i = lighting.row_weights_i
+    scale_k = np.ones(basis_ik.shape[1])
+    energy_i = 2.0 * lighting.solid_angles_i
+    notes: list[str] = []
+    used = np.ones(basis_ik.shape[1], bool)
+    used[list(without)] = False
+    if lighting.sampling == "scattered":
+        kappa_k = lighting.solid_angles_i @ basis_ik**2
+        energy_i = lighting.solid_angles_i
+        unseen = kappa_k < _SEEN * kappa_k.max()
+        if unseen.any():
+            notes.append(f"{unseen.sum()} basis functions vanish at all samples: their coefficients are 0")
+        used &= ~unseen
+        scale_k[used] = 1.0 / np.sqrt(kappa_k[used])
+    root_i = np.sqrt(weight_i)
+    svd = decompose(root_i[:, None] * basis_ik[:, used] * scale_k[used])
+    if len(svd.singular_r) < min(used.sum(), len(basis_ik)):
+        notes.append(f"only {len(svd.singular_r)} of {used.sum()} components can be told from zero in float64")
+    synthesis_kr = np.zeros((basis_ik.shape[1], len(svd.singular_r)))
+    synthesis_kr[used] = scale_k[used, None] * svd.right_kr
+    return FitPlan(svd.left_ir.T * root_i, synthesis_kr, svd.singular_r, energy_i, svd.condition, tuple(notes))
+
+
+def require_lights(method: str, n_light: int, degree: int) -> None:
+    """Raise InputError where there are fewer lights than coefficients; the message says which degree fits."""
+    if n_light < coefficient_count(degree):
+        fitting = int(np.sqrt(n_light)) - 1
+        raise InputError(
+            f"{method} at degree {degree} has {coefficient_count(degree)} coefficients but there are {n_light} lights: "
+            f"degree {fitting} is the largest that fits; cls and ceb accept any degree"
+        )

@@ -1,0 +1,88 @@
+"""The registry of fits: what one is, and how it is found by name."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from clrelight.device import Device, DeviceArray
+from clrelight.errors import InputError
+from clrelight.fit.plan import FitPlan, Lighting
+
+_REGISTRY: dict[str, type[FitMethod]] = {}
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """What a shrink leaves beside the components: a map of lambda or of ranks, where the method has one."""
+
+    lambda_q: DeviceArray | None = None
+    rank_q: DeviceArray | None = None
+
+
+class FitMethod(ABC):
+    """A way to fit coefficients. Subclasses are frozen dataclasses with an `id`; their fields are the options.
+
+    A fit is ``coefficients = synthesis shrink(analysis samples)``: two matrices from `plan`, and between them
+    something per column, which linear methods do without.
+    """
+
+    id: ClassVar[str]
+    summary: ClassVar[str]
+    title: ClassVar[str]
+    has_lambda: ClassVar[bool] = False
+    has_rank: ClassVar[bool] = False
+
+    @abstractmethod
+    def plan(self, lighting: Lighting, degree: int) -> FitPlan:
+        """Return the matrices for these lights; InputError where the method cannot fit this degree to them."""
+
+    def shrink(
+        self, device: Device, plan: FitPlan, z_rq: DeviceArray, energy_q: DeviceArray, singular_r: DeviceArray
+    ) -> Shrunk:
+        """Queue the change of the components in place; `energy_q` holds E_c of each column."""
+        return Shrunk()
+
+    def allocate_maps(self, device: Device, columns: int) -> Shrunk:
+        """Return the maps that `shrink` fills, uninitialised."""
+        return Shrunk(
+            device.empty((columns,), np.float32) if self.has_lambda else None,
+            device.empty((columns,), np.int32) if self.has_rank else None,
+        )
+
+    def to_config(self) -> dict[str, Any]:
+        """Return the options as a JSON object; `from_config` takes it back."""
+        return asdict(self)  # type: ignore[call-overload]
+
+    @classmethod
+    def from_config(cls, config: Mapping[str, Any]) -> Self:
+        """Make the method from its options; InputError names one that it does not have."""
+        known = [f.name for f in fields(cls)]  # type: ignore[arg-type]
+        for key in config:
+            if key not in known:
+                raise InputError(f"method {cls.id} has no option {key!r}; it has: {', '.join(known) or 'none'}")
+        return cls(**config)
+
+
+def register(method: type[FitMethod]) -> type[FitMethod]:
+    """Enter a method class under its id (a class decorator); ValueError if the id is taken."""
+    if method.id in _REGISTRY:
+        raise ValueError(f"a fit {method.id!r} is registered already: {_REGISTRY[method.id]!r}")
+    _REGISTRY[method.id] = method
+    return method
+
+
+def method_ids() -> list[str]:
+    """Return the known ids, in the order of registration."""
+    return list(_REGISTRY)
+
+
+def method_class(method_id: str) -> type[FitMethod]:
+    """Return the class of an id; InputError lists the known ones."""
+    if method_id not in _REGISTRY:
+        raise InputError(f"unknown method {method_id!r}; known are {', '.join(method_ids())}")
+    return _REGISTRY[method_id]

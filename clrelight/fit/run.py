@@ -1,0 +1,253 @@
+"""Run a fit over a stack, tile by tile."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.basis import MAX_DEGREE
+from clrelight.dataset import CoefficientMap, LightStack, split_lights
+from clrelight.device import Device, DeviceArray, open_device
+from clrelight.errors import InputError
+from clrelight.fit.plan import FitPlan, make_lighting
+from clrelight.fit.registry import FitMethod, method_class
+from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
+
+DEFAULT_MEMORY = 1 << 28
+"""Bytes that one tile of a fit may take: samples, components and coefficients together."""
+
+
+@dataclass
+class FitReport:
+    """What a fit cost and what the user should know.
+
+    Attributes
+    ----------
+    seconds : dict
+        Per stage: ``plan``, ``read``, ``project``, ``shrink``, ``synthesize``.
+    notes : list of str
+    condition : float
+        Condition of the weighted basis matrix.
+    """
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    condition: float = 1.0
+
+    def add(self, stage: str, since: float) -> float:
+        """Add the time since `since` to a stage, and return now."""
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - since
+        return now
+
+
+@dataclass(frozen=True)
+class PreparedFit:
+    """A fit of one stack, ready to run: what is the same for all tiles."""
+
+    stack: LightStack
+    method: FitMethod
+    degree: int
+    config: Mapping[str, Any]
+    plan: FitPlan
+    device: Device
+    report: FitReport
+
+
+@dataclass(frozen=True)
+class FittedTile:
+    """Rows first..end of a fit, as `CoefficientMap` holds them."""
+
+    first: int
+    end: int
+    coeffs_khwc: NDArray[np.float32]
+    lambda_hwc: NDArray[np.float32] | None
+    rank_hwc: NDArray[np.int32] | None
+
+
+def fit(
+    stack: LightStack,
+    method: str | FitMethod = "cls",
+    degree: int = 6,
+    *,
+    options: Mapping[str, Any] | None = None,
+    weights: str = "uniform",
+    sampling: str = "hemisphere",
+    holdout: int | None = None,
+    device: Device | None = None,
+    memory_bytes: int = DEFAULT_MEMORY,
+) -> CoefficientMap:
+    """Fit spherical-harmonic coefficients to every pixel and channel of a stack.
+
+    Parameters
+    ----------
+    stack : LightStack
+    method : str or FitMethod
+        An id of `method_ids`, or a method with its options.
+    degree : int
+        Largest degree.
+    options : mapping, optional
+        Options of the method where it is given by id, such as ``{"energy": 0.5}``.
+    weights : str
+        ``"uniform"``, or ``"solid-angle"``: least squares and bound weighted by the lights' Voronoi cells.
+    sampling : str
+        ``"hemisphere"``, or ``"scattered"`` for samples that cover a part of it (section V-D).
+    holdout : int, optional
+        Keep every K-th light out of the fit.
+    device : Device, optional
+        Default: `open_device()`.
+    memory_bytes : int
+        Bytes that one tile may take.
+
+    Returns
+    -------
+    CoefficientMap
+        Coefficients of linear radiance in units of the peak, float32.
+
+    Raises
+    ------
+    InputError
+        If the method cannot fit this degree to these lights, or samples are negative or not finite.
+    """
+    fitted, _ = split_lights(stack.n_light, holdout)
+    if holdout is not None:
+        stack = stack.select(fitted)
+    prepared = prepare_fit(stack, method, degree, options=options, weights=weights, sampling=sampling, device=device)
+    return collect_fit(prepared, memory_bytes=memory_bytes)
+
+
+def prepare_fit(
+    stack: LightStack,
+    method: str | FitMethod,
+    degree: int,
+    *,
+    options: Mapping[str, Any] | None = None,
+    weights: str = "uniform",
+    sampling: str = "hemisphere",
+    device: Device | None = None,
+) -> PreparedFit:
+    """Check the request and make the matrices; see `fit` for the parameters."""
+    if not 0 <= degree <= MAX_DEGREE:
+        raise InputError(f"degree must be 0 to {MAX_DEGREE}, got {degree}")
+    if isinstance(method, str):
+        method = method_class(method).from_config(options or {})
+    start = time.perf_counter()
+    plan = method.plan(make_lighting(stack, weights, sampling), degree)
+    report = FitReport(notes=list(plan.notes), condition=plan.condition)
+    report.add("plan", start)
+    config = {**method.to_config(), "weights": weights, "sampling": sampling}
+    return PreparedFit(stack, method, degree, config, plan, device or open_device(), report)
+
+
+def collect_fit(
+    prepared: PreparedFit,
+    *,
+    memory_bytes: int = DEFAULT_MEMORY,
+    progress: Callable[[int, int], None] | None = None,
+) -> CoefficientMap:
+    """Run a prepared fit and return the whole map."""
+    stack, method = prepared.stack, prepared.method
+    n_coeff = (prepared.degree + 1) ** 2
+    coeffs_khwc = np.empty((n_coeff, *stack.image_shape), np.float32)
+    lambda_hwc = np.empty(stack.image_shape, np.float32) if method.has_lambda else None
+    rank_hwc = np.empty(stack.image_shape, np.int32) if method.has_rank else None
+    for tile in fit_tiles(prepared, memory_bytes=memory_bytes):
+        rows = slice(tile.first, tile.end)
+        coeffs_khwc[:, rows] = tile.coeffs_khwc
+        if lambda_hwc is not None and tile.lambda_hwc is not None:
+            lambda_hwc[rows] = tile.lambda_hwc
+        if rank_hwc is not None and tile.rank_hwc is not None:
+            rank_hwc[rows] = tile.rank_hwc
+        if progress is not None:
+            progress(tile.end, stack.image_shape[0])
+    return CoefficientMap(
+        coeffs_khwc,
+        prepared.degree,
+        method.id,
+        stack.peak,
+        stack.transfer,
+        stack.directions_i3,
+        prepared.config,
+        lambda_hwc,
+        rank_hwc,
+        stack.name,
+    )
+
+
+def rows_per_tile(prepared: PreparedFit, memory_bytes: int) -> int:
+    """Return how many rows fit the budget: samples, components and coefficients."""
+    stack = prepared.stack
+    height, width, channel = stack.image_shape
+    sample = np.dtype(stack.images_ihwc.dtype).itemsize
+    column = stack.n_light * sample + 4 * (len(prepared.plan.singular_r) + (prepared.degree + 1) ** 2 + 2)
+    rows = memory_bytes // (column * width * channel)
+    if rows < 1:
+        raise InputError(
+            f"one row of this fit takes {column * width * channel} bytes, more than the memory budget {memory_bytes}"
+        )
+    return int(min(rows, height))
+
+
+def fit_tiles(prepared: PreparedFit, *, memory_bytes: int = DEFAULT_MEMORY) -> Iterator[FittedTile]:
+    """Yield the fitted rows from top to bottom; times go to ``prepared.report``."""
+    stack, plan, device, report = prepared.stack, prepared.plan, prepared.device, prepared.report
+    curve = SampleCurve(stack.peak, stack.transfer)
+    scale = curve.operator_scale()
+    analysis = pack_operator(device, plan.analysis_ri * scale)
+    synthesis = None if plan.synthesis_kr is None else pack_operator(device, plan.synthesis_kr)
+    energy_i = device.upload((plan.energy_i * scale**2).astype(np.float32))
+    singular_r = device.upload(plan.singular_r.astype(np.float32))
+    height = stack.image_shape[0]
+    step = rows_per_tile(prepared, memory_bytes)
+    for first in range(0, height, step):
+        end = min(first + step, height)
+        since = time.perf_counter()
+        tile_ihwc = stack.read_rows(first, end)
+        since = report.add("read", since)
+        source_ip = device.upload(tile_ihwc.reshape(len(tile_ihwc), -1))
+        columns = source_ip.shape[1]
+        z_rq = device.empty((analysis.shape[0], pad_columns(columns)), np.float32)
+        energy_q = device.empty((z_rq.shape[1],), np.float32)
+        apply_operator(device, analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=energy_i)
+        device.finish()
+        since = report.add("project", since)
+        maps = prepared.method.shrink(device, plan, z_rq, energy_q, singular_r)
+        device.finish()
+        since = report.add("shrink", since)
+        coeffs_kp = _synthesize(device, synthesis, z_rq, columns)
+        shape_hwc = tile_ihwc.shape[1:]
+        tile = FittedTile(
+            first,
+            end,
+            coeffs_kp.reshape(-1, *shape_hwc),
+            None if maps.lambda_q is None else device.download(maps.lambda_q)[:columns].reshape(shape_hwc),
+            None if maps.rank_q is None else device.download(maps.rank_q)[:columns].reshape(shape_hwc),
+        )
+        if stack.mask_hw is not None:
+            _clear_masked(tile, ~stack.mask_hw[first:end])
+        report.add("synthesize", since)
+        yield tile
+
+
+def _synthesize(
+    device: Device, synthesis: PackedOperator | None, z_rq: DeviceArray, columns: int
+) -> NDArray[np.float32]:
+    if synthesis is None:
+        return np.ascontiguousarray(device.download(z_rq)[:, :columns])
+    coeffs_kp = device.empty((synthesis.shape[0], columns), np.float32)
+    apply_operator(device, synthesis, z_rq, coeffs_kp)
+    return device.download(coeffs_kp)
+
+
+def _clear_masked(tile: FittedTile, outside_hw: NDArray[np.bool_]) -> None:
+    # Pixels that do not count must not cost bits either.
+    tile.coeffs_khwc[:, outside_hw] = 0.0
+    if tile.lambda_hwc is not None:
+        tile.lambda_hwc[outside_hw] = 0.0
+    if tile.rank_hwc is not None:
+        tile.rank_hwc[outside_hw] = 0

@@ -1,0 +1,111 @@
+"""Peak signal-to-noise ratio of relit images against a stack's own photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.basis import evaluate_basis
+from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.device import Device, open_device
+from clrelight.errors import InputError
+from clrelight.matmul import apply_operator, pack_operator, sample_defines
+
+_SEGMENT = 1024
+_TILE_BYTES = 1 << 24
+
+
+@dataclass(frozen=True)
+class Quality:
+    """PSNR over a set of lights, in decibel.
+
+    Attributes
+    ----------
+    psnr_mean : float
+        Mean over the lights of each image's PSNR (what the papers print); inf where one is identical.
+    psnr_pooled : float
+        PSNR of the mean squared error over all lights.
+    psnr_i : ndarray, shape (n_light,), float64
+        Of each image.
+    """
+
+    psnr_mean: float
+    psnr_pooled: float
+    psnr_i: NDArray[np.float64]
+
+
+def psnr_of(mean_squared_error: float | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``-10 log10(mse)`` for errors in units of the peak; inf for 0."""
+    with np.errstate(divide="ignore"):
+        return -10.0 * np.log10(np.asarray(mean_squared_error, dtype=np.float64))
+
+
+def summarize_errors(mse_i: NDArray[np.float64]) -> Quality:
+    """Return the quality of images whose mean squared errors, in units of the peak, are `mse_i`."""
+    psnr_i = psnr_of(mse_i)
+    return Quality(float(np.mean(psnr_i)), float(psnr_of(float(np.mean(mse_i)))), psnr_i)
+
+
+def measure_errors(
+    coefficients: CoefficientMap,
+    stack: LightStack,
+    *,
+    device: Device | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> NDArray[np.float64]:
+    """Return each light's mean squared error between the relit and the given image, float64, in units of the peak.
+
+    Values are clipped to [0, peak] and compared in the stack's own transfer; pixels outside the mask do not count.
+
+    Raises
+    ------
+    InputError
+        If the coefficients are not of this view, or no pixel counts.
+    """
+    device = device or open_device()
+    if coefficients.image_shape != stack.image_shape:
+        raise InputError(
+            f"the coefficients are of images {coefficients.image_shape} but the stack has {stack.image_shape} "
+            "(height, width, channel)"
+        )
+    height, width, channel = stack.image_shape
+    mask_hw = np.ones((height, width), bool) if stack.mask_hw is None else stack.mask_hw
+    count = int(mask_hw.sum()) * channel
+    if count == 0:
+        raise InputError("the mask leaves no pixel to measure")
+    basis = pack_operator(device, evaluate_basis(stack.directions_i3, coefficients.degree))
+    total_i = np.zeros(stack.n_light)
+    step = max(1, _TILE_BYTES // (4 * stack.n_light * width * channel))
+    for first in range(0, height, step):
+        end = min(first + step, height)
+        weight_p = np.repeat(mask_hw[first:end].ravel(), channel).astype(np.float32)
+        columns = len(weight_p)
+        coeffs_kp = np.ascontiguousarray(coefficients.coeffs_khwc[:, first:end]).reshape(-1, columns)
+        source_ip = device.upload(stack.read_rows(first, end).reshape(-1, columns))
+        relit_ip = device.empty((stack.n_light, columns), np.float32)
+        error_it = device.empty((stack.n_light, -(-columns // _SEGMENT)), np.float32)
+        apply_operator(device, basis, device.upload(coeffs_kp), relit_ip)
+        device.launch(
+            "metrics/squared_error.cl",
+            "sum_squared_error_mt",
+            error_it.shape,
+            error_it,
+            relit_ip,
+            source_ip,
+            device.upload(weight_p),
+            1.0 / stack.peak,
+            *error_it.shape,
+            columns,
+            defines={
+                **sample_defines(source_ip.dtype),
+                "SEGMENT": _SEGMENT,
+                "ENCODE": int(stack.transfer == "srgb"),
+            },
+        )
+        total_i += device.download(error_it).sum(axis=1, dtype=np.float64)
+        if progress is not None:
+            progress(end, height)
+    return total_i / count
