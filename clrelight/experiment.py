@@ -346,7 +346,7 @@ class _Bench:
             row["seconds_decode"] = time.perf_counter() - start
             row["bits_per_coefficient"], row["encoded_bytes"] = encoded.bits_per_coefficient, encoded.encoded_bytes
             row["entropy_bits"] = encoded.info.get("entropy_bits", math.nan)
-            coefficients = _with_coefficients(coefficients, decoded_khwc)
+            coefficients = with_coefficients(coefficients, decoded_khwc)
         start = time.perf_counter()
         mse_i = measure_errors(coefficients, self.stack, device=self.device)
         seconds = time.perf_counter() - start
@@ -411,7 +411,7 @@ class _Bench:
         return self._reference
 
 
-def _with_coefficients(source: CoefficientMap, coeffs_khwc: NDArray[np.float32]) -> CoefficientMap:
+def with_coefficients(source: CoefficientMap, coeffs_khwc: NDArray[np.float32]) -> CoefficientMap:
     values = {f.name: getattr(source, f.name) for f in fields(source)}
     return CoefficientMap(**{**values, "coeffs_khwc": coeffs_khwc})
 

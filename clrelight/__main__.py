@@ -1,0 +1,5 @@
+"""``python -m clrelight``."""
+
+from clrelight.cli import main
+
+main()

@@ -1,0 +1,124 @@
+"""``clrelight bench`` and ``report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from clrelight.cli.options import Names, Numbers, device_option, given, json_option
+from clrelight.cli.output import print_facts, print_json, print_table, progress_bar
+from clrelight.errors import InputError
+
+if TYPE_CHECKING:
+    from clrelight.experiment import Experiment
+    from clrelight.results import Results
+
+
+@click.command()
+@click.argument("what", metavar="ring|STACK.h5|EXPERIMENT.toml")
+@click.option("--out", type=click.Path(), default="results.h5", show_default=True, help="Results file.")
+@click.option("--methods", type=Names(), help="Fits, such as uls,cls; default: the paper's four.")
+@click.option("--degrees", type=Numbers(int, "4,6"), help="SH degrees; default 6.")
+@click.option("--codecs", type=Names(), help="Codecs; default none,half,s3tc,uniform,wavelet.")
+@click.option("--rates", type=Numbers(float, "0.5,1,2"), help="Wavelet rates in bits per coefficient.")
+@click.option("--holdout", type=int, metavar="K", help="Keep every K-th light out of the fits and measure there too.")
+@click.option("--size", type=int, help="Ring: width and height; default 256.")
+@click.option("--lights", type=int, help="Ring: number of lights; default 256.")
+@click.option("--pattern", help="Ring: uniform, grid or scattered.")
+@click.option("--seed", type=int, help="Ring: seed; default 0.")
+@click.option("--force", is_flag=True, help="Start anew although the results file exists.")
+@device_option
+@json_option
+def bench(
+    what: str,
+    out: str,
+    methods: tuple[str, ...] | None,
+    degrees: tuple[int, ...] | None,
+    codecs: tuple[str, ...] | None,
+    rates: tuple[float, ...] | None,
+    holdout: int | None,
+    size: int | None,
+    lights: int | None,
+    pattern: str | None,
+    seed: int | None,
+    force: bool,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Measure a grid of methods, codecs and rates: sizes, PSNR and seconds.
+
+    The results file is written after every row; the same command goes on where it stopped.
+
+    \b
+    Example:
+      clrelight bench ring --out results.h5
+      clrelight bench stack.h5 --holdout 5 --methods cls,ceb --codecs none,wavelet --rates 1,2
+      clrelight bench experiment.toml --out results.h5
+    """
+    from clrelight.device import open_device
+    from clrelight.experiment import run_experiment
+    from clrelight.report import summary_rows
+
+    ring = given(size=size, lights=lights, pattern=pattern, seed=seed)
+    grid = given(methods=methods, degrees=degrees, codecs=codecs, rates=rates, holdout=holdout)
+    experiment = _experiment(what, grid, ring)
+    with progress_bar("bench") as bar:
+        results = run_experiment(
+            experiment,
+            out,
+            device=open_device(device),
+            force=force,
+            progress=lambda step, done, total: bar(done, total, step),
+        )
+    if as_json:
+        print_json({"file": out, "rows": _rows(results)})
+        return
+    print_table(*summary_rows(results))
+    print_facts({"results": out, "next": f"clrelight report {out} --out report"})
+
+
+def _experiment(what: str, grid: dict, ring: dict) -> Experiment:
+    from clrelight.experiment import RING, load_experiment, paper_experiment
+
+    if what == RING:
+        return paper_experiment(RING, ring=ring, **grid)
+    if ring:
+        raise InputError(f"--{next(iter(ring))} is an option of the ring scene, not of {what}")
+    if Path(what).suffix == ".toml":
+        if grid:
+            raise InputError(f"--{next(iter(grid))}: {what} says itself what to measure")
+        return load_experiment(what)
+    return paper_experiment(what, **grid)
+
+
+def _rows(results: Results) -> list[dict]:
+    names = results.table.dtype.names or ()
+    return [{name: row[name] for name in names} for row in results.table]
+
+
+@click.command()
+@click.argument("results_file", metavar="RESULTS", type=click.Path())
+@click.option("--out", type=click.Path(), default="report", show_default=True, help="Folder for tables and pictures.")
+@json_option
+def report(results_file: str, out: str, as_json: bool) -> None:
+    """Write the tables (Markdown, CSV, LaTeX) and pictures (PNG) of a results file.
+
+    \b
+    Example:
+      clrelight report results.h5 --out report
+    """
+    from clrelight.report import write_report
+    from clrelight.store import read_results
+
+    results = read_results(results_file)
+    with progress_bar("drawing") as bar:
+        files = write_report(results, out, progress=bar)
+    if as_json:
+        print_json({"folder": out, "files": [str(file) for file in files]})
+        return
+    print_facts({"report": str(Path(out) / "report.md"), "files": len(files)})
+
+
+COMMANDS = (bench, report)

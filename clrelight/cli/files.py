@@ -1,0 +1,132 @@
+"""``clrelight ingest``, ``synth`` and ``info``: making stacks and looking at files."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import click
+
+from clrelight.cli.options import Numbers, json_option, memory_option
+from clrelight.cli.output import print_facts, print_json, print_notes, progress_bar
+
+
+@click.command()
+@click.argument("folder", type=click.Path())
+@click.argument("out", type=click.Path())
+@click.option(
+    "--lights", type=click.Path(), metavar="FILE", help="Light directions: .lp, a table N×3 or 3×N, or DiLiGenT."
+)
+@click.option(
+    "--transfer",
+    type=click.Choice(["linear", "srgb"]),
+    default="linear",
+    show_default=True,
+    help="Curve of the values.",
+)
+@click.option("--peak", type=float, help="Code value that means 1.0; default: the largest integer, 1.0 for floats.")
+@click.option(
+    "--crop", type=Numbers(int, "X,Y,W,H", 4), help="Part of the images to keep, in pixels from the top left."
+)
+@click.option("--mask", type=click.Path(), help="Image that is not zero where pixels count.")
+@click.option("--subset", metavar="LIGHTS", help="Lights to take: a slice such as 0:200:2, or 0,5,7.")
+@click.option("--allow-below", is_flag=True, help="Accept lights below the horizon and fit over what is there.")
+@click.option("--name", help="What tables call the stack; default: the folder's name.")
+@memory_option("1GiB", "image data in memory")
+@json_option
+def ingest(folder: str, out: str, memory: int, as_json: bool, **options: Any) -> None:
+    """Read a folder of photographs under known lights into one stack file.
+
+    The lights come from --lights, or from what lies in the folder: DiLiGenT's text files, one .lp file, or
+    light_directions.txt. Images keep their depth (8 or 16 bit, half, float).
+
+    \b
+    Example:
+      clrelight ingest photos/ stack.h5 --lights photos/dome.lp --transfer srgb
+    """
+    from clrelight.ingest import ingest_folder
+
+    with progress_bar("reading images") as bar:
+        summary = ingest_folder(folder, out, memory_bytes=memory, progress=bar, **options)
+    if as_json:
+        print_json({"file": out, **asdict(summary)})
+        return
+    print_notes(summary.notes)
+    height, width, channel = summary.image_shape
+    low, high = summary.elevation_range
+    print_facts(
+        {
+            "stack": out,
+            "images": f"{summary.n_light} of {width}×{height}, {channel} channel(s), {summary.dtype}",
+            "values": f"{summary.transfer}, {summary.peak:g} means 1.0",
+            "elevation": f"{low:.1f}° to {high:.1f}°",
+            "duplicates": summary.duplicates,
+        }
+    )
+
+
+@click.group()
+def synth() -> None:
+    """Render a test scene into a stack file."""
+
+
+@synth.command()
+@click.argument("out", type=click.Path())
+@click.option("--size", type=int, default=256, show_default=True, help="Width and height in pixels.")
+@click.option("--lights", type=int, default=256, show_default=True, help="Number of lights.")
+@click.option(
+    "--pattern",
+    type=click.Choice(["uniform", "grid", "scattered"]),
+    default="uniform",
+    show_default=True,
+    help="Where the lights are (the paper's figure 2).",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the texture and of scattered lights.")
+@click.option(
+    "--dtype",
+    type=click.Choice(["uint8", "float16", "float32"]),
+    default="uint8",
+    show_default=True,
+    help="Sample type.",
+)
+@json_option
+def ring(out: str, size: int, lights: int, pattern: str, seed: int, dtype: str, as_json: bool) -> None:
+    """Rings on a textured ground, ray traced with cast shadows and highlights.
+
+    \b
+    Example:
+      clrelight synth ring ring.h5 --size 256 --lights 256 --pattern uniform --seed 0
+    """
+    from clrelight.store import write_stack
+    from datasets_synth.ring import render_ring
+
+    with progress_bar("rendering") as bar:
+        stack = render_ring(size=size, lights=lights, pattern=pattern, seed=seed, dtype=dtype, progress=bar)
+    write_stack(out, stack)
+    facts = {"file": out, "lights": stack.n_light, "size": size, "pattern": pattern, "seed": seed, "dtype": dtype}
+    if as_json:
+        print_json(facts)
+    else:
+        print_facts(facts)
+
+
+@click.command()
+@click.argument("file", type=click.Path())
+@json_option
+def info(file: str, as_json: bool) -> None:
+    """Say what a file of ours holds.
+
+    \b
+    Example:
+      clrelight info stack.h5
+    """
+    from clrelight.store import describe
+
+    facts = describe(file)
+    if as_json:
+        print_json(facts)
+    else:
+        print_facts(facts)
+
+
+COMMANDS = (ingest, synth, info)

@@ -1,0 +1,116 @@
+"""``clrelight relight``: images under any light."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import click
+
+from clrelight.cli.options import Numbers, device_option, json_option
+from clrelight.cli.output import print_facts, print_json, print_notes, progress_bar, seconds_line
+from clrelight.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+_FLOAT_FORMATS = (".exr", ".hdr", ".pfm", ".tif", ".tiff")
+
+
+@click.command()
+@click.argument("fitted", metavar="FIT_OR_ENC", type=click.Path())
+@click.argument("image", type=click.Path())
+@click.option(
+    "--light", type=Numbers(float, "X,Y,Z", 3), multiple=True, help="Direction to the light; may be repeated."
+)
+@click.option("--lights", type=click.Path(), metavar="FILE", help="Directions from a file, as ingest reads them.")
+@click.option("--exposure", type=float, default=0.0, show_default=True, help="Stops: values are scaled by 2^exposure.")
+@click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
+@device_option
+@json_option
+def relight(
+    fitted: str,
+    image: str,
+    light: tuple[tuple[float, float, float], ...],
+    lights: str | None,
+    exposure: float,
+    transfer: str | None,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Write the view under one light, or under several.
+
+    The name decides the format: .exr, .hdr and .tif hold linear radiance as floats, .png, .jpg and others 8-bit
+    display values. For several lights, IMAGE holds a number field such as %03d.
+
+    \b
+    Example:
+      clrelight relight fit.h5 relit.png --light 0.5,0.2,0.8
+      clrelight relight enc.h5 frame%03d.exr --lights turntable.lp
+    """
+    from clrelight import relight as relighting
+    from clrelight.cli.fitting import load_coefficients
+    from clrelight.device import open_device
+    from clrelight.images import write_image
+
+    directions_i3 = _directions(light, lights)
+    names = _names(image, len(directions_i3))
+    opened = open_device(device)
+    seconds: dict[str, float] = {}
+    since = time.perf_counter()
+    coefficients = load_coefficients(fitted, opened)
+    seconds["read"] = time.perf_counter() - since
+    notes = [
+        f"light {i} is below the horizon, where a hemispherical fit knows nothing"
+        for i in range(len(directions_i3))
+        if directions_i3[i, 2] < 0
+    ]
+    seconds["relight"] = seconds["write"] = 0.0
+    with progress_bar("relighting") as bar:
+        for index, name in enumerate(names):
+            since = time.perf_counter()
+            radiance = relighting.relight(coefficients, directions_i3[index : index + 1], device=opened)[0]
+            radiance *= 2.0**exposure
+            seconds["relight"] += time.perf_counter() - since
+            since = time.perf_counter()
+            if name.lower().endswith(_FLOAT_FORMATS):
+                write_image(name, radiance)
+            else:
+                write_image(name, relighting.to_display(radiance, transfer or coefficients.transfer))
+            seconds["write"] += time.perf_counter() - since
+            bar(index + 1, len(names))
+    if as_json:
+        print_json({"files": names, "notes": notes, "seconds": seconds, "device": opened.info.label})
+        return
+    print_notes(notes)
+    print_facts({"image": ", ".join(names[:3]) + (" ..." if len(names) > 3 else ""), "time": seconds_line(seconds)})
+
+
+def _directions(light: tuple[tuple[float, float, float], ...], lights: str | None) -> NDArray[np.float64]:
+    import numpy as np
+
+    from clrelight.lights import read_lights
+
+    if bool(light) == (lights is not None):
+        raise InputError("give the light by --light X,Y,Z or by --lights FILE")
+    directions_i3 = np.array(light, np.float64) if lights is None else read_lights(lights).directions_i3
+    norms = np.linalg.norm(directions_i3, axis=1)
+    if not (np.isfinite(norms) & (norms > 0)).all():
+        raise InputError("a light direction must be finite and not of length zero")
+    return directions_i3 / norms[:, None]
+
+
+def _names(image: str, count: int) -> list[str]:
+    if count == 1 and "%" not in image:
+        return [image]
+    try:
+        names = [image % index for index in range(count)]
+    except (TypeError, ValueError):
+        names = []
+    if len(set(names)) != count:
+        raise InputError(f"{count} images need a number field in their name, such as relit%03d.png, got {image!r}")
+    return names
+
+
+COMMANDS = (relight,)

@@ -1,0 +1,96 @@
+"""Options and argument types that several commands share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+import numpy as np
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 1 << 10, "mi": 1 << 20, "gi": 1 << 30}
+
+
+class ByteCount(click.ParamType):
+    """A number of bytes with an optional unit: 1GiB, 512M, 2e9."""
+
+    name = "bytes"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Return the number of bytes."""
+        if isinstance(value, int):
+            return value
+        match = re.fullmatch(r"\s*([0-9.]+(?:e[0-9]+)?)\s*(k|m|g|ki|mi|gi|)b?\s*", str(value).lower())
+        try:
+            count = int(float(match[1]) * _UNITS[match[2]]) if match else 0
+        except ValueError:
+            count = 0
+        if count < 1:
+            self.fail(f"{value!r} is not a number of bytes such as 1GiB, 512M or 2000000", param, ctx)
+        return count
+
+
+class Numbers(click.ParamType):
+    """Numbers separated by commas, of a fixed count where one is given."""
+
+    def __init__(self, kind: type, example: str, count: int | None = None) -> None:
+        self.kind, self.example, self.count = kind, example, count
+        self.name = example
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple:
+        """Return the numbers as a tuple."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            numbers = tuple(self.kind(part) for part in str(value).split(","))
+        except ValueError:
+            numbers = ()
+        if not numbers or not np.all(np.isfinite(numbers)) or (self.count and len(numbers) != self.count):
+            self.fail(
+                f"{value!r} is not {'a list' if not self.count else self.count} of numbers such as {self.example}"
+            )
+        return numbers
+
+
+class Names(click.ParamType):
+    """Names separated by commas."""
+
+    name = "a,b,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Return the names as a tuple."""
+        return (
+            value if isinstance(value, tuple) else tuple(part.strip() for part in str(value).split(",") if part.strip())
+        )
+
+
+def device_option(command: Command) -> Command:
+    """Add ``--device``."""
+    return click.option(
+        "--device",
+        metavar="DEVICE",
+        help="OpenCL device: gpu, cpu, pocl, an index or part of a name (clrelight devices); default: "
+        "$CLRELIGHT_DEVICE, else a GPU if there is one, else the packaged PoCL.",
+    )(command)
+
+
+def json_option(command: Command) -> Command:
+    """Add ``--json``."""
+    return click.option(
+        "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on standard output."
+    )(command)
+
+
+def memory_option(default: str, what: str) -> Callable[[Command], Command]:
+    """Add ``--memory``."""
+    return click.option(
+        "--memory", type=ByteCount(), default=default, show_default=True, metavar="BYTES", help=f"Budget for {what}."
+    )
+
+
+def given(**options: Any) -> dict[str, Any]:
+    """Return the options that the user gave (those that are not None)."""
+    return {name: value for name, value in options.items() if value is not None}
