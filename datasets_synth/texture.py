@@ -25,7 +25,7 @@ def hash_lattice(i: NDArray[np.int64], j: NDArray[np.int64], seed: int) -> NDArr
     h ^= h >> word(13)
     h *= word(0xC2B2AE35)
     h ^= h >> word(16)
-    return h * 2.0**-32
+    return h.astype(np.float64) * 2.0**-32
 
 
 def value_noise(xy_s2: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
