@@ -12,7 +12,7 @@ import time
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -346,7 +346,7 @@ class _Bench:
             row["seconds_decode"] = time.perf_counter() - start
             row["bits_per_coefficient"], row["encoded_bytes"] = encoded.bits_per_coefficient, encoded.encoded_bytes
             row["entropy_bits"] = encoded.info.get("entropy_bits", math.nan)
-            coefficients = with_coefficients(coefficients, decoded_khwc)
+            coefficients = replace(coefficients, coeffs_khwc=decoded_khwc)
         start = time.perf_counter()
         mse_i = measure_errors(coefficients, self.stack, device=self.device)
         seconds = time.perf_counter() - start
@@ -411,11 +411,6 @@ class _Bench:
         return self._reference
 
 
-def with_coefficients(source: CoefficientMap, coeffs_khwc: NDArray[np.float32]) -> CoefficientMap:
-    values = {f.name: getattr(source, f.name) for f in fields(source)}
-    return CoefficientMap(**{**values, "coeffs_khwc": coeffs_khwc})
-
-
 def _mean_energy(coeffs_khwc: NDArray[np.float32]) -> float:
     planes = (np.vdot(plane.astype(np.float64), plane.astype(np.float64)) for plane in coeffs_khwc)
     return float(sum(planes)) / float(np.prod(coeffs_khwc.shape[1:]))
@@ -445,7 +440,7 @@ def software_versions() -> str:
 
 
 def source_commit() -> str:
-    """Return the commit of the checkout this runs from, with ``+`` if it has changes; empty for an installed package."""
+    """Return the commit of the checkout this runs from, with ``+`` if changed; empty for an installed package."""
     root = Path(__file__).resolve().parent.parent
     if not (root / ".git").exists():
         return ""

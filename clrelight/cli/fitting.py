@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -116,7 +117,7 @@ def fit(
     print_facts(
         {
             "fit": out,
-            "method": f"{prepared.method.title}, degree {degree}, {facts['n_coeff']} coefficients, {len(fitted)} lights",
+            "method": f"{prepared.method.title}, degree {degree}, {(degree + 1) ** 2} coefficients, {len(fitted)} lights",
             "condition": f"{report.condition:.3g}",
             **_psnr_lines(facts.get("psnr")),
             "time": seconds_line(report.seconds),
@@ -161,10 +162,8 @@ def encode(
     seconds["encode"] = time.perf_counter() - since
     facts = {"file": out, **_size_facts(encoded), "config": dict(encoded.config), "device": opened.info.label}
     if stack is not None:
-        from clrelight.experiment import with_coefficients
-
         since = time.perf_counter()
-        decoded = with_coefficients(coefficients, codecs.decode(encoded.to_bytes(), opened))
+        decoded = replace(coefficients, coeffs_khwc=codecs.decode(encoded.to_bytes(), opened))
         seconds["decode"] = time.perf_counter() - since
         with open_stack(stack) as source:
             since = time.perf_counter()

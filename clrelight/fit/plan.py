@@ -16,6 +16,9 @@ from clrelight.sampling import solid_angle_weights
 WEIGHTINGS = ("uniform", "solid-angle")
 SAMPLINGS = ("hemisphere", "scattered")
 
+HORIZON = 1e-6
+"""A light counts as below the horizon where its z is under minus this."""
+
 _SEEN = 1e-9
 """A basis function whose share of its energy on the samples is below this is not seen by them."""
 
@@ -79,7 +82,9 @@ def make_lighting(stack: LightStack, weights: str, sampling: str) -> Lighting:
         raise InputError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")
     angles = np.full(stack.n_light, 2.0 * np.pi / stack.n_light)
     if weights == "solid-angle":
-        angles = solid_angle_weights(stack.directions_i3) if stack.weights_i is None else stack.weights_i
+        below = bool((stack.directions_i3[:, 2] < -HORIZON).any())
+        given = stack.weights_i
+        angles = solid_angle_weights(stack.directions_i3, sphere=below) if given is None else given
     return Lighting(stack.directions_i3, angles, sampling)
 
 
@@ -100,7 +105,9 @@ def plan_least_squares(lighting: Lighting, degree: int, *, without: tuple[int, .
     basis_ik = evaluate_basis(lighting.directions_i3, degree)
     weight_i = lighting.row_weights_i
     scale_k = np.ones(basis_ik.shape[1])
-    energy_i = 2.0 * lighting.solid_angles_i
+    # eq. 16: half the coefficients' energy is bounded by the function's over the hemisphere. Over the whole
+    # sphere, where lights below the horizon were allowed, it is all of it; 4 pi / sum w covers both.
+    energy_i = 4.0 * np.pi * lighting.solid_angles_i / lighting.solid_angles_i.sum()
     notes: list[str] = []
     used = np.ones(basis_ik.shape[1], bool)
     used[list(without)] = False
