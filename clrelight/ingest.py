@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -204,27 +204,29 @@ def ingest_folder(
     window = _place_crop(headers[0], crop)
     values = _choose_values(table, headers[0], chosen, transfer, peak, divide_intensities)
     mask_path = Path(mask) if mask is not None else table.mask
-    mask_hw = _read_mask(mask_path, headers[0], window) if mask_path is not None else None
+    mask_hw = _read_mask(mask_path, headers[0], window, memory_bytes) if mask_path is not None else None
     source = _Source(headers, window, values)
     plan = _plan_memory(source, memory_bytes)
 
-    with create_stack(
-        Path(out_path),
-        shape_ihwc=source.shape_ihwc,
-        dtype=values.dtype,
-        directions_i3=directions_i3,
-        peak=values.peak,
-        transfer=transfer,
-        weights_i=None,
-        mask_hw=mask_hw,
-        name=name if name is not None else folder.resolve().name,
-        chunk_lights=max(1, plan.n_held),
-    ) as images_ihwc:
+    with (
+        create_stack(
+            Path(out_path),
+            shape_ihwc=source.shape_ihwc,
+            dtype=values.dtype,
+            directions_i3=directions_i3,
+            peak=values.peak,
+            transfer=transfer,
+            weights_i=None,
+            mask_hw=mask_hw,
+            name=name if name is not None else folder.resolve().name,
+            chunk_lights=max(1, plan.n_held),
+        ) as images_ihwc,
         # Closed in any case, so that no decoder still runs when an error leaves this block.
-        with closing(_fill(images_ihwc, source, plan)) as steps:
-            for done in steps:
-                if progress is not None:
-                    progress(done, len(headers))
+        closing(_fill(images_ihwc, source, plan)) as steps,
+    ):
+        for done in steps:
+            if progress is not None:
+                progress(done, len(headers))
 
     elevations = np.degrees(np.arcsin(np.clip(directions_i3[:, 2], -1.0, 1.0)))
     return IngestSummary(
@@ -291,14 +293,14 @@ def _choose_values(
     return _Values(dtype, float(relative.max()), factors_ic[chosen].astype(np.float32))
 
 
-def _read_mask(path: Path, header: ImageHeader, window: _Window) -> NDArray[np.bool_]:
+def _read_mask(path: Path, header: ImageHeader, window: _Window, memory_bytes: int) -> NDArray[np.bool_]:
     mask = read_header(path)
     if (mask.height, mask.width) != (header.height, header.width):
         raise InputError(
             f"mask {path} has {mask.width}×{mask.height} pixels, but the images {header.width}×{header.height}"
         )
     mask_hw = np.empty((window.height, window.width), dtype=bool)
-    for row, band_hwc in read_bands(mask, window.rows):
+    for row, band_hwc in read_bands(mask, window.rows, min(BAND_BYTES, memory_bytes // 2)):
         at = row - window.row
         mask_hw[at : at + len(band_hwc)] = _columns(band_hwc, window).any(axis=2)
     if not mask_hw.any():
@@ -313,7 +315,9 @@ def _plan_memory(source: _Source, memory_bytes: int) -> _Plan:
     # still alive while it is decoded.
     sizes = (header.dtype.itemsize, 4 if values.factors_ic is not None else 0, values.dtype.itemsize)
     growth = 2 * sum(sizes) / header.dtype.itemsize
-    smallest = header.row_bytes * header.row_step
+    # Tiles may differ from file to file.
+    row_step = max(h.row_step for h in source.headers)
+    smallest = header.row_bytes * row_step
     bands_budget = memory_bytes / 4 / growth
     workers = int(max(1, min(os.cpu_count() or 1, n_image, bands_budget // smallest)))
     band_bytes = int(max(smallest, min(BAND_BYTES, bands_budget / workers)))
@@ -324,13 +328,13 @@ def _plan_memory(source: _Source, memory_bytes: int) -> _Plan:
         return _Plan(workers, band_bytes, math.ceil(n_image / n_block))
     if smallest * growth > memory_bytes:
         raise InputError(
-            f"memory of {memory_bytes} bytes cannot hold {header.row_step} row(s) of {header.path}; "
+            f"memory of {memory_bytes} bytes cannot hold {row_step} row(s) of {header.path}; "
             f"expected at least {math.ceil(smallest * growth)}"
         )
     return _Plan(1, int(memory_bytes / growth), 0)
 
 
-def _fill(images_ihwc: Any, source: _Source, plan: _Plan) -> Iterator[int]:
+def _fill(images_ihwc: Any, source: _Source, plan: _Plan) -> Generator[int, None, None]:
     """Write all images; yield how many are decoded after each."""
     if plan.n_held == 0:
         for light in range(len(source.headers)):
