@@ -335,19 +335,23 @@ def _plan_memory(source: _Source, memory_bytes: int) -> _Plan:
 
 
 def _fill(images_ihwc: Any, source: _Source, plan: _Plan) -> Generator[int, None, None]:
-    """Write all images; yield how many are decoded after each."""
+    """Write all images, whole chunks at a time where possible; yield how many are decoded after each."""
+    chunk_lights, chunk_rows = images_ihwc.chunks[:2]
     if plan.n_held == 0:
+        row_bytes = source.headers[0].row_bytes
+        band_bytes = _multiple(plan.band_bytes // row_bytes, chunk_rows) * row_bytes
         for light in range(len(source.headers)):
-            for row, band_hwc in source.bands(light, plan.band_bytes):
+            for row, band_hwc in source.bands(light, band_bytes):
                 written = np.ascontiguousarray(band_hwc, dtype=source.values.dtype)
                 images_ihwc[light : light + 1, row : row + len(written)] = written[None]
             yield light + 1
         return
     n_light, *image_shape = source.shape_ihwc
-    block_ihwc = np.empty((plan.n_held, *image_shape), source.values.dtype)
+    n_held = plan.n_held if plan.n_held == n_light else _multiple(plan.n_held, chunk_lights)
+    block_ihwc = np.empty((n_held, *image_shape), source.values.dtype)
     with ThreadPoolExecutor(plan.workers) as pool:
-        for start in range(0, n_light, plan.n_held):
-            stop = min(start + plan.n_held, n_light)
+        for start in range(0, n_light, n_held):
+            stop = min(start + n_held, n_light)
             tasks = [
                 pool.submit(_decode_into, block_ihwc[i - start], source, i, plan.band_bytes) for i in range(start, stop)
             ]
@@ -359,6 +363,11 @@ def _fill(images_ihwc: Any, source: _Source, plan: _Plan) -> Generator[int, None
                 for task in tasks:
                     task.cancel()
             images_ihwc[start:stop, 0 : image_shape[0]] = block_ihwc[: stop - start]
+
+
+def _multiple(count: int, of: int) -> int:
+    """Return the largest multiple that is not over `count`, or `count` where there is none."""
+    return count - count % of if count > of else count
 
 
 def _decode_into(target_hwc: NDArray, source: _Source, light: int, band_bytes: int) -> None:
