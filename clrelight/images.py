@@ -202,7 +202,10 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
 def _open(path: Path) -> tuple[oiio.ImageInput, ImageHeader]:
     if not path.is_file():
         raise InputError(f"there is no image {path}")
-    _check_png_end(path)
+    try:
+        _check_png_end(path)
+    except OSError as error:
+        raise InputError(f"cannot read image {path}: {error.strerror}") from None
     hints = oiio.ImageSpec()
     # Otherwise colours come multiplied by alpha, and rounded.
     hints.attribute("oiio:UnassociatedAlpha", 1)
