@@ -23,6 +23,7 @@ _OTHER_COLOURS = ("#CC79A7", "#56B4E9", "#000000", "#7F7F7F", "#882255", "#99993
 
 _STYLE = {
     "font.size": 9.0,
+    "text.parse_math": False,  # a scene's name may hold a dollar sign
     "axes.titlesize": 10.0,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -67,6 +68,23 @@ def new_figure(width_px: float, height_px: float, **options: Any) -> Any:
     return figure
 
 
+class Page:
+    """A figure on which things are placed in pixels, from its upper left corner."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self.width, self.height = width, height
+        self.figure = new_figure(width, height)
+
+    def write(self, x: float, y: float, text: str, **style: Any) -> None:
+        """Write a line of text whose baseline is at y."""
+        self.figure.text(x / self.width, 1 - y / self.height, text, va="baseline", **style)
+
+    def add_axes(self, x: float, y: float, width: float, height: float) -> Any:
+        """Return axes that fill a box."""
+        w, h = self.width, self.height
+        return self.figure.add_axes((x / w, 1 - (y + height) / h, width / w, height / h))
+
+
 def save(figure: Any, path: Path) -> None:
     """Write a PNG whose bytes depend on the picture alone: no date, no program."""
     figure.savefig(path, format="png", dpi=DPI, metadata={"Software": None})
@@ -94,6 +112,11 @@ def spread(positions: Sequence[float], gap: float) -> NDArray[np.float64]:
     return moved
 
 
+def label_width(labels: Sequence[str]) -> int:
+    """Return the pixels to leave free right of axes for the longest of the labels."""
+    return 65 + 13 * max(map(len, labels), default=0)
+
+
 def label_ends(axes: Any, ends: Sequence[tuple[float, float, str, str]], gap: float = 0.06) -> None:
     """Write (x, y, text, colour) labels right of the axes, at their heights where there is room."""
     low, high = axes.get_ylim()
@@ -105,6 +128,7 @@ def label_ends(axes: Any, ends: Sequence[tuple[float, float, str, str]], gap: fl
             xy=(x, y),
             xytext=(1.035, place),
             textcoords="axes fraction",
+            ha="left",
             color=colour,
             fontweight="bold",
             va="center",

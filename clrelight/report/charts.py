@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clrelight.report.canvas import FAINT, INK, label_ends, method_colours, new_figure, plain_log_axis
+from clrelight.report.canvas import FAINT, INK, label_ends, label_width, method_colours, new_figure, plain_log_axis
 from clrelight.report.rows import (
     Setting,
     method_label,
@@ -21,6 +21,8 @@ from clrelight.report.rows import (
 )
 from clrelight.report.tables import PLAIN
 from clrelight.results import Results
+
+WIDTH, LEFT = 1350, 100  # pixels: a chart, and the margin left of its axes
 
 RATE_RANGE = (0.25, 8.0)
 """Bits per coefficient shown in figure 15, at least."""
@@ -47,7 +49,7 @@ def figure_7(results: Results, scene: str, degree: int) -> Any | None:
     methods = sorted(profiles, key=method_rank)
     if not methods:
         return None
-    figure = new_figure(1350, 165 + 230 * len(methods), layout="constrained")
+    figure = new_figure(WIDTH, 165 + 230 * len(methods), layout="constrained")
     panels = figure.subplots(len(methods), 1, sharex=True, squeeze=False)[:, 0]
     colours = method_colours(all_methods(results))
     bands = math.isqrt(max(len(values) for values in profiles.values()) - 1) + 1
@@ -59,9 +61,11 @@ def figure_7(results: Results, scene: str, degree: int) -> Any | None:
         axes.bar(np.arange(len(values)), finite, width=0.72, color=colours[method])
         largest = int(np.argmax(finite))
         scale = f"largest |c| = {finite[largest]:.3g} at k = {largest},  ‖c‖² = {np.sum(finite**2):.3g}"
+        if lost := int(np.sum(~np.isfinite(values))):
+            scale += f",  {lost} not finite"
         axes.set_title(method_label(method), color=colours[method], fontweight="bold")
         axes.set_title(scale, loc="right", fontsize=9)
-        axes.set_ylabel("$|c_k|$")
+        axes.set_ylabel("$|c_k|$", parse_math=True)
         axes.set_ylim(0, 1.08 * max(finite[largest], np.finfo(float).tiny))
         axes.margins(x=0)
         axes.locator_params(axis="y", nbins=4)
@@ -84,8 +88,8 @@ def figure_15(results: Results, scene: str, degree: int) -> Any | None:
             curves.setdefault(method, []).append(point)
     if not curves:
         return None
-    figure = new_figure(1350, 810)
-    axes = figure.add_axes((0.075, 0.115, 0.715, 0.825))
+    figure = new_figure(WIDTH, 810)
+    axes = figure.add_axes((LEFT / WIDTH, 0.115, 0.7, 0.825))
     colours = method_colours(all_methods(results))
     ends = []
     for i, method in enumerate(sorted(curves, key=method_rank)):
@@ -106,6 +110,7 @@ def figure_15(results: Results, scene: str, degree: int) -> Any | None:
     axes.set_xlabel("bits per coefficient, every side table included (log scale)")
     axes.set_ylabel("mean PSNR at the fitted lights (dB)")
     axes.set_title(f"{scene}, degree {degree}: wavelet coding (solid), plain coefficients (dashed)")
+    _leave_room(axes, ends)
     label_ends(axes, ends)
     return figure
 
@@ -122,12 +127,12 @@ def quality_vs_size(results: Results, scene: str) -> Any | None:
         return None
     bottom, step = 140, 660  # pixels
     total = bottom + step * len(panels) - 45
-    figure = new_figure(1350, total)
+    figure = new_figure(WIDTH, total)
     methods = all_methods(results)
     codecs = sorted({point[2].codec for _, points in panels for point in points}, key=lambda c: Setting(c, "").rank)
     markers = _codec_markers(codecs)
     for i, (title, points) in enumerate(reversed(panels)):
-        axes = figure.add_axes((0.075, (bottom + i * step) / total, 0.77, 570 / total))
+        axes = figure.add_axes((LEFT / WIDTH, (bottom + i * step) / total, 0.77, 570 / total))
         _draw_sizes(axes, points, method_colours(methods), markers)
         axes.set_title(f"{scene}: {title}")
         axes.set_ylabel("mean PSNR (dB)")
@@ -185,7 +190,15 @@ def _draw_sizes(axes: Any, points: Sequence[_SizePoint], colours: dict[str, str]
     plain_log_axis(axes, low / 1.25, high * 1.25, base=10)
     axes.grid(True)
     axes.set_axisbelow(True)
+    _leave_room(axes, list(ends.values()))
     label_ends(axes, list(ends.values()))
+
+
+def _leave_room(axes: Any, ends: Sequence[tuple[float, float, str, str]]) -> None:
+    """Narrow the axes so that the labels of line ends fit beside them."""
+    box = axes.get_position()
+    right = max(WIDTH - label_width([label for _, _, label, _ in ends]), WIDTH // 2)
+    axes.set_position((box.x0, box.y0, right / WIDTH - box.x0, box.height))
 
 
 def _codec_legend(figure: Any, codecs: Sequence[str], markers: dict[str, str]) -> None:
@@ -198,5 +211,9 @@ def _codec_legend(figure: Any, codecs: Sequence[str], markers: dict[str, str]) -
     ]  # fmt: skip
     handles.append(Line2D([], [], color=FAINT, linewidth=5, alpha=0.6, label="best at this size or less"))
     figure.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0.065, 0.0), ncols=min(len(handles), 7), frameon=False
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(LEFT / WIDTH - 0.01, 0.0),
+        ncols=min(len(handles), 7),
+        frameon=False,
     )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.report.canvas import INK, new_figure
+from clrelight.report.canvas import INK, Page
 from clrelight.report.rows import Setting, method_label, method_rank, parse_picture_key, rows_by_key, scene_rows
 from clrelight.results import Results
 
@@ -17,8 +18,9 @@ AMPLIFICATION = 8
 """Error maps show 255/8 code values and more at full scale: a PSNR of 18 dB, by then plain to see."""
 
 ERROR_COLOURS = "inferno"  # perceptually uniform, dark where the error is small
-CELL = 300  # pixels, the longer side of a picture
-GAP, LABEL, MARGIN, FOOT = 8, 30, 20, 130  # pixels
+CELL = 300  # pixels, about the longer side of a picture
+GAP, LABEL, MARGIN, LINE = 8, 30, 20, 22  # pixels
+NARROWEST = 220  # pixels of a column: a method's name and its PSNR
 MAX_SETTINGS = 24  # rows of a sheet; more would be no longer readable, nor fit the renderer
 
 
@@ -37,7 +39,9 @@ def contact_sheet(results: Results, scene: str, degree: int) -> Any | None:
     results : Results
         With pictures ``SCENE/reference`` and ``SCENE/METHOD/DEGREE/CODEC[@RATE]``.
     scene : str
+        Name of one of its scenes.
     degree : int
+        Of the fits whose pictures are shown.
 
     Returns
     -------
@@ -115,57 +119,68 @@ def _draw(
     settings: list[Setting],
 ) -> Any:
     crop = lit_part(reference)
-    shown = reference[crop]
-    scale = CELL / max(shown.shape[:2])
-    width, height = round(shown.shape[1] * scale), round(shown.shape[0] * scale)
-    column_step, row_step = max(width, 170) + GAP, LABEL + 2 * height + GAP // 2 + 2 * GAP
+    shown = reference[crop].shape
+    scale = CELL / max(shown[:2])
+    scale = round(scale) if scale >= 0.75 else scale  # whole pixels, unless they have to be averaged
+    width, height = (max(round(shown[axis] * scale), 1) for axis in (1, 0))
+    column = max(width, NARROWEST)
+    row_step = LABEL + 2 * height + 3 * GAP
     methods = sorted({method for method, _ in pictures}, key=method_rank)
-    total = 2 * MARGIN + (len(methods) + 1) * column_step - GAP, MARGIN + len(settings) * row_step + FOOT
-    figure = new_figure(*total)
-
-    def write(x: float, y: float, text: str, **style: Any) -> None:
-        figure.text(x / total[0], 1 - y / total[1], text, va="baseline", **style)
-
-    def show(x: float, y: float, picture: NDArray, **style: Any) -> Any:
-        box = (x / total[0], 1 - (y + height) / total[1], width / total[0], height / total[1])
-        axes = figure.add_axes(box)
-        axes.set_axis_off()
-        return axes.imshow(picture, aspect="auto", **style)
-
-    def show_picture(x: float, y: float, picture: NDArray[np.uint8]) -> None:
-        grey = {"cmap": "gray", "vmin": 0, "vmax": 255} if picture.shape[2] == 1 else {}
-        show(x, y, picture[crop].squeeze(axis=2) if grey else picture[crop], **grey)
-
-    columns = {method: MARGIN + (i + 1) * column_step for i, method in enumerate(methods)}
-    bar_source = None
+    total_width = 2 * MARGIN + (len(methods) + 1) * (column + GAP) - GAP
+    notes = _notes(scene, degree, crop, reference.shape[:2], characters=total_width // 9)
+    foot = MARGIN + len(settings) * row_step
+    page = Page(total_width, foot + 60 + LINE * len(notes) + GAP)
     for i, setting in enumerate(settings):
-        top = MARGIN + i * row_step
-        write(MARGIN, top + LABEL - 8, "reference")
-        show_picture(MARGIN, top + LABEL, reference)
-        write(MARGIN, top + LABEL + height + GAP + 22, setting.label, fontweight="bold", fontsize=10)
-        write(MARGIN, top + LABEL + height + GAP + 46, _bits_label(results, scene, degree, setting), fontsize=7.5)
-        for method, x in columns.items():
+        y = MARGIN + i * row_step + LABEL
+        page.write(MARGIN, y - 8, "reference", fontsize=8)
+        _show(page, (MARGIN, y, width, height), reference[crop])
+        page.write(MARGIN, y + height + 30, setting.label, fontweight="bold", fontsize=10)
+        page.write(MARGIN, y + height + 54, _bits_label(results, scene, degree, setting), fontsize=7.5)
+        for j, method in enumerate(methods):
+            x = MARGIN + (j + 1) * (column + GAP)
             picture = pictures.get((method, setting))
-            write(x, top + LABEL - 8, method_label(method), fontweight="bold", fontsize=8)
-            psnr = math.nan if picture is None else psnr_8bit(picture, reference)
-            worth = "no picture" if picture is None else "identical" if math.isinf(psnr) else f"{psnr:.2f} dB"
-            write(x + width, top + LABEL - 8, worth, ha="right", fontsize=8)
-            if picture is None:
-                continue
-            show_picture(x, top + LABEL, picture)
-            error = np.abs(picture.astype(np.int16) - reference).mean(axis=2)
-            bar_source = show(
-                x, top + LABEL + height + GAP // 2, error[crop], cmap=ERROR_COLOURS, vmin=0, vmax=255 / AMPLIFICATION
-            )
-    _colour_bar(figure, bar_source, total)
-    write(
-        MARGIN,
-        total[1] - 14,
-        f"{scene}, degree {degree}. dB: PSNR of the whole 8-bit picture shown. "
-        f"Shown: rows {_span(crop.rows, reference.shape[0])}, columns {_span(crop.columns, reference.shape[1])}.",
-        fontsize=7.5,
+            page.write(x, y - 8, method_label(method), fontweight="bold", fontsize=8)
+            page.write(x + column, y - 8, _worth(picture, reference), ha="right", fontsize=8)
+            if picture is not None:
+                error = np.abs(picture.astype(np.int16) - reference).mean(axis=2)
+                _show(page, (x, y, width, height), picture[crop])
+                _show(page, (x, y + height + GAP // 2, width, height), error[crop], **_error_scale())
+    _colour_bar(page, foot + GAP)
+    for i, note in enumerate(notes):
+        page.write(MARGIN, foot + 60 + LINE * (i + 1) - 6, note, fontsize=7.5)
+    return page.figure
+
+
+def _show(page: Page, box: tuple[int, int, int, int], picture: NDArray, **style: Any) -> None:
+    if picture.ndim == 3 and picture.shape[2] == 1:
+        picture, style = picture[:, :, 0], {"cmap": "gray", "vmin": 0, "vmax": 255}
+    axes = page.add_axes(*box)
+    axes.set_axis_off()
+    whole = box[2] % picture.shape[1] == 0
+    axes.imshow(picture, aspect="auto", interpolation="nearest" if whole else "antialiased", **style)
+
+
+def _worth(picture: NDArray[np.uint8] | None, reference: NDArray[np.uint8]) -> str:
+    if picture is None:
+        return "no picture"
+    psnr = psnr_8bit(picture, reference)
+    return "identical" if math.isinf(psnr) else f"{psnr:.2f} dB"
+
+
+def _error_scale() -> dict[str, Any]:
+    return {"cmap": ERROR_COLOURS, "vmin": 0.0, "vmax": 255.0 / AMPLIFICATION}
+
+
+def _notes(scene: str, degree: int, crop: Crop, size: tuple[int, ...], characters: int) -> list[str]:
+    """Return what a reader must know about the sheet, in lines of at most so many characters."""
+    notes = (
+        "Error maps: |difference| to the reference, mean over channels, in code values of 255, "
+        f"shown ×{AMPLIFICATION}. {scene}, degree {degree}. dB: PSNR of the whole 8-bit picture."
     )
-    return figure
+    shown = [_span(part, extent) for part, extent in zip(crop, size, strict=True)]
+    if shown != [_span(slice(None), extent) for extent in size]:
+        notes += f" Black margins are not shown: these are rows {shown[0]}, columns {shown[1]}."
+    return textwrap.wrap(notes, characters)
 
 
 def _span(part: slice, size: int) -> str:
@@ -173,16 +188,14 @@ def _span(part: slice, size: int) -> str:
     return f"{start}–{stop - 1} of {size}"
 
 
-def _colour_bar(figure: Any, source: Any, total: tuple[int, int]) -> None:
-    axes = figure.add_axes(
-        (MARGIN / total[0], 84 / total[1], min(420, total[0] - 2 * MARGIN) / total[0], 16 / total[1])
-    )
-    bar = figure.colorbar(source, cax=axes, orientation="horizontal", extend="max", ticks=[0, 8, 16, 24])
+def _colour_bar(page: Page, y: int) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    scale = _error_scale()
+    source = ScalarMappable(Normalize(scale["vmin"], scale["vmax"]), scale["cmap"])
+    axes = page.add_axes(MARGIN, y, min(420, page.width - 2 * MARGIN), 16)
+    bar = page.figure.colorbar(source, cax=axes, orientation="horizontal", extend="max", ticks=[0, 8, 16, 24])
     bar.outline.set_edgecolor(INK)
     bar.outline.set_linewidth(0.5)
     bar.ax.tick_params(labelsize=7.5, length=2, pad=2)
-    bar.set_label(
-        f"error map: |difference| to the reference, mean over channels, in code values of 255 (shown ×{AMPLIFICATION})",
-        fontsize=7.5,
-        loc="left",
-    )

@@ -158,6 +158,7 @@ def document(results: Results, made: list[tuple[str, list[tuple[Part, Table | st
     Parameters
     ----------
     results : Results
+        The experiment.
     made : list of (scene, list of (Part, content))
         The content of a part is its Table, the path of its picture, or None where it was left out.
     """

@@ -80,7 +80,9 @@ def table_i(results: Results, scene: str) -> Table | None:
     Parameters
     ----------
     results : Results
+        The experiment.
     scene : str
+        Name of one of its scenes.
 
     Returns
     -------
@@ -110,7 +112,9 @@ def table_iii(results: Results, scene: str) -> Table | None:
     Parameters
     ----------
     results : Results
+        The experiment.
     scene : str
+        Name of one of its scenes.
 
     Returns
     -------

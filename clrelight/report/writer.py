@@ -27,6 +27,7 @@ def write_report(
     Parameters
     ----------
     results : Results
+        The experiment: its table must have a row; pictures and profiles may be missing.
     out_dir : path
         Made if it does not exist.
     progress : callable, optional
