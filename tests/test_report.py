@@ -476,6 +476,8 @@ def test_bad_input_is_refused_in_one_line(tmp_path):
         write_report(Results(results.table, bad), tmp_path / "p")
     with pytest.raises(InputError, match="is not SCENE/METHOD/DEGREE"):
         write_report(Results(results.table, {}, {"uls": np.zeros(4)}), tmp_path / "p")
+    with pytest.raises(InputError, match=r"ring/uls/6 has shape \(0,\), expected"):
+        write_report(Results(results.table, {}, {"ring/uls/6": np.zeros(0)}), tmp_path / "p")
     assert not (tmp_path / "p").exists()
 
 

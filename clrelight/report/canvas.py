@@ -14,6 +14,7 @@ from scipy.optimize import isotonic_regression
 from clrelight.errors import InputError
 
 DPI = 150
+WIDTH, LEFT = 1350, 100  # pixels: a chart, and the margin left of its axes
 INK = "#333333"
 FAINT = "#b8b8b8"
 
@@ -112,13 +113,15 @@ def spread(positions: Sequence[float], gap: float) -> NDArray[np.float64]:
     return moved
 
 
-def label_width(labels: Sequence[str]) -> int:
-    """Return the pixels to leave free right of axes for the longest of the labels."""
-    return 65 + 13 * max(map(len, labels), default=0)
-
-
 def label_ends(axes: Any, ends: Sequence[tuple[float, float, str, str]], gap: float = 0.06) -> None:
-    """Write (x, y, text, colour) labels right of the axes, at their heights where there is room."""
+    """Write (x, y, text, colour) labels right of the axes, at their heights where there is room.
+
+    The axes, of a chart `WIDTH` wide, become as narrow as the longest label asks.
+    """
+    box = axes.get_position()
+    longest = max((len(text) for _, _, text, _ in ends), default=0)
+    right = max(WIDTH - 65 - 13 * longest, WIDTH // 2)
+    axes.set_position((box.x0, box.y0, right / WIDTH - box.x0, box.height))
     low, high = axes.get_ylim()
     wanted = [(y - low) / (high - low) for _, y, _, _ in ends]
     places = spread(wanted, gap)
@@ -133,7 +136,14 @@ def label_ends(axes: Any, ends: Sequence[tuple[float, float, str, str]], gap: fl
             fontweight="bold",
             va="center",
             annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "shrinkA": 1, "shrinkB": 3},
+            arrowprops={
+                "arrowstyle": "-",
+                "color": colour,
+                "linewidth": 0.6,
+                "shrinkA": 2,
+                "shrinkB": 3,
+                "relpos": (0.0, 0.5),
+            },
         )
 
 

@@ -1,41 +1,29 @@
-"""Charts: coefficient magnitudes (figure 7), PSNR against wavelet rate (figure 15), PSNR against bytes."""
+"""The paper's charts: coefficient magnitudes (figure 7), PSNR against wavelet rate (figure 15)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from clrelight.report.canvas import FAINT, INK, label_ends, label_width, method_colours, new_figure, plain_log_axis
+from clrelight.errors import InputError
+from clrelight.report.canvas import LEFT, WIDTH, label_ends, method_colours, new_figure, plain_log_axis
 from clrelight.report.rows import (
-    Setting,
+    all_methods,
     method_label,
     method_rank,
     parse_profile_key,
     rows_by_key,
     scene_rows,
-    setting_of,
-    text,
 )
 from clrelight.report.tables import PLAIN
 from clrelight.results import Results
 
-WIDTH, LEFT = 1350, 100  # pixels: a chart, and the margin left of its axes
-
 RATE_RANGE = (0.25, 8.0)
 """Bits per coefficient shown in figure 15, at least."""
 
-CODEC_MARKERS = {"none": "o", "half": "s", "s3tc": "^", "uniform": "D", "wavelet": "."}
 CURVE_MARKERS = "os^Dv"
-OTHER_MARKERS = ("v", "P", "X", "*", "<", ">")
-
-
-def all_methods(results: Results) -> list[str]:
-    """Return the methods in the paper's order: what colours follow, in every picture alike."""
-    named = {text(name) for name in results.table["method"]}
-    return sorted(named | {parse_profile_key(key)[1] for key in results.profiles}, key=method_rank)
 
 
 def figure_7(results: Results, scene: str, degree: int) -> Any | None:
@@ -49,6 +37,9 @@ def figure_7(results: Results, scene: str, degree: int) -> Any | None:
     methods = sorted(profiles, key=method_rank)
     if not methods:
         return None
+    for method, values in profiles.items():
+        if values.ndim != 1 or values.size == 0:
+            raise InputError(f"profile {scene}/{method}/{degree} has shape {values.shape}, expected (n_coeff,)")
     figure = new_figure(WIDTH, 165 + 230 * len(methods), layout="constrained")
     panels = figure.subplots(len(methods), 1, sharex=True, squeeze=False)[:, 0]
     colours = method_colours(all_methods(results))
@@ -110,110 +101,5 @@ def figure_15(results: Results, scene: str, degree: int) -> Any | None:
     axes.set_xlabel("bits per coefficient, every side table included (log scale)")
     axes.set_ylabel("mean PSNR at the fitted lights (dB)")
     axes.set_title(f"{scene}, degree {degree}: wavelet coding (solid), plain coefficients (dashed)")
-    _leave_room(axes, ends)
     label_ends(axes, ends)
     return figure
-
-
-def quality_vs_size(results: Results, scene: str) -> Any | None:
-    """Draw mean PSNR against encoded bytes for all rows of a scene; None if no row has both finite."""
-    rows = scene_rows(results, scene)
-    panels = [
-        (title, points)
-        for field, title in (("psnr_mean", "fitted lights"), ("psnr_mean_holdout", "held-out lights"))
-        if (points := _size_points(rows, field))
-    ]
-    if not panels:
-        return None
-    bottom, step = 140, 660  # pixels
-    total = bottom + step * len(panels) - 45
-    figure = new_figure(WIDTH, total)
-    methods = all_methods(results)
-    codecs = sorted({point[2].codec for _, points in panels for point in points}, key=lambda c: Setting(c, "").rank)
-    markers = _codec_markers(codecs)
-    for i, (title, points) in enumerate(reversed(panels)):
-        axes = figure.add_axes((LEFT / WIDTH, (bottom + i * step) / total, 0.77, 570 / total))
-        _draw_sizes(axes, points, method_colours(methods), markers)
-        axes.set_title(f"{scene}: {title}")
-        axes.set_ylabel("mean PSNR (dB)")
-        if i == 0:
-            axes.set_xlabel("encoded size in kB, every side table included (log scale)")
-    _codec_legend(figure, codecs, markers)
-    return figure
-
-
-_SizePoint = tuple[str, int, Setting, float, float]  # method, degree, setting, kB, dB
-
-
-def _size_points(rows: Sequence[np.void], field: str) -> list[_SizePoint]:
-    points = [
-        (text(r["method"]), int(r["degree"]), setting_of(r), float(r["encoded_bytes"]) / 1000.0, float(r[field]))
-        for r in rows
-    ]
-    return [point for point in points if math.isfinite(point[4]) and point[3] > 0]
-
-
-def _codec_markers(codecs: Sequence[str]) -> dict[str, str]:
-    others = [codec for codec in codecs if codec not in CODEC_MARKERS]
-    spare = {codec: OTHER_MARKERS[i % len(OTHER_MARKERS)] for i, codec in enumerate(others)}
-    return {codec: CODEC_MARKERS.get(codec, spare.get(codec, "o")) for codec in codecs}
-
-
-def _draw_sizes(axes: Any, points: Sequence[_SizePoint], colours: dict[str, str], markers: dict[str, str]) -> None:
-    """Draw one panel: a point per row, rates of one codec joined, the front of what nothing smaller beats in grey."""
-    front: list[tuple[float, float]] = []
-    for size, psnr in sorted({(size, -psnr) for *_, size, psnr in points}):
-        if not front or -psnr > front[-1][1]:
-            front.append((size, -psnr))
-    axes.step(*zip(*front, strict=True), where="post", color=FAINT, linewidth=5, alpha=0.6, solid_capstyle="butt")
-    degrees = {degree for _, degree, *_ in points}
-    series: dict[tuple[str, int, str], list[tuple[float, float]]] = {}
-    for method, degree, setting, size, psnr in points:
-        series.setdefault((method, degree, setting.codec), []).append((size, psnr))
-    ends: dict[tuple[str, int], tuple[float, float, str, str]] = {}
-    for (method, degree, codec), line in series.items():
-        sizes, psnrs = np.array(sorted(line)).T
-        axes.plot(sizes, psnrs, color=colours[method], linewidth=0.9, zorder=2)
-        axes.plot(
-            sizes,
-            psnrs,
-            markers[codec],
-            markersize=8 if markers[codec] == "." else 6,
-            markerfacecolor=colours[method] if markers[codec] == "." else "white",
-            markeredgecolor=colours[method],
-            zorder=3,
-        )
-        label = f"{method_label(method)} {degree}" if len(degrees) > 1 else method_label(method)
-        end = (float(sizes[-1]), float(psnrs[-1]), label, colours[method])
-        ends[method, degree] = max(ends.get((method, degree), end), end)
-    low, high = (f(size for *_, size, _ in points) for f in (min, max))
-    plain_log_axis(axes, low / 1.25, high * 1.25, base=10)
-    axes.grid(True)
-    axes.set_axisbelow(True)
-    _leave_room(axes, list(ends.values()))
-    label_ends(axes, list(ends.values()))
-
-
-def _leave_room(axes: Any, ends: Sequence[tuple[float, float, str, str]]) -> None:
-    """Narrow the axes so that the labels of line ends fit beside them."""
-    box = axes.get_position()
-    right = max(WIDTH - label_width([label for _, _, label, _ in ends]), WIDTH // 2)
-    axes.set_position((box.x0, box.y0, right / WIDTH - box.x0, box.height))
-
-
-def _codec_legend(figure: Any, codecs: Sequence[str], markers: dict[str, str]) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [
-        Line2D([], [], linestyle="", marker=markers[c], markeredgecolor=INK, markersize=8 if markers[c] == "." else 6,
-               markerfacecolor=INK if markers[c] == "." else "white", label=Setting(c, "").label)
-        for c in codecs
-    ]  # fmt: skip
-    handles.append(Line2D([], [], color=FAINT, linewidth=5, alpha=0.6, label="best at this size or less"))
-    figure.legend(
-        handles=handles,
-        loc="lower left",
-        bbox_to_anchor=(LEFT / WIDTH - 0.01, 0.0),
-        ncols=min(len(handles), 7),
-        frameon=False,
-    )

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from clrelight.report import paper
-from clrelight.report.charts import figure_7, figure_15, quality_vs_size
+from clrelight.report.charts import figure_7, figure_15
 from clrelight.report.contact_sheet import AMPLIFICATION, MAX_SETTINGS, contact_sheet
 from clrelight.report.markup import escape_markdown, to_markdown
 from clrelight.report.rows import file_suffixes, parse_picture_key, parse_profile_key, scene_names, scene_rows, text
+from clrelight.report.size_chart import quality_vs_size
 from clrelight.report.tables import Table, all_rows, repeated_rows, table_i, table_iii
 from clrelight.results import Results
 

@@ -1,4 +1,4 @@
-"""What the paper printed: Lam, Leung, Wong, *Noise-Resistant Fitting for Spherical Harmonics* (IEEE TVCG)."""
+"""What the paper printed: Lam, Leung, Wong, *Noise-Resistant Fitting for Spherical Harmonics*."""
 
 from __future__ import annotations
 

@@ -112,6 +112,12 @@ def parse_profile_key(key: str) -> tuple[str, str, int]:
     return match[1], match[2], int(match[3])
 
 
+def all_methods(results: Results) -> list[str]:
+    """Return the methods in the paper's order: what colours follow, in every picture alike."""
+    named = {text(name) for name in results.table["method"]}
+    return sorted(named | {parse_profile_key(key)[1] for key in results.profiles}, key=method_rank)
+
+
 def file_suffixes(scenes: Iterable[str]) -> dict[str, str]:
     """Return a distinct, portable file name suffix per scene: ``_SCENE``, or nothing where there is one scene."""
     scenes = list(scenes)
