@@ -1,5 +1,7 @@
 """Codecs: a coefficient map to bytes and back. One file per codec; importing this package registers them all."""
 
+from clrelight.codec.half import Half
 from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, encode, register
+from clrelight.codec.s3tc import S3tc
 
-__all__ = ["Codec", "Encoded", "codec_class", "codec_ids", "decode", "encode", "register"]
+__all__ = ["Codec", "Encoded", "Half", "S3tc", "codec_class", "codec_ids", "decode", "encode", "register"]
