@@ -50,6 +50,9 @@ typedef uint word;
 /* Adding and subtracting 1.5 2^23 rounds to an integer, which then is the low bits of the float. */
 #define ROUNDER 12582912.0f
 
+/* Index along k of component m of group g. */
+#define MAP_OF(g, m) (CHANNELS == 3 ? (g) : 3 * (g) + (m))
+
 /* A piece is four neighbouring floats of one block: of 12 interleaved ones, or of one plane's 4. */
 #define PIECE_TEXEL(m, i) (CHANNELS == 3 ? (4 * (m) + (i)) / 3 : (i))
 #define PIECE_COMPONENT(m, i) (CHANNELS == 3 ? (4 * (m) + (i)) % 3 : (m))
@@ -57,8 +60,7 @@ typedef uint word;
 /* Offset of row y of what piece m reads, from the start of the map. */
 size_t row_offset(int g, int m, int y, int size_h, int size_w)
 {
-    const size_t plane = CHANNELS == 3 ? g : 3 * g + m;
-    return (plane * size_h + y) * size_w * CHANNELS + (CHANNELS == 3 ? 4 * m : 0);
+    return ((size_t)MAP_OF(g, m) * size_h + y) * size_w * CHANNELS + (CHANNELS == 3 ? 4 * m : 0);
 }
 
 #if LANES == 8
@@ -84,7 +86,7 @@ void load_whole(real x[3][16], global const float *restrict coeffs, int g, int y
 #pragma unroll
         for (int m = 0; m < 3; m++) {
             float8 v[4] = {(float8)(0.0f), (float8)(0.0f), (float8)(0.0f), (float8)(0.0f)};
-            if (CHANNELS == 3 || 3 * g + m < size_k) {
+            if (MAP_OF(g, m) < size_k) {
                 global const float *p =
                     coeffs + row_offset(g, m, min(4 * y + r, size_h - 1), size_h, size_w) + (size_t)b * 4 * CHANNELS;
 #pragma unroll
@@ -109,7 +111,7 @@ void load_edge(real x[3][16], global const float *restrict coeffs, int g, int y,
             for (int lane = 0; lane < LANES; lane++) {
                 const int column = min(4 * (b + lane) + t % 4, size_w - 1);
                 const int row = min(4 * y + t / 4, size_h - 1);
-                const int k = CHANNELS == 3 ? g : 3 * g + m;
+                const int k = MAP_OF(g, m);
                 lanes[lane] = k < size_k ? coeffs[(((size_t)k * size_h + row) * size_w + column) * CHANNELS +
                                                   (CHANNELS == 3 ? m : 0)]
                                          : 0.0f;
@@ -334,7 +336,7 @@ kernel void decode_s3tc_khwc(global float *restrict coeffs_khwc, global const ui
             for (int r = 0; r < 4; r++)
 #pragma unroll
                 for (int m = 0; m < 3; m++) {
-                    if (4 * y + r >= size_h || (CHANNELS == 1 && 3 * g + m >= size_k))
+                    if (4 * y + r >= size_h || MAP_OF(g, m) >= size_k)
                         continue;
                     float8 v[4];
 #pragma unroll
@@ -356,7 +358,7 @@ kernel void decode_s3tc_khwc(global float *restrict coeffs_khwc, global const ui
 #endif
         for (int m = 0; m < 3; m++)
             for (int t = 0; t < 16; t++) {
-                const int row = 4 * y + t / 4, k = CHANNELS == 3 ? g : 3 * g + m;
+                const int row = 4 * y + t / 4, k = MAP_OF(g, m);
                 if (row >= size_h || k >= size_k)
                     continue;
                 float lanes[LANES];
