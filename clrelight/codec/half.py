@@ -55,9 +55,7 @@ class Half(Codec):
         return halves_p.tobytes(), {"clamped": float(clamped)}
 
     @classmethod
-    def decode_body(
-        cls, body: bytes, shape: tuple[int, int, int, int], device: Device
-    ) -> NDArray[np.float32]:
+    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """Return the coefficients, exactly what was stored; PayloadError on a wrong length, infinity or NaN."""
         expected = 2 * math.prod(shape)
         if len(body) != expected:

@@ -168,8 +168,16 @@ def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> En
     Parameters
     ----------
     coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32
+        Finite; other real types are converted.
     codec : Codec
+        With its options.
     device : Device
+        Where to encode.
+
+    Returns
+    -------
+    Encoded
+        What decodes by itself, and what was measured.
 
     Raises
     ------

@@ -88,9 +88,7 @@ def _map_values(
     scale_k = quantiser.scale_k if kernel.startswith("quantise") else quantiser.unscale_k
     for maps in slabs(len(values_kp), 4 * values_kp.shape[1]):
         out = device.empty(out_kp[maps].shape, out_kp.dtype, out_kp[maps])
-        arrays = [
-            device.upload(a[maps]) for a in (values_kp, quantiser.scaled_low_k, quantiser.scaled_step_k, scale_k)
-        ]
+        arrays = [device.upload(a[maps]) for a in (values_kp, quantiser.scaled_low_k, quantiser.scaled_step_k, scale_k)]
         search.launch(device, kernel, bits, values_kp.shape[1], len(values_kp[maps]), out, *arrays, values_kp.shape[1])
         fetched = device.download(out)
         if not device.shares_memory:

@@ -17,11 +17,13 @@ STRETCH = 4096
 SAMPLES = 8192
 """Values of a map that the search looks at; the decision is measured on all of them."""
 
-# The interval is anchor - (anchor - least) 2**-a to anchor + (greatest - anchor) 2**-b, around the median. Each
-# round tries all pairs of these offsets of a and b from the best so far.
-SEARCH_ROUNDS = (np.arange(8.0), np.array([0, -0.66, -0.33, 0.33, 0.66]), np.array([0, -0.2, -0.1, 0.1, 0.2]))
-# Finally the best is measured beside wider ones, since the sample may have missed rare large values.
-FINAL_OFFSETS = np.array([0, -0.3, -1.0, -2.5])
+# The interval is anchor - (anchor - least) 2**-a to anchor + (greatest - anchor) 2**-b, around the median. Rounds
+# try offsets of (a, b) from the best so far: on the sample all pairs, coarse to fine; then on all values wider
+# intervals, since the sample may have missed rare large values, and the neighbours of the best.
+_COARSE, _MIDDLE, _FINE = np.arange(8.0), np.array([0, -0.66, -0.33, 0.33, 0.66]), np.array([0, -0.2, -0.1, 0.1, 0.2])
+_WIDER, _NEAR = np.array([0, -0.1, -0.3, -1.0, -2.5]), np.array([0, -0.07, 0.07])
+SAMPLE_ROUNDS = tuple(tuple(np.meshgrid(e, e)) for e in (_COARSE, _MIDDLE, _FINE))
+FULL_ROUNDS = ((_WIDER, _WIDER), tuple(np.meshgrid(_NEAR, _NEAR)))
 
 _FLOAT32 = np.finfo(np.float32)
 
@@ -46,22 +48,36 @@ class Quantiser:
         exponent_k = np.clip(np.frexp(reach_k)[1], -126, 126)
         scale_k = np.ldexp(1.0, -exponent_k)
         per_map = scale_k if low_k.ndim == 1 else scale_k[:, None]
-        scaled = [(values * per_map).astype(np.float32) for values in (low_k, step_k)]
-        return cls(low_k, step_k, *scaled, scale_k.astype(np.float32), np.ldexp(1.0, exponent_k).astype(np.float32))
+        return cls(
+            low_k,
+            step_k,
+            scaled_low_k=(low_k * per_map).astype(np.float32),
+            scaled_step_k=(step_k * per_map).astype(np.float32),
+            scale_k=scale_k.astype(np.float32),
+            unscale_k=np.ldexp(1.0, exponent_k).astype(np.float32),
+        )
 
 
 def choose_quantiser(coeffs_kp: NDArray[np.float32], bits: int, device: Device) -> Quantiser:
     """Return for each map the quantiser of ``2**bits`` levels with the least squared error found.
 
     Candidates are levels from least to greatest value, and intervals that clip either end; from each also the
-    neighbour that has 0 as a level, which keeps black exactly black. All are measured on all values, with the
-    arithmetic of the encoder; ties go to the unclipped.
+    neighbour that has 0 as a level, which keeps black exactly black. The last choice is measured on all values,
+    with the arithmetic of the encoder; ties go to the unclipped.
 
     Parameters
     ----------
     coeffs_kp : ndarray, shape (n_coeff, values of a map), float32
+        Finite coefficients.
     bits : int
+        Bits of a code, 1 to 16.
     device : Device
+        Where to measure.
+
+    Returns
+    -------
+    Quantiser
+        With one first level and step for each map.
     """
     top = 2**bits - 1
     least_k, greatest_k = (f(coeffs_kp, axis=1).astype(np.float64) for f in (np.min, np.max))
@@ -77,28 +93,27 @@ def choose_quantiser(coeffs_kp: NDArray[np.float32], bits: int, device: Device) 
         high_kj = anchor_k[:, None] + (greatest_k - anchor_k)[:, None] * np.exp2(-b_kj)
         return Quantiser.of(*_round_table(low_kj, high_kj, top), reach_k)
 
-    a_k = b_k = np.zeros(len(coeffs_kp))
     maps = np.arange(len(coeffs_kp))
-    for offsets in SEARCH_ROUNDS:
-        a_j, b_j = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
-        a_kj, b_kj = (np.maximum(e_k[:, None] + e_j, 0.0) for e_k, e_j in ((a_k, a_j), (b_k, b_j)))
-        best_k = measure_distortion(samples_kp, candidates(a_kj, b_kj), bits, device).argmin(axis=1)
-        a_k, b_k = a_kj[maps, best_k], b_kj[maps, best_k]
+    a_k = b_k = np.zeros(len(coeffs_kp))
+    for values_kp, rounds in ((samples_kp, SAMPLE_ROUNDS), (coeffs_kp, FULL_ROUNDS)):
+        for a_offsets, b_offsets in rounds:
+            a_kj = np.maximum(a_k[:, None] + a_offsets.ravel(), 0.0)
+            b_kj = np.maximum(b_k[:, None] + b_offsets.ravel(), 0.0)
+            best_k = measure_distortion(values_kp, candidates(a_kj, b_kj), bits, device).argmin(axis=1)
+            a_k, b_k = a_kj[maps, best_k], b_kj[maps, best_k]
 
-    a_kj, b_kj = (np.maximum(e_k[:, None] + FINAL_OFFSETS, 0.0) for e_k in (a_k, b_k))
-    none = np.zeros((len(coeffs_kp), 1))
-    clipped = candidates(np.hstack([none, a_kj]), np.hstack([none, b_kj]))
-    low_kj = np.hstack([clipped.low_k, _align_zero(clipped.low_k, clipped.step_k, top)])
-    step_kj = np.hstack([clipped.step_k, clipped.step_k])
-    final = Quantiser.of(low_kj, step_kj, reach_k)
-    best_k = measure_distortion(coeffs_kp, final, bits, device).argmin(axis=1)
+    none_k = np.zeros(len(coeffs_kp))
+    ends = candidates(np.stack([none_k, a_k], axis=1), np.stack([none_k, b_k], axis=1))
+    low_kj = np.hstack([ends.low_k, _align_zero(ends.low_k, ends.step_k, top)])
+    step_kj = np.hstack([ends.step_k, ends.step_k])
+    best_k = measure_distortion(coeffs_kp, Quantiser.of(low_kj, step_kj, reach_k), bits, device).argmin(axis=1)
     return Quantiser.of(low_kj[maps, best_k], step_kj[maps, best_k], reach_k)
 
 
 def measure_distortion(
     coeffs_kp: NDArray[np.float32], quantisers: Quantiser, bits: int, device: Device
 ) -> NDArray[np.float64]:
-    """Return the sum of squared errors of each map under each of its quantisers (k, j), in units of ``unscale_k**2``."""
+    """Return the sum of squared errors (k, j) of each map under each of its quantisers, in ``unscale_k**2``."""
     n_map, n_value = coeffs_kp.shape
     stretches = -(-n_value // STRETCH)
     sums_kj = np.empty(quantisers.low_k.shape, np.float64)
@@ -131,10 +146,19 @@ def launch(device: Device, kernel: str, bits: int, count: int, n_map: int, *argu
 def _round_table(
     low_kj: NDArray[np.float64], high_kj: NDArray[np.float64], top: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return first levels and steps in float32; a step is 0 only for an empty interval, and never infinite."""
-    step_kj = np.minimum((high_kj - low_kj) / top, float(_FLOAT32.max))
-    step_kj = np.where(step_kj > 0, np.maximum(step_kj, float(_FLOAT32.smallest_subnormal)), 0.0)
-    return low_kj.astype(np.float32), step_kj.astype(np.float32)
+    """Return first levels and steps in float32, the steps such that the last level reaches `high_kj`.
+
+    A step is 0 only for an empty interval, and never infinite.
+    """
+    width_kj = high_kj - low_kj
+    step_kj = np.minimum(width_kj / top, float(_FLOAT32.max)).astype(np.float32)
+    # Subnormal steps round by much, or to 0.
+    short_kj = step_kj.astype(np.float64) * top < width_kj * (1 - 2.0**-20)
+    return low_kj.astype(np.float32), np.where(short_kj, _next_float(step_kj), step_kj)
+
+
+def _next_float(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.minimum(np.nextafter(values, np.float32(np.inf)), _FLOAT32.max)
 
 
 def _align_zero(low_kj: NDArray[np.float32], step_kj: NDArray[np.float32], top: int) -> NDArray[np.float32]:

@@ -17,6 +17,9 @@
 #error "STRETCH must be defined: coefficients that a work-item handles, a multiple of 8"
 #endif
 
+/* Without fused operations low = -m step gives exactly 0 for code m, and all devices give the same codes. */
+#pragma OPENCL FP_CONTRACT OFF
+
 #define TOP ((float)((1 << BITS) - 1))
 
 /* Adding and subtracting 1.5 2^23 rounds to the nearest integer. */
