@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from abc import ABC, abstractmethod
@@ -72,6 +73,7 @@ class Encoded:
     @classmethod
     def from_bytes(cls, payload: bytes) -> Self:
         """Take apart what `to_bytes` made; PayloadError if it is damaged, cut, or not ours."""
+        payload = bytes(payload)  # no copy of bytes; a memoryview or bytearray is taken too
         if payload[:4] != MAGIC:
             raise PayloadError(f"not a clrelight payload: it starts with {payload[:4]!r}, expected {MAGIC!r}")
         if len(payload) < 6 or len(payload) < 6 + payload[5] + 28:
@@ -87,14 +89,23 @@ class Encoded:
         if zlib.crc32(body, zlib.crc32(payload[: at + 24])) != checksum:
             raise PayloadError("the payload's checksum does not fit: it is damaged")
         # Checked although the sum fits: a foreign writer may compute checksums too.
-        if min(shape) < 1 or max(shape) > MAX_EXTENT or int(np.prod(shape, dtype=object)) > MAX_COEFFICIENTS:
-            raise PayloadError(f"the payload claims an impossible shape {tuple(shape)}")
         try:
-            degree_of(shape[0])
+            check_shape(tuple(shape))
             codec = payload[6:at].decode("ascii")
         except ValueError as error:
             raise PayloadError(f"the payload's header is not valid: {error}") from None
-        return cls(codec, {}, tuple(shape), bytes(body))
+        return cls(codec, {}, tuple(shape), body)
+
+
+def check_shape(shape: tuple[int, ...]) -> None:
+    """Raise ValueError unless (n_coeff, height, width, channel) is a shape that a payload may have."""
+    if len(shape) != 4 or min(shape) < 1:
+        raise ValueError(f"coefficients must be (coefficient, height, width, channel), none empty, got shape {shape}")
+    if max(shape) > MAX_EXTENT or math.prod(shape) > MAX_COEFFICIENTS:
+        raise ValueError(
+            f"a coefficient map has at most {MAX_COEFFICIENTS} values and {MAX_EXTENT} along an axis, got {shape}"
+        )
+    degree_of(shape[0])
 
 
 class Codec(ABC):
@@ -130,7 +141,9 @@ class Codec(ABC):
 
 
 def register(codec: type[Codec]) -> type[Codec]:
-    """Enter a codec class under its id (a class decorator); ValueError if the id is taken."""
+    """Enter a codec class under its id (a class decorator); ValueError if the id is taken or fits no header."""
+    if not (codec.id.isascii() and codec.id.isprintable() and 1 <= len(codec.id) <= 255):
+        raise ValueError(f"a codec's id is 1 to 255 printable ASCII characters, got {codec.id!r}")
     if codec.id in _REGISTRY:
         raise ValueError(f"a codec {codec.id!r} is registered already: {_REGISTRY[codec.id]!r}")
     _REGISTRY[codec.id] = codec
@@ -155,17 +168,31 @@ def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> En
     Parameters
     ----------
     coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32
+        Finite; other real types are converted.
     codec : Codec
+        With its options.
     device : Device
+        Where to encode.
+
+    Returns
+    -------
+    Encoded
+        What decodes by itself, and what was measured.
 
     Raises
     ------
     InputError
-        If a coefficient is not finite, or the codec cannot hold one.
+        If the shape is impossible, a coefficient is not finite, or the codec cannot hold one.
     """
-    coeffs = np.ascontiguousarray(coeffs_khwc, dtype=np.float32)
-    if coeffs.ndim != 4 or coeffs.size == 0:
-        raise InputError(f"coefficients must be (coefficient, height, width, channel), got shape {coeffs.shape}")
+    given = np.asarray(coeffs_khwc)
+    if given.dtype.kind not in "fiu":
+        raise InputError(f"coefficients must be real numbers, got {given.dtype}")
+    try:
+        check_shape(given.shape)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    with np.errstate(over="ignore"):  # what float32 cannot hold is infinite now, and refused below
+        coeffs = np.ascontiguousarray(given, dtype=np.float32)
     if not np.isfinite(coeffs).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(coeffs))[0])
         raise InputError(
@@ -176,9 +203,20 @@ def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> En
 
 
 def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
-    """Return the (n_coeff, height, width, channel) float32 coefficients of encoded bytes."""
+    """Return the (n_coeff, height, width, channel) float32 coefficients of encoded bytes.
+
+    Raises
+    ------
+    PayloadError
+        If the bytes are damaged, cut short, not ours, or of a codec that is not known here.
+    """
     encoded = payload if isinstance(payload, Encoded) else Encoded.from_bytes(payload)
-    coeffs = codec_class(encoded.codec).decode_body(encoded.body, encoded.shape, device)
+    try:
+        check_shape(encoded.shape)
+        codec = codec_class(encoded.codec)
+    except ValueError as error:
+        raise PayloadError(str(error)) from None
+    coeffs = codec.decode_body(encoded.body, encoded.shape, device)
     if coeffs.shape != encoded.shape or coeffs.dtype != np.float32:
         raise PayloadError(f"codec {encoded.codec} gave {coeffs.dtype} {coeffs.shape} for {encoded.shape}")
     return coeffs

@@ -1,0 +1,96 @@
+"""Codec `half`: IEEE 754 binary16, 16 bits per coefficient (Lam, Leung and Wong, section III-B-1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.registry import Codec, register
+from clrelight.codec.slabs import group_size, round_up, slabs
+from clrelight.device import Device
+from clrelight.errors import InputError, PayloadError
+
+OVERFLOW = 65520.0
+"""Least magnitude that rounds to infinity: halfway between the largest binary16, 65504, and 2**16."""
+
+
+@register
+@dataclass(frozen=True)
+class Half(Codec):
+    """Round every coefficient to the nearest binary16, ties to even. Body: little-endian halves in khwc order.
+
+    Attributes
+    ----------
+    clamp : bool
+        Store ±65504 for what binary16 cannot hold, and count it as ``info["clamped"]``, instead of refusing it.
+    """
+
+    id: ClassVar[str] = "half"
+    summary: ClassVar[str] = "IEEE 754 binary16, 16 bits per coefficient"
+
+    clamp: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.clamp, bool):
+            raise InputError(f"codec half: clamp must be true or false, got {self.clamp!r}")
+
+    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+        """Return the halves; InputError names the first coefficient that overflows, unless clamping."""
+        halves_p = np.empty(coeffs_khwc.size, np.float16)
+        overflows = _convert("encode_half_p", halves_p, coeffs_khwc.reshape(-1), device, clamp=self.clamp)
+        clamped = 0
+        if overflows:
+            large = np.abs(coeffs_khwc) >= OVERFLOW
+            if not self.clamp:
+                where = tuple(int(i) for i in np.unravel_index(int(large.argmax()), large.shape))
+                raise InputError(
+                    f"coefficient (k, row, column, channel) = {where} is {coeffs_khwc[where]:g}, which binary16 cannot"
+                    f" hold (|x| must be below {OVERFLOW:g}); fit with a constrained method, or clamp"
+                )
+            clamped = int(np.count_nonzero(large))
+        return halves_p.tobytes(), {"clamped": float(clamped)}
+
+    @classmethod
+    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+        """Return the coefficients, exactly what was stored; PayloadError on a wrong length, infinity or NaN."""
+        expected = 2 * math.prod(shape)
+        if len(body) != expected:
+            raise PayloadError(f"codec half: shape {shape} takes {expected} bytes, the body has {len(body)}")
+        coeffs_khwc = np.empty(shape, np.float32)
+        halves_p = np.require(np.frombuffer(body, np.float16), requirements="A")
+        if _convert("decode_half_p", coeffs_khwc.reshape(-1), halves_p, device, clamp=False):
+            raise PayloadError("codec half: the body holds an infinity or a NaN")
+        return coeffs_khwc
+
+
+def _convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, clamp: bool) -> bool:
+    """Fill `out_p` from `values_p` with a kernel; return whether it refused a value."""
+    vectors = 128 if device.info.kind == "cpu" else 1
+    refused = False
+    for slab in slabs(values_p.size, 4):
+        values, out = values_p[slab], out_p[slab]
+        group = group_size(device)
+        items = -(-values.size // (8 * vectors))
+        refused_j = device.empty((items,), np.uint8)
+        result = device.empty(out.shape, out.dtype, out)
+        source = device.upload(values)
+        device.launch(
+            "codec/half.cl",
+            kernel,
+            (round_up(items, group),),
+            result,
+            refused_j,
+            source,
+            values.size,
+            defines={"VECTORS": vectors, "CLAMP": int(clamp)},
+            local_size=(group,),
+        )
+        fetched = device.download(result)
+        if fetched is not out:
+            out[:] = fetched
+        refused |= bool(device.download(refused_j).any())
+    return refused

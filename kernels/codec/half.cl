@@ -1,0 +1,73 @@
+/* IEEE 754 binary16, rounded to nearest even.
+ *
+ *   halves_p = binary16(coeffs_p), |error| <= max(2^-11 |coeffs_p|, 2^-25)
+ *
+ *   coeffs_p   (p,) float32, unit of the coefficients
+ *   halves_p   (p,) binary16
+ *   refused_j  (j,) 1 where the stretch of work-item j holds a value that is refused: to encode, one that
+ *              rounds to infinity (|x| >= 65520); to decode, an infinity or a NaN
+ *
+ * Work-item j converts the stretch of 8 VECTORS values from 8 VECTORS j on. With CLAMP, values beyond 65504
+ * become +-65504 (and are flagged still).
+ */
+#ifndef VECTORS
+#error "VECTORS must be defined: how many vectors of eight values a work-item converts"
+#endif
+#ifndef CLAMP
+#error "CLAMP must be defined: 1 to clamp what overflows, else 0"
+#endif
+
+#define LARGEST 65504.0f
+#define OVERFLOW 65520.0f /* halfway to the next power of two: rounds to infinity */
+
+kernel void encode_half_p(global half *restrict halves_p, global uchar *restrict refused_j,
+                          global const float *restrict coeffs_p, const ulong size_p)
+{
+    const size_t start = get_global_id(0) * (8 * VECTORS);
+    if (start >= size_p)
+        return;
+    const size_t stop = min(start + 8 * VECTORS, (size_t)size_p);
+    int8 over = (int8)(0);
+    size_t p = start;
+    for (; p + 8 <= stop; p += 8) {
+        float8 x = vload8(0, coeffs_p + p);
+        over |= fabs(x) >= OVERFLOW;
+#if CLAMP
+        x = clamp(x, -LARGEST, LARGEST);
+#endif
+        vstore_half8_rte(x, 0, halves_p + p);
+    }
+    int refused = any(over);
+    for (; p < stop; p++) {
+        float x = coeffs_p[p];
+        refused |= fabs(x) >= OVERFLOW;
+#if CLAMP
+        x = clamp(x, -LARGEST, LARGEST);
+#endif
+        vstore_half_rte(x, p, halves_p);
+    }
+    refused_j[get_global_id(0)] = (uchar)(refused != 0);
+}
+
+kernel void decode_half_p(global float *restrict coeffs_p, global uchar *restrict refused_j,
+                          global const half *restrict halves_p, const ulong size_p)
+{
+    const size_t start = get_global_id(0) * (8 * VECTORS);
+    if (start >= size_p)
+        return;
+    const size_t stop = min(start + 8 * VECTORS, (size_t)size_p);
+    int8 fine = (int8)(-1);
+    size_t p = start;
+    for (; p + 8 <= stop; p += 8) {
+        const float8 x = vload_half8(0, halves_p + p);
+        fine &= fabs(x) <= LARGEST; /* false for NaN */
+        vstore8(x, 0, coeffs_p + p);
+    }
+    int refused = !all(fine);
+    for (; p < stop; p++) {
+        const float x = vload_half(p, halves_p);
+        refused |= !(fabs(x) <= LARGEST);
+        coeffs_p[p] = x;
+    }
+    refused_j[get_global_id(0)] = (uchar)(refused != 0);
+}

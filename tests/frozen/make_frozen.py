@@ -1,0 +1,43 @@
+"""Write the frozen payloads beside this file: ``python tests/frozen/make_frozen.py [codec ...]``.
+
+Run by hand when a codec is new, never by a test and never over a payload that a release has written: the files
+prove that what was encoded once still decodes to the same values.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from clrelight.codec import codec_class, codec_ids, decode, encode
+from clrelight.device import open_device
+
+OPTIONS = {"uniform": {"bits": 7}}  # codes that cross bytes
+FOLDER = Path(__file__).resolve().parent
+
+
+def frozen_map():
+    """Return a (4, 9, 11, 3) map of exact binary fractions: waves of integers, one constant plane, one outlier."""
+    k, h, w, c = np.indices((4, 9, 11, 3))
+    values = ((h * h + 3 * w * (k + 1) + 5 * c + h * w) % 61 - 30) / 8.0
+    values[2] = -0.375
+    values[3, 4, 5, 1] = 200.0
+    return values.astype(np.float32)
+
+
+def main(names):
+    """Write NAME.bin (payload) and NAME.npy (its float32 values) for each codec that has none yet."""
+    device = open_device("cpu")
+    for name in names or codec_ids():
+        payload = FOLDER / f"{name}.bin"
+        if payload.exists():
+            print(f"{payload.name} exists and is kept")
+            continue
+        encoded = encode(frozen_map(), codec_class(name).from_config(OPTIONS.get(name, {})), device).to_bytes()
+        payload.write_bytes(encoded)
+        np.save(FOLDER / f"{name}.npy", decode(encoded, device))
+        print(f"{payload.name}: {len(encoded)} bytes")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
