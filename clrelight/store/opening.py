@@ -166,6 +166,8 @@ def _refuse_constant(text: str) -> None:
 
 
 def _check_file(path: str) -> None:
+    if "\0" in path:
+        raise InputError(f"cannot read {path!r}: that is no file name")
     try:
         if not stat.S_ISREG(os.lstat(path).st_mode):
             raise StoreFormatError(f"{path} is no regular file (a folder, a link or a device)")
@@ -175,8 +177,6 @@ def _check_file(path: str) -> None:
         raise InputError(f"there is no file {path}") from None
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
-    except ValueError:
-        raise InputError(f"cannot read {path!r}: that is no file name") from None
     if not start:
         raise StoreFormatError(f"{path} is empty, expected an HDF5 file")
     if start != MAGIC:
