@@ -23,6 +23,7 @@ CACHE_BYTES = 16 << 20
 """Chunk cache of each dataset: some chunks that a tile of rows shares with the next tile."""
 
 MAX_ATTRIBUTE_BYTES = 1 << 20
+MAX_ATTRIBUTES = 256
 
 
 class Opened:
@@ -58,8 +59,11 @@ class Opened:
     def floats(self, of: str) -> dict[str, float]:
         """Return the scalar float attributes of a dataset, whatever their names."""
         holder = self.arrays[of].id
-        found = {}
-        for i in range(h5py.h5a.get_num_attrs(holder)):
+        found: dict[str, float] = {}
+        count = h5py.h5a.get_num_attrs(holder)
+        if count > MAX_ATTRIBUTES:
+            raise StoreFormatError(f"{of} has {count} attributes, at most {MAX_ATTRIBUTES} are read")
+        for i in range(count):
             attribute = h5py.h5a.open(holder, index=i)
             if attribute.get_type().get_class() == h5py.h5t.FLOAT:
                 name = attribute.name.decode()
@@ -134,7 +138,8 @@ def opening(path: str | os.PathLike, *kinds: str) -> Iterator[Opened]:
 def refusing(path: str) -> Iterator[None]:
     """Turn whatever HDF5 or a check says about a file's content into one line of StoreFormatError that names it."""
     try:
-        yield
+        with np.errstate(all="ignore"):  # checks reject absurd numbers, and need not warn of them as well
+            yield
     except InputError as error:
         message = str(error)
         raise StoreFormatError(message if message.startswith(path) else f"{path}: {message}") from error
