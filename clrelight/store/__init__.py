@@ -1,0 +1,29 @@
+"""The files of clrelight: HDF5, written whole or not at all, and read with suspicion."""
+
+from clrelight.store.encodings import FitRecord, read_encoded, write_encoded
+from clrelight.store.fits import FitSink, create_fit, open_fit, read_fit, write_fit
+from clrelight.store.stacks import create_stack, open_stack, write_stack
+from clrelight.store.stored import StoredArray
+from clrelight.store.summary import describe, file_schema
+from clrelight.store.tables import read_results, write_results
+from clrelight.store.writing import Sink
+
+__all__ = [
+    "FitRecord",
+    "FitSink",
+    "Sink",
+    "StoredArray",
+    "create_fit",
+    "create_stack",
+    "describe",
+    "file_schema",
+    "open_fit",
+    "open_stack",
+    "read_encoded",
+    "read_fit",
+    "read_results",
+    "write_encoded",
+    "write_fit",
+    "write_results",
+    "write_stack",
+]

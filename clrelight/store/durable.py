@@ -1,0 +1,136 @@
+"""Files that replace an old one only when they are whole (POSIX)."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from clrelight.errors import InputError
+
+
+@dataclass(frozen=True)
+class Part:
+    """The sibling of a file that is being written: its path, and a descriptor that holds its lock."""
+
+    path: Path
+    descriptor: int
+
+    def write(self, content: bytes) -> None:
+        """Write every byte; a single call of the system may take fewer."""
+        rest = memoryview(content)
+        while rest:
+            rest = rest[os.write(self.descriptor, rest) :]
+
+    def reserve(self, n_bytes: int) -> None:
+        """Make sure that the disk has room for a file of `n_bytes`, and keep it; OSError if it has not."""
+        system = os.fstatvfs(self.descriptor)
+        free = system.f_bavail * system.f_frsize
+        if system.f_blocks and free < n_bytes:  # some network systems report no sizes at all
+            full = f"it needs {n_bytes / 1e6:.0f} MB, {free / 1e6:.0f} MB are free"
+            raise OSError(errno.EFBIG, full)
+        try:
+            os.posix_fallocate(self.descriptor, 0, n_bytes)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS):
+                raise  # else a file system that cannot reserve: the free space must do
+
+
+@contextmanager
+def replacing(path: str | os.PathLike) -> Iterator[Part]:
+    """Lend a file to write; it stands at `path` once the block has ended well.
+
+    The bytes go to the sibling ``.NAME.part``, which is flushed, renamed over `path`, and removed if anything at
+    all goes wrong, a keyboard interrupt included; until the rename a file that is there stays as it is. A lock on
+    the sibling keeps two programs from writing one file, and goes away with its program, so that a sibling left by
+    a killed one is taken over.
+
+    Raises
+    ------
+    InputError
+        If the folder is missing, `path` is there and no regular file, another program is writing it, or the
+        system refuses (no permission, disk full).
+    """
+    target = Path(os.fsdecode(path))
+    with naming(target):
+        _check_target(target)
+        sibling = target.with_name(f".{target.name}.part")
+        part = Part(sibling, _open_locked(sibling))
+    try:
+        try:
+            with naming(target):
+                os.ftruncate(part.descriptor, 0)
+            yield part
+            with naming(target):
+                os.fsync(part.descriptor)
+                os.replace(part.path, target)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(part.path)
+            raise
+    finally:
+        os.close(part.descriptor)
+    _sync_folder(target.parent)
+
+
+@contextmanager
+def naming(path: str | os.PathLike) -> Iterator[None]:
+    """Turn what the system says against writing `path` into one line of InputError."""
+    try:
+        yield
+    except OSError as error:
+        reason = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else error.strerror or str(error)
+        raise InputError(f"cannot write {os.fsdecode(path)}: {reason}") from error
+
+
+def _check_target(target: Path) -> None:
+    if not target.name or "\0" in str(target):
+        raise InputError(f"cannot write {str(target)!r}: that is no file name")
+    if not target.parent.is_dir():
+        raise InputError(f"cannot write {target}: there is no folder {target.parent}")
+    with suppress(FileNotFoundError):
+        if not stat.S_ISREG(os.lstat(target).st_mode):
+            raise InputError(f"cannot write {target}: it is there and is no regular file")
+
+
+def _open_locked(part: Path) -> int:
+    while True:
+        descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+        try:
+            _lock(descriptor, part)
+            ours = os.fstat(descriptor)
+            if not stat.S_ISREG(ours.st_mode) or ours.st_nlink > 1:
+                raise InputError(f"cannot write {part}: it is there and is no plain file, remove it")
+            with suppress(FileNotFoundError):
+                if os.path.samestat(ours, os.lstat(part)):
+                    return descriptor
+        except BaseException:
+            os.close(descriptor)
+            raise
+        # Its writer renamed it between our open and our lock: what we hold is the finished file, not a part.
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, part: Path) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise InputError(f"cannot write {part}: another program is writing it") from None
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL):
+            raise  # else a file system without locks: go on, as every other writer would
+
+
+def _sync_folder(folder: Path) -> None:
+    # The file is whole and in place; a file system that cannot sync folders is no reason to say otherwise.
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

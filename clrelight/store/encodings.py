@@ -1,0 +1,117 @@
+"""``encoded/1``: coefficients as a codec's bytes, with what they need to become a fit again."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.registry import Encoded
+from clrelight.dataset import CoefficientMap
+from clrelight.errors import InputError, StoreFormatError
+from clrelight.store.opening import Opened, opening, parse_config, refusing
+from clrelight.store.schemas import ENCODED
+from clrelight.store.writing import CHUNK_BYTES, config_text, drafting
+
+
+@dataclass(frozen=True)
+class FitRecord:
+    """What a fit holds beside its coefficients; attributes as of `CoefficientMap`."""
+
+    degree: int
+    method: str
+    peak: float
+    transfer: str
+    directions_i3: NDArray[np.float64]
+    config: Mapping[str, Any]
+    name: str
+
+    def to_map(self, coeffs_khwc: Any) -> CoefficientMap:
+        """Return the fit with decoded coefficients; InputError if they do not match the degree."""
+        return CoefficientMap(
+            coeffs_khwc,
+            self.degree,
+            self.method,
+            self.peak,
+            self.transfer,
+            self.directions_i3,
+            self.config,
+            name=self.name,
+        )
+
+
+def write_encoded(path: str | os.PathLike, encoded: Encoded, source: CoefficientMap) -> None:
+    """Write encoded coefficients and the record of the fit they come from (its lambda and rank maps are not kept).
+
+    Parameters
+    ----------
+    path : path
+        Where the file is to stand.
+    encoded : Encoded
+        Its `info` becomes attributes of the payload.
+    source : CoefficientMap
+        What was encoded.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ, or the file cannot be written.
+    """
+    if tuple(encoded.shape) != tuple(source.coeffs_khwc.shape):
+        raise InputError(f"the payload is of shape {encoded.shape}, its source of {source.coeffs_khwc.shape}")
+    header = np.frombuffer(encoded.header(), np.uint8)
+    body = np.frombuffer(encoded.body, np.uint8)
+    with drafting(path, ENCODED, body.size + CHUNK_BYTES) as draft:
+        draft.attributes({"codec": encoded.codec, "config": config_text(encoded.config)})
+        draft.attributes({"encoded_bytes": encoded.encoded_bytes})
+        draft.attributes({"bits_per_coefficient": float(encoded.bits_per_coefficient)})
+        draft.attributes({"method": source.method, "degree": int(source.degree), "peak": float(source.peak)})
+        draft.attributes({"transfer": source.transfer, "name": source.name, "fit_config": config_text(source.config)})
+        draft.dataset("directions", source.directions_i3, ("light", "xyz"))
+        draft.dataset("header", header)
+        draft.dataset("payload", body, chunks=(min(body.size, CHUNK_BYTES),))
+        draft.attributes({key: float(value) for key, value in sorted(encoded.info.items())}, of="payload")
+
+
+def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
+    """Read encoded coefficients and the record of their fit.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    StoreFormatError
+        If it holds no sound payload, or its attributes contradict the payload.
+    """
+    with opening(path, "encoded") as opened, refusing(opened.path):
+        return encoded_of(opened)
+
+
+def encoded_of(opened: Opened) -> tuple[Encoded, FitRecord]:
+    """Return what an open file holds; StoreFormatError or InputError if it is not sound."""
+    held = opened.attributes()
+    payload = opened.arrays["header"][...].tobytes() + opened.arrays["payload"][...].tobytes()
+    encoded = Encoded.from_bytes(payload)
+    for name, value in (
+        ("codec", encoded.codec),
+        ("encoded_bytes", encoded.encoded_bytes),
+        ("bits_per_coefficient", encoded.bits_per_coefficient),
+    ):
+        if held[name] != value:
+            raise StoreFormatError(f"attribute {name} is {held[name]!r}, but its payload says {value!r}")
+    record = FitRecord(
+        held["degree"],
+        held["method"],
+        held["peak"],
+        held["transfer"],
+        opened.arrays["directions"][...],
+        parse_config(held["fit_config"], "fit_config"),
+        held["name"],
+    )
+    record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # checks the record, takes no memory
+    config, info = parse_config(held["config"], "config"), opened.floats("payload")
+    return replace(encoded, config=config, info=info), record

@@ -1,0 +1,155 @@
+"""``fit/1``: spherical-harmonic coefficients."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.conventions import coefficient_count
+from clrelight.dataset import CoefficientMap
+from clrelight.errors import InputError
+from clrelight.store.opening import Opened, opening, parse_config, refusing
+from clrelight.store.schemas import FIT
+from clrelight.store.writing import Sink, chunk_shape, config_text, drafting, padded_bytes
+
+_IMAGE_AXES = ("height", "width", "channel")
+_MAX_DEGREE = 1 << 15  # far beyond use; keeps the count of coefficients within every integer
+
+
+@dataclass(frozen=True)
+class FitSink:
+    """The arrays of a fit being written, to be filled by slices of rows.
+
+    Attributes
+    ----------
+    coeffs_khwc : Sink, (n_coeff, height, width, channel) float32
+    lambda_hwc : Sink, (height, width, channel) float32, or None
+    rank_hwc : Sink, (height, width, channel) int32, or None
+    """
+
+    coeffs_khwc: Sink
+    lambda_hwc: Sink | None
+    rank_hwc: Sink | None
+
+
+@contextmanager
+def create_fit(
+    path: str | os.PathLike,
+    *,
+    degree: int,
+    image_shape: tuple[int, int, int],
+    method: str,
+    peak: float,
+    transfer: str,
+    directions_i3: NDArray[np.float64],
+    config: Mapping[str, Any],
+    name: str,
+    has_lambda: bool = False,
+    has_rank: bool = False,
+) -> Iterator[FitSink]:
+    """Write a fit piece by piece: lend its arrays, to be filled by slices of rows.
+
+    The file stands at `path` once the block has ended well; until then an old one stays as it is.
+
+    Parameters
+    ----------
+    path : path
+        Where the file is to stand.
+    degree, method, peak, transfer, directions_i3, config, name
+        As of `CoefficientMap`.
+    image_shape : tuple of int
+        (height, width, channel).
+    has_lambda, has_rank : bool
+        Whether the method gives such a map.
+
+    Raises
+    ------
+    InputError
+        If the arguments make no coefficient map, or the file cannot be written.
+    """
+    if not 0 <= degree <= _MAX_DEGREE:
+        raise InputError(f"degree must be within 0 and {_MAX_DEGREE}, got {degree}")
+    shape = (coefficient_count(degree), *image_shape)
+    blank = np.broadcast_to(np.float32(0), shape)  # takes no memory, carries shape and type to the checks
+    CoefficientMap(blank, degree, method, peak, transfer, directions_i3, config, name=name)
+    chunks = chunk_shape(shape, 4)
+    n_bytes = padded_bytes(shape, chunks, 4) // shape[0] * (shape[0] + has_lambda + has_rank)
+    with drafting(path, FIT, n_bytes) as draft:
+        draft.attributes({"method": method, "degree": int(degree), "peak": float(peak), "transfer": transfer})
+        draft.attributes({"name": name, "config": config_text(config)})
+        draft.dataset("directions", directions_i3, ("light", "xyz"))
+        map_chunks = chunk_shape((1, *image_shape), 4)[1:]
+        yield FitSink(
+            draft.sink("coefficients", shape, np.float32, ("coefficient", *_IMAGE_AXES), chunks),
+            draft.sink("lambda", image_shape, np.float32, _IMAGE_AXES, map_chunks) if has_lambda else None,
+            draft.sink("rank", image_shape, np.int32, _IMAGE_AXES, map_chunks) if has_rank else None,
+        )
+
+
+def write_fit(path: str | os.PathLike, coefficients: CoefficientMap) -> None:
+    """Write a coefficient map; InputError if the file cannot be written."""
+    with create_fit(
+        path,
+        degree=coefficients.degree,
+        image_shape=coefficients.image_shape,
+        method=coefficients.method,
+        peak=coefficients.peak,
+        transfer=coefficients.transfer,
+        directions_i3=coefficients.directions_i3,
+        config=coefficients.config,
+        name=coefficients.name,
+        has_lambda=coefficients.lambda_hwc is not None,
+        has_rank=coefficients.rank_hwc is not None,
+    ) as sink:
+        rows = sink.coeffs_khwc.chunks[1]
+        for r0 in range(0, coefficients.image_shape[0], rows):
+            sink.coeffs_khwc[:, r0 : r0 + rows] = np.asarray(coefficients.coeffs_khwc[:, r0 : r0 + rows])
+        for target, values in ((sink.lambda_hwc, coefficients.lambda_hwc), (sink.rank_hwc, coefficients.rank_hwc)):
+            if target is not None and values is not None:
+                target[...] = values
+
+
+@contextmanager
+def open_fit(path: str | os.PathLike) -> Iterator[CoefficientMap]:
+    """Open a fit; its coefficients are a `StoredArray`, read as they are indexed.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    StoreFormatError
+        If it holds no sound fit.
+    """
+    with opening(path, "fit") as opened:
+        with refusing(opened.path):
+            coefficients = fit_of(opened, opened.arrays["coefficients"])
+        yield coefficients
+
+
+def read_fit(path: str | os.PathLike) -> CoefficientMap:
+    """Read a whole fit into memory; errors as of `open_fit`."""
+    with opening(path, "fit") as opened, refusing(opened.path):
+        return fit_of(opened, opened.arrays["coefficients"][...])
+
+
+def fit_of(opened: Opened, coeffs_khwc: Any) -> CoefficientMap:
+    """Return the fit in an open file, with these coefficients; StoreFormatError or InputError if it is not sound."""
+    attributes = opened.attributes()
+    return CoefficientMap(
+        coeffs_khwc,
+        attributes["degree"],
+        attributes["method"],
+        attributes["peak"],
+        attributes["transfer"],
+        opened.arrays["directions"][...],
+        parse_config(attributes["config"], "config"),
+        opened.optional("lambda"),
+        opened.optional("rank"),
+        attributes["name"],
+    )

@@ -1,0 +1,212 @@
+"""Opening HDF5 files that somebody else may have made, or damaged, or made to do harm."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import h5py
+import numpy as np
+
+from clrelight.errors import InputError, StoreFormatError
+from clrelight.store.schemas import SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, Field, Schema
+from clrelight.store.stored import StoredArray
+from clrelight.store.walk import walk
+
+MAGIC = b"\x89HDF\r\n\x1a\n"
+CACHE_BYTES = 16 << 20
+"""Chunk cache of each dataset: some chunks that a tile of rows shares with the next tile."""
+
+MAX_ATTRIBUTE_BYTES = 1 << 20
+MAX_ATTRIBUTES = 256
+
+
+class Opened:
+    """An open file of ours: its schema is known and everything in it was looked at.
+
+    Attributes
+    ----------
+    path : str
+    schema : Schema
+    arrays : dict of str to StoredArray
+        Every dataset by its path.
+    """
+
+    def __init__(self, path: str, file: h5py.File, kinds: tuple[str, ...]) -> None:
+        self.path = path
+        datasets = walk(file, os.stat(path).st_size)
+        self._root = h5py.h5g.open(file.id, b"/")
+        self.schema = self._check_schema(kinds)
+        self.arrays = {name: StoredArray(dataset, path) for name, dataset in datasets.items()}
+        self._check_arrays()
+
+    def attribute(self, name: str, kind: type, of: str | None = None) -> Any:
+        """Return a scalar attribute as int, float or str, of the root or of a dataset."""
+        holder = self._root if of is None else self.arrays[of].id
+        if not h5py.h5a.exists(holder, name.encode()):
+            raise StoreFormatError(f"it has no attribute {name}")
+        return _scalar(h5py.h5a.open(holder, name.encode()), name, kind)
+
+    def attributes(self) -> dict[str, Any]:
+        """Return every root attribute of the schema."""
+        return {name: self.attribute(name, kind) for name, kind in self.schema.attributes.items()}
+
+    def floats(self, of: str) -> dict[str, float]:
+        """Return the scalar float attributes of a dataset, whatever their names."""
+        holder = self.arrays[of].id
+        found: dict[str, float] = {}
+        count = h5py.h5a.get_num_attrs(holder)
+        if count > MAX_ATTRIBUTES:
+            raise StoreFormatError(f"{of} has {count} attributes, at most {MAX_ATTRIBUTES} are read")
+        for i in range(count):
+            attribute = h5py.h5a.open(holder, index=i)
+            if attribute.get_type().get_class() == h5py.h5t.FLOAT:
+                name = attribute.name.decode()
+                found[name] = _scalar(attribute, name, float)
+        return found
+
+    def optional(self, name: str) -> Any:
+        """Return a whole array, or None if the file has none of that name."""
+        return self.arrays[name][...] if name in self.arrays else None
+
+    def _check_schema(self, kinds: tuple[str, ...]) -> Schema:
+        if not h5py.h5a.exists(self._root, SCHEMA_ATTRIBUTE.encode()):
+            raise StoreFormatError(f"it is no clrelight file: it has no attribute {SCHEMA_ATTRIBUTE}")
+        text = _scalar(h5py.h5a.open(self._root, SCHEMA_ATTRIBUTE.encode()), SCHEMA_ATTRIBUTE, str)
+        match = re.fullmatch(r"([a-z]{1,32})/([1-9][0-9]{0,8})", text)
+        wanted = " or ".join(SCHEMAS[kind].name for kind in kinds or SCHEMAS)
+        if match is None or match[1] not in SCHEMAS:
+            raise StoreFormatError(f"it is of the unknown schema {text[:80]!r}, expected {wanted}")
+        schema = SCHEMAS[match[1]]
+        if kinds and schema.kind not in kinds:
+            raise StoreFormatError(f"it is a {text} file, expected {wanted}")
+        if int(match[2]) > schema.version:
+            raise StoreFormatError(f"{text} is newer than this program reads ({schema.name}): upgrade clrelight")
+        return schema
+
+    def _check_arrays(self) -> None:
+        lengths: dict[str, int] = {}
+        for name, array in self.arrays.items():
+            self._check_array(name, array, lengths)
+        for name, each in self.schema.fields.items():
+            if each.required and name not in self.arrays:
+                raise StoreFormatError(f"it has no dataset {name}, which {self.schema.name} needs")
+
+    def _check_array(self, name: str, array: StoredArray, lengths: dict[str, int]) -> None:
+        field = self.schema.fields.get(name) or self.schema.fields.get(name.rpartition("/")[0] + "/")
+        if name in self.schema.scales:
+            field = Field((name,), (SCALE_DTYPE,))
+        if field is None:
+            raise StoreFormatError(f"it has a dataset {name}, which {self.schema.name} does not know")
+        if array.dtype not in field.dtypes or array.ndim != len(field.axes):
+            types = " or ".join(str(t) if t.names is None else "the row type" for t in field.dtypes)
+            found = array.dtype.str if array.dtype.names is None else "compound"
+            raise StoreFormatError(f"{name} is {found} {array.shape}, expected {types} with {len(field.axes)} axes")
+        for axis, length in zip(field.axes, array.shape, strict=True):
+            if axis and lengths.setdefault(axis, length) != length:
+                raise StoreFormatError(f"{name} has {length} along {axis}, another dataset has {lengths[axis]}")
+
+
+@contextmanager
+def opening(path: str | os.PathLike, *kinds: str) -> Iterator[Opened]:
+    """Open a file that is of one of the `kinds` (of any without).
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it may not be read.
+    StoreFormatError
+        If it is not ours, of another kind or a newer version, damaged, or made in a way we do not read.
+    """
+    text = os.fsdecode(path)
+    _check_file(text)
+    _forget_plugins()
+    with refusing(text):
+        file = h5py.File(text, "r", locking=False, rdcc_nbytes=CACHE_BYTES)
+    with file:
+        with refusing(text):
+            opened = Opened(text, file, kinds)
+        yield opened
+
+
+@contextmanager
+def refusing(path: str) -> Iterator[None]:
+    """Turn whatever HDF5 or a check says about a file's content into one line of StoreFormatError that names it."""
+    try:
+        with np.errstate(all="ignore"):  # checks reject absurd numbers, and need not warn of them as well
+            yield
+    except InputError as error:
+        message = str(error)
+        raise StoreFormatError(message if message.startswith(path) else f"{path}: {message}") from error
+    # A hostile file can make h5py raise nearly anything; ours are all InputError, a full memory is the caller's.
+    except Exception as error:
+        if isinstance(error, MemoryError):
+            raise
+        first = (str(error).splitlines() or [type(error).__name__])[0]
+        if "truncated file" in first:
+            raise StoreFormatError(f"{path} is cut short") from error
+        if "already open for write" in first:
+            raise StoreFormatError(f"{path} was never closed by its writer") from error
+        raise StoreFormatError(f"{path} is damaged or not ours: {first}") from error
+
+
+def parse_config(text: str, name: str) -> dict[str, Any]:
+    """Return the object that a JSON text holds; StoreFormatError if it holds none."""
+    try:
+        config = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise StoreFormatError(f"attribute {name} is not valid JSON: {error}") from None
+    if not isinstance(config, dict):
+        raise StoreFormatError(f"attribute {name} must be a JSON object, got {text[:80]!r}")
+    return config
+
+
+def _refuse_constant(text: str) -> None:
+    raise ValueError(f"{text} is no JSON value")
+
+
+def _check_file(path: str) -> None:
+    if "\0" in path:
+        raise InputError(f"cannot read {path!r}: that is no file name")
+    try:
+        if not stat.S_ISREG(os.lstat(path).st_mode):
+            raise StoreFormatError(f"{path} is no regular file (a folder, a link or a device)")
+        with open(path, "rb") as stream:
+            start = stream.read(len(MAGIC))
+    except FileNotFoundError:
+        raise InputError(f"there is no file {path}") from None
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    if not start:
+        raise StoreFormatError(f"{path} is empty, expected an HDF5 file")
+    if start != MAGIC:
+        raise StoreFormatError(f"{path} is not an HDF5 file")
+
+
+def _forget_plugins() -> None:
+    # A file names the filters it wants, and HDF5 loads them from these folders.
+    while h5py.h5pl.size():
+        h5py.h5pl.remove(0)
+
+
+def _scalar(attribute: h5py.h5a.AttrID, name: str, kind: type) -> Any:
+    held = attribute.get_type()
+    classes = {str: (h5py.h5t.STRING,), int: (h5py.h5t.INTEGER,), float: (h5py.h5t.FLOAT, h5py.h5t.INTEGER)}[kind]
+    if (
+        attribute.get_space().get_simple_extent_type() != h5py.h5s.SCALAR
+        or held.get_class() not in classes
+        or held.get_size() > (MAX_ATTRIBUTE_BYTES if kind is str else 8)
+        or (kind is str and held.is_variable_str())
+    ):
+        wanted = "string of fixed length" if kind is str else kind.__name__
+        raise StoreFormatError(f"attribute {name} must be one {wanted}")
+    value = np.empty((), dtype=attribute.dtype)
+    attribute.read(value)
+    if kind is not str:
+        return kind(value[()])
+    return value.tobytes().rstrip(b"\0").decode("utf-8")

@@ -1,0 +1,119 @@
+"""What each kind of file holds: datasets with named axes, and root attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from clrelight.dataset import SAMPLE_DTYPES
+from clrelight.results import ROW_DTYPE
+
+SCHEMA_ATTRIBUTE = "clrelight_schema"
+
+SCALED_AXES = ("light", "height", "width", "channel", "coefficient", "xyz")
+"""Axes that get a dimension scale: a dataset of their name, 0, 1, 2, ..."""
+
+SCALE_DTYPE = np.dtype("<i4")
+
+
+@dataclass(frozen=True)
+class Field:
+    """A dataset of a schema: its axes and the types it may have."""
+
+    axes: tuple[str, ...]
+    dtypes: tuple[np.dtype, ...]
+    required: bool = True
+
+
+@dataclass(frozen=True)
+class Schema:
+    """A kind of file in the one version that this program reads and writes.
+
+    Attributes
+    ----------
+    kind, version
+        ``stack`` and 1 for ``stack/1``.
+    fields : mapping of str to Field
+        Datasets; a name that ends in ``/`` stands for every dataset of that group.
+    attributes : mapping of str to type
+        Scalar root attributes: int, float or str.
+    """
+
+    kind: str
+    version: int
+    fields: Mapping[str, Field]
+    attributes: Mapping[str, type] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """``kind/version``."""
+        return f"{self.kind}/{self.version}"
+
+    @property
+    def scales(self) -> tuple[str, ...]:
+        """Names of the dimension scales such a file may have."""
+        used = {axis for each in self.fields.values() for axis in each.axes}
+        return tuple(axis for axis in SCALED_AXES if axis in used)
+
+
+def _dtypes(*names: str) -> tuple[np.dtype, ...]:
+    return tuple(np.dtype(name).newbyteorder("<") for name in names)
+
+
+_IMAGE = ("height", "width", "channel")
+_DIRECTIONS = Field(("light", "xyz"), _dtypes("float64"))
+_FIT_ATTRIBUTES = {"method": str, "degree": int, "peak": float, "transfer": str, "name": str}
+
+STACK = Schema(
+    "stack",
+    1,
+    {
+        "images": Field(("light", *_IMAGE), _dtypes(*SAMPLE_DTYPES)),
+        "directions": _DIRECTIONS,
+        "weights": Field(("light",), _dtypes("float64"), required=False),
+        "mask": Field(("height", "width"), _dtypes("uint8"), required=False),
+    },
+    {"peak": float, "transfer": str, "name": str},
+)
+FIT = Schema(
+    "fit",
+    1,
+    {
+        "coefficients": Field(("coefficient", *_IMAGE), _dtypes("float32")),
+        "directions": _DIRECTIONS,
+        "lambda": Field(_IMAGE, _dtypes("float32"), required=False),
+        "rank": Field(_IMAGE, _dtypes("int32"), required=False),
+    },
+    {**_FIT_ATTRIBUTES, "config": str},
+)
+ENCODED = Schema(
+    "encoded",
+    1,
+    {
+        "header": Field(("header_byte",), _dtypes("uint8")),
+        "payload": Field(("payload_byte",), _dtypes("uint8")),
+        "directions": _DIRECTIONS,
+    },
+    {
+        **_FIT_ATTRIBUTES,
+        "fit_config": str,
+        "codec": str,
+        "config": str,
+        "encoded_bytes": int,
+        "bits_per_coefficient": float,
+    },
+)
+RESULTS = Schema(
+    "results",
+    1,
+    {
+        "table": Field(("row",), (ROW_DTYPE,)),
+        # Sizes differ from picture to picture, so these axes bear no names that are compared.
+        "pictures/": Field(("", "", ""), _dtypes("uint8"), required=False),
+        "profiles/": Field(("",), _dtypes("float64"), required=False),
+    },
+)
+
+SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, ENCODED, RESULTS)}

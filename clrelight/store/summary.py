@@ -1,0 +1,81 @@
+"""What a file is, without a caller knowing beforehand."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any
+
+from clrelight.store.encodings import encoded_of
+from clrelight.store.fits import fit_of
+from clrelight.store.opening import Opened, opening, parse_config, refusing
+from clrelight.store.stacks import stack_of
+from clrelight.store.tables import results_of
+
+
+def file_schema(path: str | os.PathLike) -> str:
+    """Return ``"stack/1"`` or the like; errors as of `open_stack`. Values are not looked at, only what there is."""
+    with opening(path) as opened:
+        return opened.schema.name
+
+
+def describe(path: str | os.PathLike) -> dict[str, Any]:
+    """Return a summary of a file whose small parts were read and found sound.
+
+    Returns
+    -------
+    dict
+        JSON values: ``file``, ``schema``, ``bytes_on_disk``, ``attributes``, and ``datasets`` with ``shape``,
+        ``dtype``, ``axes`` and ``chunks`` of each; of results, numbers of rows and keys instead of each picture.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    StoreFormatError
+        If it is not sound.
+    """
+    with opening(path) as opened, refusing(opened.path):
+        attributes = opened.attributes()
+        for name in ("config", "fit_config"):
+            if name in attributes:
+                attributes[name] = parse_config(attributes[name], name)
+        summary = {
+            "file": opened.path,
+            "schema": opened.schema.name,
+            "bytes_on_disk": os.stat(opened.path).st_size,
+            "attributes": attributes,
+            "datasets": _datasets(opened),
+        }
+        summary.update(_checked(opened))
+        return summary
+
+
+def _checked(opened: Opened) -> dict[str, Any]:
+    """Run the checks of the file's own kind; return what only that kind has to tell."""
+    match opened.schema.kind:
+        case "stack":
+            stack_of(opened)
+        case "fit":
+            fit_of(opened, opened.arrays["coefficients"])
+        case "encoded":
+            encoded, _ = encoded_of(opened)
+            info = {key: value if math.isfinite(value) else None for key, value in encoded.info.items()}
+            return {"shape": list(encoded.shape), "info": info}
+        case "results":
+            results = results_of(opened)
+            return {"rows": len(results.table), "pictures": [*results.pictures], "profiles": [*results.profiles]}
+    return {}
+
+
+def _datasets(opened: Opened) -> dict[str, Any]:
+    return {
+        name: {
+            "shape": list(array.shape),
+            "dtype": array.dtype.name if array.dtype.names is None else "row",
+            "axes": [axis for axis in opened.schema.fields[name].axes if axis],
+            "chunks": None if array.chunks is None else list(array.chunks),
+        }
+        for name, array in opened.arrays.items()
+        if name in opened.schema.fields
+    }

@@ -1,0 +1,227 @@
+"""Writing HDF5 so that a file is whole, checked by sums, and the same bytes for the same input."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clrelight.errors import InputError
+from clrelight.store.durable import Part, naming, replacing
+from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
+
+IN_MEMORY_BYTES = 256 << 20
+"""Files of fewer bytes are built in memory, where a full disk cannot reach HDF5."""
+
+CHUNK_BYTES = 1 << 20
+FAR_OVER_BYTES = 8 << 20
+"""A chunk of one row that is larger than this is split along its first axis."""
+
+RESERVE_SHARE, RESERVE_BYTES = 64, 4 << 20
+"""A large file reserves this share of its arrays and these bytes more, for what HDF5 adds."""
+
+_SUPERBLOCK = struct.Struct("<8xB19xQ")  # versions 2 and 3: the version at byte 8, the end of the file at 28
+
+MAX_TEXT_BYTES = 32 << 10  # HDF5 keeps attributes up to 64 KiB within the checksummed object header
+
+
+class Sink:
+    """An array of a file being written, to be filled by slices, each element once.
+
+    Attributes
+    ----------
+    shape, dtype, chunks
+        As of an HDF5 dataset. Filling whole chunks at a time is fast when the file is too large for memory.
+    """
+
+    def __init__(self, target: Any, chunks: tuple[int, ...]) -> None:
+        self.shape, self.dtype, self.chunks = tuple(target.shape), target.dtype, chunks
+        self._target = target
+        self._extent = np.broadcast_to(np.False_, self.shape)  # takes no memory, says what a key selects
+        self._missing = self._extent.size
+
+    def __setitem__(self, key: Any, values: ArrayLike) -> None:
+        """Write values of exactly the selected shape and this dtype; nothing is converted or broadcast."""
+        values_array = np.asarray(values)
+        selected = self._extent[key].shape
+        if values_array.dtype != self.dtype or values_array.shape != selected:
+            raise TypeError(f"expected {self.dtype} {selected}, got {values_array.dtype} {values_array.shape}")
+        self._target[key] = values_array
+        self._missing -= values_array.size
+
+    def check_filled(self) -> None:
+        """Raise ValueError if fewer elements were written than there are."""
+        if self._missing > 0:
+            raise ValueError(f"{self._missing} of {self._extent.size} elements of an array were never written")
+
+
+class Draft:
+    """An HDF5 file being written: attributes, datasets with named axes, sinks."""
+
+    def __init__(self, file: h5py.File, in_memory: bool) -> None:
+        self._file, self._in_memory = file, in_memory
+        self._sinks: list[Sink] = []
+        self._pending: list[tuple[h5py.Dataset, NDArray]] = []
+
+    def attributes(self, values: Mapping[str, int | float | str], of: str = "/") -> None:
+        """Write scalar attributes of the root or of the object named `of`."""
+        for name, value in values.items():
+            if isinstance(value, str):
+                text = _text_bytes(name, value)
+                data = np.array(text, dtype=h5py.string_dtype("utf-8", max(1, len(text))))
+            else:
+                data = np.array(value, dtype="<i8" if isinstance(value, int) else "<f8")
+            self._file[of].attrs.create(name, data)
+
+    def dataset(self, name: str, data: NDArray, axes: Sequence[str] = (), chunks: tuple[int, ...] | None = None) -> str:
+        """Write a whole array; return its name."""
+        self._create(name, data.shape, data.dtype, axes, chunks)[...] = data
+        return name
+
+    def sink(self, name: str, shape: tuple[int, ...], dtype: Any, axes: Sequence[str], chunks: tuple[int, ...]) -> Sink:
+        """Make an array to be filled by slices until the file is finished."""
+        dataset = self._create(name, shape, np.dtype(dtype), axes, chunks)
+        # In memory a chunk that fills bit by bit would be summed anew each time: fill an array, write it once.
+        target = np.zeros(shape, dataset.dtype) if self._in_memory else dataset
+        if self._in_memory:
+            self._pending.append((dataset, target))
+        self._sinks.append(Sink(target, chunks))
+        return self._sinks[-1]
+
+    def finish(self) -> None:
+        """Write what is still in memory; ValueError if a sink was not filled."""
+        for sink in self._sinks:
+            sink.check_filled()
+        while self._pending:
+            dataset, array = self._pending.pop(0)
+            dataset[...] = array
+
+    def _create(
+        self, name: str, shape: tuple[int, ...], dtype: np.dtype, axes: Sequence[str], chunks: tuple[int, ...] | None
+    ) -> h5py.Dataset:
+        storage: dict[str, Any] = {}
+        if 0 not in shape:  # an empty dataset has no chunk, and nothing to sum
+            storage = {"chunks": chunks or shape, "fletcher32": True}
+        dtype = dtype.newbyteorder("<")
+        dataset = self._file.create_dataset(name, shape=shape, dtype=dtype, track_times=False, **storage)
+        for i, axis in enumerate(axes):
+            if axis in SCALED_AXES:
+                if axis not in self._file:
+                    self.dataset(axis, np.arange(shape[i], dtype=SCALE_DTYPE))
+                    self._file[axis].make_scale(axis)
+                dataset.dims[i].attach_scale(self._file[axis])
+        return dataset
+
+
+@contextmanager
+def drafting(path: str | os.PathLike, schema: Schema, n_bytes: int) -> Iterator[Draft]:
+    """Write a file of a schema; it stands at `path` once the block has ended well.
+
+    Parameters
+    ----------
+    path : path
+        Where the file is to stand.
+    schema : Schema
+        What kind of file it is.
+    n_bytes : int
+        Estimate of the file's size; from `IN_MEMORY_BYTES` on it is streamed to disk, on space that is reserved first.
+
+    Raises
+    ------
+    InputError
+        As `durable.replacing` does, and if the disk is full.
+    """
+    build = _built_in_memory if n_bytes < IN_MEMORY_BYTES else _streamed
+    with replacing(path) as part, build(path, part, n_bytes) as draft:
+        draft.attributes({SCHEMA_ATTRIBUTE: schema.name})
+        yield draft
+
+
+@contextmanager
+def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int) -> Iterator[Draft]:
+    # HDF5 takes two files of one name for the same, also in memory: a name that nobody has. It is not stored.
+    name, block = uuid.uuid4().hex, max(1 << 16, n_bytes // 8)
+    with h5py.File(name, "w", driver="core", backing_store=False, block_size=block, libver="latest") as file:
+        draft = Draft(file, True)
+        yield draft
+        draft.finish()
+        file.flush()
+        image = file.id.get_file_image()
+    with naming(path):
+        part.write(image)
+
+
+@contextmanager
+def _streamed(path: str | os.PathLike, part: Part, n_bytes: int) -> Iterator[Draft]:
+    with h5py.File(part.path, "w", libver="latest", locking=False) as file:
+        # HDF5 crashes the process when it closes a file on a full disk: every byte is reserved before the first.
+        with naming(path):
+            part.reserve(n_bytes + n_bytes // RESERVE_SHARE + RESERVE_BYTES)
+        draft = Draft(file, False)
+        yield draft
+        draft.finish()
+    with naming(path):
+        head = os.pread(part.descriptor, _SUPERBLOCK.size, 0)
+        version, size = _SUPERBLOCK.unpack(head)
+        if version not in (2, 3) or os.fstat(part.descriptor).st_size < size:
+            raise OSError(f"HDF5 left it at superblock {version} and {size} bytes")
+        os.ftruncate(part.descriptor, size)  # gives back what was reserved in excess
+    with naming(path), h5py.File(part.path, "r", locking=False):
+        pass
+
+
+def chunk_shape(shape: tuple[int, ...], itemsize: int, first: int | None = None) -> tuple[int, ...]:
+    """Return chunks of (first axis, some rows, width, channel) of about 1 MiB, made for reading tiles of rows.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        (n, height, width, channel).
+    itemsize : int
+        Bytes of an element.
+    first : int, optional
+        Extent along the first axis; all of it without, or less where a single row would be far over 1 MiB.
+    """
+    n, height, width, channel = shape
+    row_bytes = width * channel * itemsize
+    extent = n if first is None else max(1, min(n, first))
+    if extent * row_bytes > FAR_OVER_BYTES:
+        extent = min(extent, _even_part(n, CHUNK_BYTES // row_bytes))
+    return extent, _even_part(height, CHUNK_BYTES // (extent * row_bytes)), width, channel
+
+
+def padded_bytes(shape: tuple[int, ...], chunks: tuple[int, ...], itemsize: int) -> int:
+    """Return the bytes that an array takes on disk: chunks at the edges are stored whole."""
+    return int(np.prod([-(-n // c) * c for n, c in zip(shape, chunks, strict=True)], dtype=object)) * itemsize
+
+
+def config_text(config: Mapping[str, Any]) -> str:
+    """Return options as JSON with sorted keys; InputError if they are not JSON values."""
+    try:
+        return json.dumps(dict(config), sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(f"a configuration must be JSON values, got {config!r}: {error}") from None
+
+
+def _even_part(n: int, largest: int) -> int:
+    """Return the size of equal parts of `n`, none over `largest`: unequal ones waste space in the last chunk."""
+    parts = -(-n // max(1, min(n, largest)))
+    return -(-n // parts)
+
+
+def _text_bytes(name: str, value: str) -> bytes:
+    try:
+        text = value.encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(f"{name} must be text without lone surrogates, got {value!r}") from None
+    if b"\0" in text or len(text) > MAX_TEXT_BYTES:
+        raise InputError(f"{name} must be at most {MAX_TEXT_BYTES} bytes without NUL, got {len(text)} bytes")
+    return text
