@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
 from clrelight.fit.cls import LANES, check_energy_factor, plan_constrained
 from clrelight.fit.plan import FitPlan, Lighting
-from clrelight.fit.registry import FitMethod, Shrunk, register
+from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 
 _SCATTERED_NOTE = (
     "ceb on scattered samples: the paper's form costs O(n^3) per column; this one truncates in the eigenbasis of the "
@@ -29,10 +29,9 @@ class _Truncation(FitMethod):
         plan = plan_constrained(lighting, degree, self.energy)
         return replace(plan, notes=(*plan.notes, _SCATTERED_NOTE)) if lighting.sampling == "scattered" else plan
 
-    def shrink(
-        self, device: Device, plan: FitPlan, z_rq: DeviceArray, energy_q: DeviceArray, singular_r: DeviceArray
-    ) -> Shrunk:
+    def shrink(self, device: Device, plan: FitPlan, columns: Columns) -> Shrunk:
         """Keep leading components of each column, divided by their singular values."""
+        z_rq = columns.z_rq
         maps = self.allocate_maps(device, z_rq.shape[1])
         device.launch(
             "fit/ceb.cl",
@@ -40,8 +39,8 @@ class _Truncation(FitMethod):
             (z_rq.shape[1] // LANES,),
             z_rq,
             maps.rank_q,
-            energy_q,
-            singular_r,
+            columns.energy_q,
+            columns.singular_r,
             *z_rq.shape,
             defines={"N_COMPONENT": z_rq.shape[0], "CROSSING": self.crossing},
         )

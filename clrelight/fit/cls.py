@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from clrelight.device import Device, DeviceArray
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, Lighting, plan_least_squares
-from clrelight.fit.registry import FitMethod, Shrunk, register
+from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
+from clrelight.matmul import sample_defines
 
 LANES = 8
 MAX_ITERATIONS = 1000
+
+LAMBDA_TOLERANCE = 2e-5
+"""Relative error of lambda above which a column is solved again in float64."""
+_PROJECTION_ERROR = 1.0
+"""Rounding error of a component, in eps32 times the norm of the samples (measured on real stacks: 0.1 typical)."""
+_CONVERGED_AFTER = {"bisection": 24, "newton": 8}
+"""Iterations from which the solver's own error is below the tolerance; with fewer the user trades accuracy away."""
 
 
 @register
@@ -47,24 +58,66 @@ class ConstrainedLeastSquares(FitMethod):
         """Return the matrices; fewer lights than coefficients is legal."""
         return plan_constrained(lighting, degree, self.energy)
 
-    def shrink(
-        self, device: Device, plan: FitPlan, z_rq: DeviceArray, energy_q: DeviceArray, singular_r: DeviceArray
-    ) -> Shrunk:
+    def shrink(self, device: Device, plan: FitPlan, columns: Columns) -> Shrunk:
         """Search lambda for each column, and replace z by the coefficients in the eigenbasis."""
+        z_rq = columns.z_rq
         maps = self.allocate_maps(device, z_rq.shape[1])
+        doubt_q = device.empty((z_rq.shape[1],), np.float32)
         device.launch(
             "fit/cls.cl",
             f"shrink_by_{self.solver}_rq",
             (z_rq.shape[1] // LANES,),
             z_rq,
             maps.lambda_q,
-            energy_q,
-            singular_r,
+            doubt_q,
+            columns.energy_q,
+            columns.singular_r,
             self.iterations,
             *z_rq.shape,
             defines={"N_COMPONENT": z_rq.shape[0]},
         )
+        if self.iterations >= _CONVERGED_AFTER[self.solver] and device.info.float64:
+            self._refine(device, plan, columns, maps, device.download(doubt_q)[: columns.source_ip.shape[1]])
         return maps
+
+    def _refine(
+        self, device: Device, plan: FitPlan, columns: Columns, maps: Shrunk, doubt_p: NDArray[np.float32]
+    ) -> None:
+        """Solve those columns again in float64 whose lambda float32 cannot give to `LAMBDA_TOLERANCE`.
+
+        Near ``E_c = |c(0)|^2`` lambda is ill-conditioned: it follows small components of z, which carry the rounding
+        errors of large sums. The doubt of the first pass is lambda's relative change for an error of z by one unit of
+        the root of E_c; the rounding error of a projection of n_light samples is some eps32 times their norm.
+        """
+        rounding = _PROJECTION_ERROR * np.finfo(np.float32).eps / np.sqrt(plan.energy_i.max())
+        doubtful = np.flatnonzero(doubt_p * rounding > LAMBDA_TOLERANCE).astype(np.int32)
+        if not len(doubtful):
+            return
+        padded = np.resize(doubtful, -(-len(doubtful) // LANES) * LANES)
+        padded[len(doubtful) :] = doubtful[-1]
+        scale = columns.curve.operator_scale()
+        source_ip = columns.source_ip
+        device.launch(
+            "fit/cls_float64.cl",
+            "refine_rq",
+            (len(padded) // LANES,),
+            columns.z_rq,
+            maps.lambda_q,
+            source_ip,
+            device.upload(padded),
+            device.upload(np.ascontiguousarray(plan.analysis_ri.T * scale)),
+            device.upload(plan.singular_r),
+            device.upload(plan.energy_i * scale**2),
+            device.upload(columns.curve.table(source_ip.dtype)),
+            1.0 / columns.curve.peak,
+            *source_ip.shape,
+            columns.z_rq.shape[1],
+            defines={
+                **sample_defines(source_ip.dtype),
+                "CURVE": columns.curve.mode(source_ip.dtype),
+                "N_COMPONENT": len(plan.singular_r),
+            },
+        )
 
 
 def plan_constrained(lighting: Lighting, degree: int, energy: float) -> FitPlan:

@@ -12,8 +12,33 @@ import numpy as np
 from clrelight.device import Device, DeviceArray
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, Lighting
+from clrelight.matmul import SampleCurve
 
 _REGISTRY: dict[str, type[FitMethod]] = {}
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of one tile on the device.
+
+    Attributes
+    ----------
+    source_ip : DeviceArray, shape (n_light, P)
+        Code values.
+    curve : SampleCurve
+        What turns them into radiance.
+    z_rq : DeviceArray, shape (rank, Q), float32
+        Components, Q being P padded; `FitMethod.shrink` changes them in place.
+    energy_q : DeviceArray, shape (Q,), float32
+        The bound E_c.
+    singular_r : DeviceArray, shape (rank,), float32
+    """
+
+    source_ip: DeviceArray
+    curve: SampleCurve
+    z_rq: DeviceArray
+    energy_q: DeviceArray
+    singular_r: DeviceArray
 
 
 @dataclass(frozen=True)
@@ -41,10 +66,8 @@ class FitMethod(ABC):
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the matrices for these lights; InputError where the method cannot fit this degree to them."""
 
-    def shrink(
-        self, device: Device, plan: FitPlan, z_rq: DeviceArray, energy_q: DeviceArray, singular_r: DeviceArray
-    ) -> Shrunk:
-        """Queue the change of the components in place; `energy_q` holds E_c of each column."""
+    def shrink(self, device: Device, plan: FitPlan, columns: Columns) -> Shrunk:
+        """Queue the change of the components in place."""
         return Shrunk()
 
     def allocate_maps(self, device: Device, columns: int) -> Shrunk:

@@ -15,7 +15,7 @@ from clrelight.dataset import CoefficientMap, LightStack, split_lights
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, make_lighting
-from clrelight.fit.registry import FitMethod, method_class
+from clrelight.fit.registry import Columns, FitMethod, method_class
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
 
 DEFAULT_MEMORY = 1 << 28
@@ -216,7 +216,7 @@ def fit_tiles(prepared: PreparedFit, *, memory_bytes: int = DEFAULT_MEMORY) -> I
         apply_operator(device, analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=energy_i)
         device.finish()
         since = report.add("project", since)
-        maps = prepared.method.shrink(device, plan, z_rq, energy_q, singular_r)
+        maps = prepared.method.shrink(device, plan, Columns(source_ip, curve, z_rq, energy_q, singular_r))
         device.finish()
         since = report.add("shrink", since)
         coeffs_kp = _synthesize(device, synthesis, z_rq, columns)

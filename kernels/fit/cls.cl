@@ -5,6 +5,8 @@
  *
  *   z_rq        (R, Q) float    in: W' beta; out: t(lambda), the coefficients in the eigenbasis
  *   lambda_q    (Q) float       out: lambda, 0 where f(0) <= E
+ *   doubt_q     (Q) float       out: relative change of lambda for an error of z by sqrt(E) in every component,
+ *                               sqrt(E) |t sigma/(s + lambda)| / (lambda sum t^2/(s + lambda)); 0 where lambda is 0
  *   energy_q    (Q) float       E, in the units of z^2
  *   singular_r  (R) float       sigma, descending
  *
@@ -41,15 +43,25 @@ static lanes load_scaled(lanes *b, __global const float *restrict z_rq, __global
     return norm;
 }
 
-static void store_shrunk(__global float *restrict z_rq, const lanes *b, __global const float *restrict singular_r,
-                         const lanes lambda, const int q, const int size_q)
+static void store_shrunk(__global float *restrict z_rq, __global float *restrict doubt_q, const lanes *b,
+                         __global const float *restrict singular_r, const lanes energy, const lanes lambda, const int q,
+                         const int size_q)
 {
-    for (int r = 0; r < N_COMPONENT; r++)
-        STORE_LANES(b[r] / (singular_r[r] * singular_r[r] + lambda), z_rq + (long)r * size_q + q);
+    lanes slope = 0.0f, gain = 0.0f;
+    for (int r = 0; r < N_COMPONENT; r++) {
+        const lanes inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
+        const lanes t = b[r] * inverse;
+        const lanes g = t * inverse * singular_r[r];
+        slope = t * t * inverse + slope;
+        gain = g * g + gain;
+        STORE_LANES(t, z_rq + (long)r * size_q + q);
+    }
+    const lanes doubt = sqrt(energy) * sqrt(gain) / (lambda * slope);
+    STORE_LANES(select((lanes)0.0f, doubt, lambda > 0.0f), doubt_q + q);
 }
 
 __kernel void shrink_by_bisection_rq(__global float *restrict z_rq, __global float *restrict lambda_q,
-                                     __global const float *restrict energy_q,
+                                     __global float *restrict doubt_q, __global const float *restrict energy_q,
                                      __global const float *restrict singular_r, const int iterations,
                                      const int size_r, const int size_q)
 {
@@ -74,11 +86,11 @@ __kernel void shrink_by_bisection_rq(__global float *restrict z_rq, __global flo
     }
     lambda = select(high, (lanes)0.0f, held);
     STORE_LANES(lambda, lambda_q + q);
-    store_shrunk(z_rq, b, singular_r, lambda, q, size_q);
+    store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_q);
 }
 
 __kernel void shrink_by_newton_rq(__global float *restrict z_rq, __global float *restrict lambda_q,
-                                  __global const float *restrict energy_q,
+                                  __global float *restrict doubt_q, __global const float *restrict energy_q,
                                   __global const float *restrict singular_r, const int iterations,
                                   const int size_r, const int size_q)
 {
@@ -105,5 +117,5 @@ __kernel void shrink_by_newton_rq(__global float *restrict z_rq, __global float 
         if (!any(moved)) break;
     }
     STORE_LANES(lambda, lambda_q + q);
-    store_shrunk(z_rq, b, singular_r, lambda, q, size_q);
+    store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_q);
 }

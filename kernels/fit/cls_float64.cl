@@ -1,0 +1,69 @@
+/* Constrained least squares in float64 for chosen columns: projection, Newton for lambda, shrinking (see cls.cl).
+ *
+ *   z_rq         (R, Q) float         out, at the chosen columns: t(lambda)
+ *   lambda_q     (Q) float            out, at the chosen columns: lambda
+ *   source_ip    (n_light, P) SAMPLE_T
+ *   chosen_f     (F) int              columns, F a multiple of 8; repeated ones are legal
+ *   analysis_ir  (n_light, R) double  samples to components
+ *   singular_r   (R) double           sigma, descending
+ *   weight_i     (n_light) double     E = sum_i weight_i source_i^2
+ */
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+
+/* load_tile.clh also moves whole rows, which nothing here does. */
+#define TILE 8
+#include "common/load_tile.clh"
+
+#ifndef N_COMPONENT
+#error "N_COMPONENT must be defined: the number of rows"
+#endif
+
+#define MAX_STEPS 60
+
+__kernel void refine_rq(__global float *restrict z_rq, __global float *restrict lambda_q,
+                        __global const SAMPLE_T *restrict source_ip, __global const int *restrict chosen_f,
+                        __global const double *restrict analysis_ir, __global const double *restrict singular_r,
+                        __global const double *restrict weight_i, __global const float *restrict curve_v,
+                        const float scale, const int size_i, const int size_p, const int size_q)
+{
+    const int8 column = vload8(get_global_id(0), chosen_f);
+    const int c[8] = {column.s0, column.s1, column.s2, column.s3, column.s4, column.s5, column.s6, column.s7};
+    double8 b[N_COMPONENT];
+    double8 energy = 0.0;
+    for (int r = 0; r < N_COMPONENT; r++) b[r] = 0.0;
+    for (int i = 0; i < size_i; i++) {
+        __global const SAMPLE_T *row = source_ip + (long)i * size_p;
+        const float8 value = (float8)(
+            load_sample(row, c[0], curve_v, scale), load_sample(row, c[1], curve_v, scale),
+            load_sample(row, c[2], curve_v, scale), load_sample(row, c[3], curve_v, scale),
+            load_sample(row, c[4], curve_v, scale), load_sample(row, c[5], curve_v, scale),
+            load_sample(row, c[6], curve_v, scale), load_sample(row, c[7], curve_v, scale));
+        const double8 sample = convert_double8(value);
+        energy = weight_i[i] * sample * sample + energy;
+        for (int r = 0; r < N_COMPONENT; r++) b[r] = analysis_ir[(long)i * N_COMPONENT + r] * sample + b[r];
+    }
+    double8 norm = 0.0;
+    for (int r = 0; r < N_COMPONENT; r++) {
+        b[r] *= singular_r[r];
+        norm = b[r] * b[r] + norm;
+    }
+    double8 lambda = fmax(sqrt(norm / energy) - singular_r[0] * singular_r[0], 0.0);
+    for (int k = 0; k < MAX_STEPS; k++) {
+        double8 f = 0.0, slope = 0.0;
+        for (int r = 0; r < N_COMPONENT; r++) {
+            const double8 inverse = 1.0 / (singular_r[r] * singular_r[r] + lambda);
+            const double8 t = b[r] * inverse;
+            f = t * t + f;
+            slope = t * t * inverse + slope;
+        }
+        const double8 next = fmax(lambda + f / slope * (sqrt(f / energy) - 1.0), 0.0);
+        const long8 moved = fabs(next - lambda) > 1e-12 * lambda;
+        lambda = select(lambda, next, moved);
+        if (!any(moved)) break;
+    }
+    for (int lane = 0; lane < 8; lane++) lambda_q[c[lane]] = ((const double *)&lambda)[lane];
+    for (int r = 0; r < N_COMPONENT; r++) {
+        const double8 t = b[r] / (singular_r[r] * singular_r[r] + lambda);
+        for (int lane = 0; lane < 8; lane++) z_rq[(long)r * size_q + c[lane]] = ((const double *)&t)[lane];
+    }
+}
