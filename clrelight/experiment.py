@@ -335,10 +335,13 @@ class _Bench:
         row["mean_energy"] = _mean_energy(coefficients.coeffs_khwc)
         row["entropy_bits"] = math.nan
         row["bits_per_coefficient"], row["encoded_bytes"] = 32.0, coefficients.coeffs_khwc.nbytes
-        seconds = row["seconds_encode"] = row["seconds_decode"] = 0.0
+        row["seconds_encode"] = row["seconds_decode"] = 0.0
         if setting.codec is not None:
             start = time.perf_counter()
-            encoded = encode(coefficients.coeffs_khwc, setting.codec, self.device)
+            try:
+                encoded = encode(coefficients.coeffs_khwc, setting.codec, self.device)
+            except InputError as error:
+                return _append(results, _without_quality(row, str(error)))
             row["seconds_encode"] = time.perf_counter() - start
             start = time.perf_counter()
             # From the bytes alone, so that nothing the encoder knows can leak into the measurement.
@@ -349,16 +352,15 @@ class _Bench:
             coefficients = replace(coefficients, coeffs_khwc=decoded_khwc)
         start = time.perf_counter()
         mse_i = measure_errors(coefficients, self.stack, device=self.device)
-        seconds = time.perf_counter() - start
-        row["seconds_measure"] = seconds
+        row["seconds_measure"] = time.perf_counter() - start
         at_fitted = summarize_errors(mse_i[self.fitted])
         row["psnr_mean"], row["psnr_pooled"] = at_fitted.psnr_mean, at_fitted.psnr_pooled
         row["psnr_mean_holdout"] = row["psnr_pooled_holdout"] = math.nan
         if len(self.held):
             at_held = summarize_errors(mse_i[self.held])
             row["psnr_mean_holdout"], row["psnr_pooled_holdout"] = at_held.psnr_mean, at_held.psnr_pooled
-        table = np.concatenate([results.table, np.array([row], ROW_DTYPE)])
-        return Results(table, *self._illustrate(results, coefficients, method, degree, setting))
+        pictures, profiles = self._illustrate(results, coefficients, method, degree, setting)
+        return replace(_append(results, row), pictures=pictures, profiles=profiles)
 
     def _coefficients(self, method: FitMethod, degree: int) -> tuple[CoefficientMap, float]:
         key = (method, degree)
@@ -400,15 +402,32 @@ class _Bench:
             light = int(np.argmax(self.stack.directions_i3 @ PICTURE_LIGHT))
             height = self.stack.image_shape[0]
             step = max(1, (1 << 26) // (self.stack.n_light * self.stack.image_shape[1] * self.stack.image_shape[2] * 4))
-            rows = [self.stack.read_rows(first, min(first + step, height)) for first in range(0, height, step)]
-            means = np.concatenate([tile.mean(axis=0, dtype=np.float64).ravel() for tile in rows])
-            order = np.argsort(means, kind="stable")
-            lit = order[means[order] > 0]
-            image = np.concatenate([tile[light] for tile in rows]).astype(np.float64) / self.stack.peak
+            means, rows = [], []
+            for first in range(0, height, step):
+                tile_ihwc = self.stack.read_rows(first, min(first + step, height))
+                means.append(tile_ihwc.mean(axis=0, dtype=np.float64).ravel())
+                rows.append(tile_ihwc[light].astype(np.float32) / self.stack.peak)
+            mean_p = np.concatenate(means)
+            order = np.argsort(mean_p, kind="stable")
+            lit = order[mean_p[order] > 0]
+            image = np.concatenate(rows)
             # The photograph is in the stack's transfer already, which is what a display gets.
             shown = shrink_picture(to_display(image, TRANSFERS[0]))
             self._reference = (light, shown, int(lit[len(lit) // 2]) if len(lit) else 0)
         return self._reference
+
+
+def _append(results: Results, row: np.void) -> Results:
+    return replace(results, table=np.concatenate([results.table, np.array([row], ROW_DTYPE)]))
+
+
+def _without_quality(row: np.void, reason: str) -> np.void:
+    """Return the row of a codec that refused the coefficients: a result too, with the reason as its note."""
+    for name in ("bits_per_coefficient", "psnr_mean", "psnr_pooled", "psnr_mean_holdout", "psnr_pooled_holdout"):
+        row[name] = math.nan
+    row["encoded_bytes"] = 0
+    row["note"] = _fixed(reason, ROW_DTYPE["note"])
+    return row
 
 
 def _mean_energy(coeffs_khwc: NDArray[np.float32]) -> float:
@@ -445,12 +464,16 @@ def source_commit() -> str:
     if not (root / ".git").exists():
         return ""
     try:
-        ask = {"cwd": root, "capture_output": True, "text": True, "timeout": 10, "check": True}
-        commit = subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], **ask).stdout.strip()
-        changed = subprocess.run(["git", "status", "--porcelain", "-uno"], **ask).stdout.strip()
+        commit = _git(root, "rev-parse", "--short=12", "HEAD")
+        changed = _git(root, "status", "--porcelain", "-uno")
     except (OSError, subprocess.SubprocessError):
         return ""
     return commit + ("+" if changed else "")
+
+
+def _git(root: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, timeout=10, check=True)
+    return done.stdout.strip()
 
 
 def _json(config: Mapping[str, Any]) -> str:

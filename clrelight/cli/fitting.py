@@ -86,9 +86,9 @@ def fit(
                 since = time.perf_counter()
                 rows = slice(tile.first, tile.end)
                 sink.coeffs_khwc[:, rows] = tile.coeffs_khwc
-                if tile.lambda_hwc is not None:
+                if sink.lambda_hwc is not None and tile.lambda_hwc is not None:
                     sink.lambda_hwc[rows] = tile.lambda_hwc
-                if tile.rank_hwc is not None:
+                if sink.rank_hwc is not None and tile.rank_hwc is not None:
                     sink.rank_hwc[rows] = tile.rank_hwc
                 report.add("write", since)
                 bar(tile.end, source.image_shape[0])
@@ -117,7 +117,7 @@ def fit(
     print_facts(
         {
             "fit": out,
-            "method": f"{prepared.method.title}, degree {degree}, {(degree + 1) ** 2} coefficients, {len(fitted)} lights",
+            "method": f"{prepared.method.title}, degree {degree}, {len(fitted)} lights",
             "condition": f"{report.condition:.3g}",
             **_psnr_lines(facts.get("psnr")),
             "time": seconds_line(report.seconds),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -90,11 +91,16 @@ def relight(
 def _directions(light: tuple[tuple[float, float, float], ...], lights: str | None) -> NDArray[np.float64]:
     import numpy as np
 
-    from clrelight.lights import read_lights
+    from clrelight.lights import read_directions, read_lp
 
     if bool(light) == (lights is not None):
         raise InputError("give the light by --light X,Y,Z or by --lights FILE")
-    directions_i3 = np.array(light, np.float64) if lights is None else read_lights(lights).directions_i3
+    if lights is None:
+        directions_i3 = np.array(light, np.float64)
+    elif lights.lower().endswith(".lp"):
+        directions_i3 = read_lp(Path(lights))[1]
+    else:
+        directions_i3 = read_directions(Path(lights))
     norms = np.linalg.norm(directions_i3, axis=1)
     if not (np.isfinite(norms) & (norms > 0)).all():
         raise InputError("a light direction must be finite and not of length zero")

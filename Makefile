@@ -1,0 +1,38 @@
+# make bench   install and measure the ring scene: tables and pictures in results/report
+# make test    install and run all tests
+# Both make .venv first; nothing needs root, a compiler, or an OpenCL driver of the system.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: install bench test lint types speed clean
+
+install: $(VENV)/installed
+
+$(VENV)/installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "clrelight needs Python 3.11 or newer, $(PYTHON) is `$(PYTHON) -V`: try make PYTHON=python3.12" >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@
+
+bench: install
+	$(BIN)/clrelight bench ring --out results/ring.h5
+	$(BIN)/clrelight report results/ring.h5 --out results/report
+
+test: install
+	$(BIN)/python -m pytest tests
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: install
+	$(BIN)/mypy
+
+speed: install
+	$(BIN)/python -m benchmarks.stages
+
+clean:
+	rm -rf $(VENV) results build dist
