@@ -80,7 +80,8 @@ class DeviceInfo:
     @property
     def label(self) -> str:
         """Name and driver in one string, as tables and files record it."""
-        return f"{self.name} ({self.version}, driver {self.driver})"
+        # PoCL appends its build options to the version.
+        return f"{self.name} ({self.version.split('  ')[0]}, driver {self.driver})"
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ def devices(as_json: bool) -> None:
             f"{info.index}{' *' if info.default else ''}",
             info.kind,
             info.name,
-            info.version,
+            info.version.split("  ")[0],
             info.driver,
             "yes" if info.float64 else "no",
             f"{info.memory_bytes / 2**30:.1f} GiB",

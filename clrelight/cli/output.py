@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 _PATIENCE_SECONDS = 1.0
+_PIPE_WIDTH = 400
 
 
 def print_json(values: Mapping[str, Any]) -> None:
@@ -36,11 +37,21 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def print_facts(facts: Mapping[str, Any]) -> None:
-    """Print names and values in two columns."""
+def print_facts(facts: Mapping[str, Any], indent: str = "") -> None:
+    """Print names and values in two columns; what is nested is indented."""
     width = max((len(name) for name in facts), default=0)
     for name, value in facts.items():
-        click.echo(f"{name:<{width}}  {value}")
+        if isinstance(value, Mapping) and value:
+            click.echo(f"{indent}{name}")
+            print_facts(value, indent + "  ")
+        else:
+            click.echo(f"{indent}{name:<{width}}  {_short(value)}")
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return " × ".join(str(v) for v in value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def print_notes(notes: Sequence[str]) -> None:
@@ -61,9 +72,10 @@ def print_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         table.add_column(header, justify="right" if numeric else "left", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    console = Console(soft_wrap=False)
-    # A pipe has no width: give the table what it needs.
-    console.print(table, crop=False, width=None if console.is_terminal else 400, no_wrap=True)
+    # A pipe has no width, and a cut table is no table: give it what it needs there, and let a terminal wrap lines.
+    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
+    needed = console.measure(table).maximum
+    Console(width=max(needed, console.width), soft_wrap=True).print(table, crop=False)
 
 
 def _is_number(text: str) -> bool:
