@@ -240,6 +240,19 @@ def test_mutations_never_crash(device, codec):
     assert reached > 50  # enough of them got to a decoder
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("codec", EXAMPLES, ids=repr)
+def test_arrays_at_any_float_boundary(device, codec, channels):
+    """NumPy aligns to 16 bytes at best, a slice of an array not even that; vectors have 32."""
+    coeffs = example_map((4, 9, 67, channels))
+    expected = encode(coeffs, codec, device).body
+    room = np.empty(coeffs.size + 8, np.float32)
+    for offset in range(8):
+        shifted = room[offset : offset + coeffs.size].reshape(coeffs.shape)
+        shifted[:] = coeffs
+        assert encode(shifted, codec, device).body == expected
+
+
 @pytest.fixture(scope="module")
 def as_gpu():
     """Return this machine's device posing as a GPU: scalar kernels, groups of work-items, memory of its own."""

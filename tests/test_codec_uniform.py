@@ -1,3 +1,5 @@
+import functools
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,7 @@ def test_normal_values_reach_the_known_optimum(device, bits, least):
     assert (mean > 0.97 * least).all()
 
 
+@functools.cache
 def distributions():
     rng = np.random.default_rng(5)
     shape = (4, 61, 67, 3)
