@@ -22,6 +22,8 @@ def test_decoder_against_reference(device, bits, shape):
     coeffs = np.random.default_rng(bits).standard_normal(shape).astype(np.float32)
     encoded = encode(coeffs, Uniform(bits), device)
     assert encoded.encoded_bytes == 1 + 8 * shape[0] + -(-coeffs.size * bits // 8)
+    spare = -coeffs.size * bits % 8
+    assert encoded.body[-1] >> (8 - spare) == 0
     expected = decode_uniform(encoded.body, shape)
     decoded = decode(encoded.to_bytes(), device)
     np.testing.assert_allclose(decoded, expected, rtol=0, atol=4 * EPS * np.abs(expected).max())
