@@ -20,6 +20,7 @@ from clrelight.codec import (
     encode,
     register,
     registry,
+    slabs,
 )
 from clrelight.device import Device, _devices
 from clrelight.errors import InputError, PayloadError
@@ -238,6 +239,31 @@ def test_mutations_never_crash(device, codec):
         assert np.isfinite(values).all()
         reached += 1
     assert reached > 50  # enough of them got to a decoder
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("codec", EXAMPLES, ids=repr)
+@pytest.mark.parametrize("slab_bytes", [32, 1 << 12, 1 << 15])
+def test_slabs_change_nothing(device, monkeypatch, codec, channels, slab_bytes):
+    coeffs = example_map((16, 11, 37, channels))
+    encoded = encode(coeffs, codec, device)
+    values = decode(encoded, device)
+    monkeypatch.setattr(slabs, "SLAB_BYTES", slab_bytes)
+    assert encode(coeffs, codec, device).body == encoded.body
+    np.testing.assert_array_equal(decode(encoded, device), values)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("codec", EXAMPLES, ids=repr)
+def test_arrays_at_any_float_boundary(device, codec, channels):
+    """NumPy aligns to 16 bytes at best, a slice of an array not even that; vectors have 32."""
+    coeffs = example_map((4, 9, 67, channels))
+    expected = encode(coeffs, codec, device).body
+    room = np.empty(coeffs.size + 8, np.float32)
+    for offset in range(8):
+        shifted = room[offset : offset + coeffs.size].reshape(coeffs.shape)
+        shifted[:] = coeffs
+        assert encode(shifted, codec, device).body == expected
 
 
 @pytest.fixture(scope="module")

@@ -1,3 +1,5 @@
+import functools
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,8 @@ def test_decoder_against_reference(device, bits, shape):
     coeffs = np.random.default_rng(bits).standard_normal(shape).astype(np.float32)
     encoded = encode(coeffs, Uniform(bits), device)
     assert encoded.encoded_bytes == 1 + 8 * shape[0] + -(-coeffs.size * bits // 8)
+    spare = -coeffs.size * bits % 8
+    assert encoded.body[-1] >> (8 - spare) == 0
     expected = decode_uniform(encoded.body, shape)
     decoded = decode(encoded.to_bytes(), device)
     np.testing.assert_allclose(decoded, expected, rtol=0, atol=4 * EPS * np.abs(expected).max())
@@ -43,6 +47,7 @@ def test_normal_values_reach_the_known_optimum(device, bits, least):
     assert (mean > 0.97 * least).all()
 
 
+@functools.cache
 def distributions():
     rng = np.random.default_rng(5)
     shape = (4, 61, 67, 3)

@@ -61,9 +61,9 @@ class Uniform(Codec):
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """Return the coefficients; PayloadError on a wrong length, bit count, level or step."""
-        if not 1 <= body[0] <= MAX_BITS if body else True:
+        n_coeff, bits = shape[0], body[0] if body else 0
+        if not 1 <= bits <= MAX_BITS:
             raise PayloadError(f"codec uniform: the body must start with a bit count from 1 to {MAX_BITS}")
-        n_coeff, bits = shape[0], body[0]
         expected = 1 + 8 * n_coeff + -(-math.prod(shape) * bits // 8)
         if len(body) != expected:
             raise PayloadError(f"codec uniform: {bits} bits and shape {shape} take {expected} bytes, got {len(body)}")

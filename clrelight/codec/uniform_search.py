@@ -21,7 +21,7 @@ SAMPLES = 8192
 # try offsets of (a, b) from the best so far: on the sample all pairs, coarse to fine; then on all values wider
 # intervals, since the sample may have missed rare large values, and the neighbours of the best.
 _COARSE, _MIDDLE, _FINE = np.arange(8.0), np.array([0, -0.66, -0.33, 0.33, 0.66]), np.array([0, -0.2, -0.1, 0.1, 0.2])
-_WIDER, _NEAR = np.array([0, -0.1, -0.3, -1.0, -2.5]), np.array([0, -0.07, 0.07])
+_WIDER, _NEAR = np.array([0, -0.1, -0.3, -1.0, -2.5, -5.0]), np.array([0, -0.07, 0.07])
 SAMPLE_ROUNDS = tuple(tuple(np.meshgrid(e, e)) for e in (_COARSE, _MIDDLE, _FINE))
 FULL_ROUNDS = ((_WIDER, _WIDER), tuple(np.meshgrid(_NEAR, _NEAR)))
 

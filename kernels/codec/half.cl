@@ -10,6 +10,8 @@
  * Work-item j converts the stretch of 8 VECTORS values from 8 VECTORS j on. With CLAMP, values beyond 65504
  * become +-65504 (and are flagged still).
  */
+#include "codec/lanes.clh"
+
 #ifndef VECTORS
 #error "VECTORS must be defined: how many vectors of eight values a work-item converts"
 #endif
@@ -26,23 +28,23 @@ kernel void encode_half_p(global half *restrict halves_p, global uchar *restrict
     const size_t start = get_global_id(0) * (8 * VECTORS);
     if (start >= size_p)
         return;
-    const size_t stop = min(start + 8 * VECTORS, (size_t)size_p);
+    const size_t stop = LESSER(start + 8 * VECTORS, (size_t)size_p);
     int8 over = (int8)(0);
     size_t p = start;
     for (; p + 8 <= stop; p += 8) {
-        float8 x = vload8(0, coeffs_p + p);
-        over |= fabs(x) >= OVERFLOW;
+        float8 x = AT(global const, float8, coeffs_p + p);
+        over |= (x >= OVERFLOW) | (x <= -OVERFLOW);
 #if CLAMP
-        x = clamp(x, -LARGEST, LARGEST);
+        x = WITHIN(x, -LARGEST, LARGEST);
 #endif
         vstore_half8_rte(x, 0, halves_p + p);
     }
     int refused = any(over);
     for (; p < stop; p++) {
         float x = coeffs_p[p];
-        refused |= fabs(x) >= OVERFLOW;
+        refused |= x >= OVERFLOW || x <= -OVERFLOW;
 #if CLAMP
-        x = clamp(x, -LARGEST, LARGEST);
+        x = WITHIN(x, -LARGEST, LARGEST);
 #endif
         vstore_half_rte(x, p, halves_p);
     }
@@ -55,18 +57,18 @@ kernel void decode_half_p(global float *restrict coeffs_p, global uchar *restric
     const size_t start = get_global_id(0) * (8 * VECTORS);
     if (start >= size_p)
         return;
-    const size_t stop = min(start + 8 * VECTORS, (size_t)size_p);
+    const size_t stop = LESSER(start + 8 * VECTORS, (size_t)size_p);
     int8 fine = (int8)(-1);
     size_t p = start;
     for (; p + 8 <= stop; p += 8) {
         const float8 x = vload_half8(0, halves_p + p);
-        fine &= fabs(x) <= LARGEST; /* false for NaN */
-        vstore8(x, 0, coeffs_p + p);
+        fine &= (x >= -LARGEST) & (x <= LARGEST); /* false for NaN */
+        AT(global, float8, coeffs_p + p) = x;
     }
     int refused = !all(fine);
     for (; p < stop; p++) {
         const float x = vload_half(p, halves_p);
-        refused |= !(fabs(x) <= LARGEST);
+        refused |= !(x >= -LARGEST && x <= LARGEST);
         coeffs_p[p] = x;
     }
     refused_j[get_global_id(0)] = (uchar)(refused != 0);

@@ -20,32 +20,30 @@
  * A work-item handles LANES blocks side by side, each in one lane of a vector, along a row of blocks
  * (get_global_id(1) = g rows + row), in steps of the global size.
  */
+#include "codec/lanes.clh"
+
 #if LANES == 8
 typedef float8 real;
 typedef int8 whole;
 typedef uint8 word;
 #define AS_REAL as_float8
 #define AS_WORD as_uint8
-#define LOAD(p) vload8(0, p)
-#define STORE(v, p) vstore8(v, 0, p)
+#define REALS(space, p) AT(space, float8, p)
+#define WORDS(space, p) AT(space, uint8, p)
 #elif LANES == 1
 typedef float real;
 typedef int whole;
 typedef uint word;
 #define AS_REAL as_float
 #define AS_WORD as_uint
-#define LOAD(p) (*(p))
-#define STORE(v, p) (*(p) = (v))
+#define REALS(space, p) (*(p))
+#define WORDS(space, p) (*(p))
 #else
 #error "LANES must be defined: 8 blocks in the lanes of vectors (CPU) or 1 (GPU)"
 #endif
 #if !defined(CHANNELS) || (CHANNELS != 1 && CHANNELS != 3)
 #error "CHANNELS must be defined: 3, or 1 for texels of three planes"
 #endif
-
-/* Unlike fmin and fmax these compile to one instruction; there are no NaNs here. */
-#define LESSER(x, y) ((x) < (y) ? (x) : (y))
-#define GREATER(x, y) ((x) > (y) ? (x) : (y))
 
 /* Adding and subtracting 1.5 2^23 rounds to an integer, which then is the low bits of the float. */
 #define ROUNDER 12582912.0f
@@ -88,10 +86,11 @@ void load_whole(real x[3][16], global const float *restrict coeffs, int g, int y
             float8 v[4] = {(float8)(0.0f), (float8)(0.0f), (float8)(0.0f), (float8)(0.0f)};
             if (MAP_OF(g, m) < size_k) {
                 global const float *p =
-                    coeffs + row_offset(g, m, min(4 * y + r, size_h - 1), size_h, size_w) + (size_t)b * 4 * CHANNELS;
+                    coeffs + row_offset(g, m, LESSER(4 * y + r, size_h - 1), size_h, size_w) + (size_t)b * 4 * CHANNELS;
 #pragma unroll
                 for (int i = 0; i < 4; i++)
-                    v[i] = (float8)(vload4(0, p + 4 * CHANNELS * i), vload4(0, p + 4 * CHANNELS * (i + 4)));
+                    v[i] = (float8)(AT(global const, float4, p + 4 * CHANNELS * i),
+                                    AT(global const, float4, p + 4 * CHANNELS * (i + 4)));
                 transpose(v);
             }
 #pragma unroll
@@ -109,14 +108,14 @@ void load_edge(real x[3][16], global const float *restrict coeffs, int g, int y,
         for (int t = 0; t < 16; t++) {
             float lanes[LANES];
             for (int lane = 0; lane < LANES; lane++) {
-                const int column = min(4 * (b + lane) + t % 4, size_w - 1);
-                const int row = min(4 * y + t / 4, size_h - 1);
+                const int column = LESSER(4 * (b + lane) + t % 4, size_w - 1);
+                const int row = LESSER(4 * y + t / 4, size_h - 1);
                 const int k = MAP_OF(g, m);
                 lanes[lane] = k < size_k ? coeffs[(((size_t)k * size_h + row) * size_w + column) * CHANNELS +
                                                   (CHANNELS == 3 ? m : 0)]
                                          : 0.0f;
             }
-            x[m][t] = LOAD(lanes);
+            x[m][t] = REALS(private, lanes);
         }
 }
 
@@ -139,7 +138,7 @@ void fit_line(real ends[6], word *levels, real x[3][16])
         reach = GREATER(reach, half_range);
     }
     word exponent = AS_WORD(reach) >> 23;
-    exponent = LESSER(GREATER(exponent, (word)(1)), (word)(253));
+    exponent = WITHIN(exponent, (word)(1), (word)(253));
     const real scale = AS_REAL(((word)(254) - exponent) << 23);
     const real unscale = AS_REAL(exponent << 23);
 
@@ -224,7 +223,7 @@ void fit_line(real ends[6], word *levels, real x[3][16])
         real q_sum = 0.0f, qq = 0.0f, qx = 0.0f, qy = 0.0f, qz = 0.0f;
 #pragma unroll
         for (int t = 0; t < 16; t++) {
-            real q = LESSER(GREATER(along[t], 0.0f), 3.0f);
+            real q = WITHIN(along[t], 0.0f, 3.0f);
             q = (q + ROUNDER) - ROUNDER;
             q_sum += q;
             qq += q * q;
@@ -246,8 +245,9 @@ void fit_line(real ends[6], word *levels, real x[3][16])
 #pragma unroll
             for (int j = 0; j < 3; j++) {
                 const real stop = start[j] + 3.0f * step[j];
-                ends[j] = clamp(centre[j] + start[j] * unscale, -FLT_MAX, FLT_MAX);
-                ends[j + 3] = clamp(centre[j] + stop * unscale, -FLT_MAX, FLT_MAX);
+                const real from = centre[j] + start[j] * unscale, to = centre[j] + stop * unscale;
+                ends[j] = WITHIN(from, -FLT_MAX, FLT_MAX);
+                ends[j + 3] = WITHIN(to, -FLT_MAX, FLT_MAX);
                 start[j] = (ends[j] - centre[j]) * scale;
                 step[j] = ((ends[j + 3] - centre[j]) * scale - start[j]) * (1.0f / 3.0f);
             }
@@ -263,7 +263,7 @@ void fit_line(real ends[6], word *levels, real x[3][16])
     word bits = 0;
 #pragma unroll
     for (int t = 0; t < 16; t++) {
-        const real q = LESSER(GREATER(along[t], 0.0f), 3.0f) + ROUNDER;
+        const real q = WITHIN(along[t], 0.0f, 3.0f) + ROUNDER;
         bits |= (AS_WORD(q) & 3) << (2 * t);
     }
     *levels = bits;
@@ -289,10 +289,10 @@ kernel void encode_s3tc_gjb(global uint *restrict blocks_gjb, global const float
             const word value = j < 6 ? AS_WORD(ends[j < 6 ? j : 0]) : levels;
             global uint *out = blocks_gjb + ((size_t)g * 7 + j) * size_b + (size_t)y * columns + b;
             if (b + LANES <= columns) {
-                STORE(value, out);
+                WORDS(global, out) = value;
             } else {
                 uint lanes[LANES];
-                STORE(value, lanes);
+                WORDS(private, lanes) = value;
                 for (int lane = 0; b + lane < columns; lane++)
                     out[lane] = lanes[lane];
             }
@@ -319,12 +319,12 @@ kernel void decode_s3tc_khwc(global float *restrict coeffs_khwc, global const ui
         for (int j = 0; j < 7; j++) {
             global const uint *in = blocks_gjb + ((size_t)g * 7 + j) * size_b + (size_t)y * columns + b;
             if (b + LANES <= columns) {
-                words[j] = LOAD(in);
+                words[j] = WORDS(global const, in);
             } else {
                 uint lanes[LANES];
                 for (int lane = 0; lane < LANES; lane++)
-                    lanes[lane] = in[min(lane, columns - 1 - b)];
-                words[j] = LOAD(lanes);
+                    lanes[lane] = in[LESSER(lane, columns - 1 - b)];
+                words[j] = WORDS(private, lanes);
             }
         }
         real ends[6];
@@ -349,8 +349,8 @@ kernel void decode_s3tc_khwc(global float *restrict coeffs_khwc, global const ui
                         coeffs_khwc + row_offset(g, m, 4 * y + r, size_h, size_w) + (size_t)b * 4 * CHANNELS;
 #pragma unroll
                     for (int i = 0; i < 4; i++) {
-                        vstore4(v[i].lo, 0, p + 4 * CHANNELS * i);
-                        vstore4(v[i].hi, 0, p + 4 * CHANNELS * (i + 4));
+                        AT(global, float4, p + 4 * CHANNELS * i) = v[i].lo;
+                        AT(global, float4, p + 4 * CHANNELS * (i + 4)) = v[i].hi;
                     }
                 }
             continue;
@@ -364,9 +364,9 @@ kernel void decode_s3tc_khwc(global float *restrict coeffs_khwc, global const ui
                 float lanes[LANES];
                 const word q = (words[6] >> (2 * t)) & 3;
 #if LANES == 8
-                STORE(level_value(as_int8(q), ends[m], ends[m + 3]), lanes);
+                REALS(private, lanes) = level_value(as_int8(q), ends[m], ends[m + 3]);
 #else
-                STORE(level_value((int)q, ends[m], ends[m + 3]), lanes);
+                REALS(private, lanes) = level_value((int)q, ends[m], ends[m + 3]);
 #endif
                 for (int lane = 0; lane < LANES; lane++) {
                     const int column = 4 * (b + lane) + t % 4;

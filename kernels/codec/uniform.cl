@@ -10,6 +10,8 @@
  *
  * |x' - x| <= step/(2 s) + 2^-22 max|x| inside the interval.
  */
+#include "codec/lanes.clh"
+
 #ifndef BITS
 #error "BITS must be defined: 1 to 16 bits per coefficient"
 #endif
@@ -24,11 +26,10 @@
 
 /* Adding and subtracting 1.5 2^23 rounds to the nearest integer. */
 #define ROUNDER 12582912.0f
-#define QUANTISE(y, inverse) \
-    (((y) * (inverse) < 0.0f ? 0.0f : (y) * (inverse) > TOP ? TOP : (y) * (inverse)) + ROUNDER - ROUNDER)
+#define QUANTISE(y, inverse) (WITHIN((y) * (inverse), 0.0f, TOP) + ROUNDER - ROUNDER)
 
 /* A step of 0 has only level 0. Steps are at least 2^-128 or so of what low is; the inverse is kept finite. */
-#define INVERSE(step) ((step) > 0.0f ? min(1.0f / (step), FLT_MAX) : 0.0f)
+#define INVERSE(step) ((step) > 0.0f ? LESSER(1.0f / (step), FLT_MAX) : 0.0f)
 
 /* Squared error, in units of 1/s^2, of each stretch i of map k under the quantiser j; added up on the host in float64. */
 kernel void measure_uniform_kji(global float *restrict errors_kji, global const float *restrict coeffs_kp,
@@ -39,7 +40,7 @@ kernel void measure_uniform_kji(global float *restrict errors_kji, global const 
     const size_t i = get_global_id(0), k = get_global_id(1);
     if (i >= size_i)
         return;
-    const size_t start = i * STRETCH, stop = min(start + STRETCH, (size_t)size_p);
+    const size_t start = i * STRETCH, stop = LESSER(start + STRETCH, (size_t)size_p);
     global const float *x = coeffs_kp + k * size_p;
     const float scale = scales_k[k];
     for (int j = 0; j < size_j; j++) {
@@ -47,7 +48,7 @@ kernel void measure_uniform_kji(global float *restrict errors_kji, global const 
         float8 sum = 0.0f;
         size_t p = start;
         for (; p + 8 <= stop; p += 8) {
-            const float8 y = vload8(0, x + p) * scale - low;
+            const float8 y = AT(global const, float8, x + p) * scale - low;
             const float8 error = y - QUANTISE(y, inverse) * step;
             sum += error * error;
         }
@@ -67,15 +68,15 @@ kernel void quantise_uniform_kp(global ushort *restrict codes_kp, global const f
                                 global const float *restrict low_k, global const float *restrict step_k,
                                 global const float *restrict scales_k, const ulong size_p)
 {
-    const size_t start = get_global_id(0) * STRETCH, stop = min(start + STRETCH, (size_t)size_p);
+    const size_t start = get_global_id(0) * STRETCH, stop = LESSER(start + STRETCH, (size_t)size_p);
     const size_t k = get_global_id(1);
     global const float *x = coeffs_kp + k * size_p;
     global ushort *codes = codes_kp + k * size_p;
     const float scale = scales_k[k], low = low_k[k], inverse = INVERSE(step_k[k]);
     size_t p = start;
     for (; p + 8 <= stop; p += 8) {
-        const float8 y = vload8(0, x + p) * scale - low;
-        vstore8(convert_ushort8(QUANTISE(y, inverse)), 0, codes + p);
+        const float8 y = AT(global const, float8, x + p) * scale - low;
+        AT(global, ushort8, codes + p) = convert_ushort8(QUANTISE(y, inverse));
     }
     for (; p < stop; p++) {
         const float y = x[p] * scale - low;
@@ -87,17 +88,19 @@ kernel void dequantise_uniform_kp(global float *restrict coeffs_kp, global const
                                   global const float *restrict low_k, global const float *restrict step_k,
                                   global const float *restrict unscales_k, const ulong size_p)
 {
-    const size_t start = get_global_id(0) * STRETCH, stop = min(start + STRETCH, (size_t)size_p);
+    const size_t start = get_global_id(0) * STRETCH, stop = LESSER(start + STRETCH, (size_t)size_p);
     const size_t k = get_global_id(1);
     global const ushort *codes = codes_kp + k * size_p;
     global float *x = coeffs_kp + k * size_p;
     const float unscale = unscales_k[k], low = low_k[k], step = step_k[k];
     size_t p = start;
     /* The last level may lie beyond the largest float by a rounding. */
-    for (; p + 8 <= stop; p += 8)
-        vstore8(clamp((convert_float8(vload8(0, codes + p)) * step + low) * unscale, -FLT_MAX, FLT_MAX), 0, x + p);
+    for (; p + 8 <= stop; p += 8) {
+        const float8 level = convert_float8(AT(global const, ushort8, codes + p)) * step + low;
+        AT(global, float8, x + p) = WITHIN(level * unscale, -FLT_MAX, FLT_MAX);
+    }
     for (; p < stop; p++)
-        x[p] = clamp(((float)codes[p] * step + low) * unscale, -FLT_MAX, FLT_MAX);
+        x[p] = WITHIN(((float)codes[p] * step + low) * unscale, -FLT_MAX, FLT_MAX);
 }
 
 /* Codes lie one behind the other, BITS bits each, lowest bit first; the last byte is filled up with zeros. Eight
@@ -105,7 +108,7 @@ kernel void dequantise_uniform_kp(global float *restrict coeffs_kp, global const
 kernel void pack_uniform_b(global uchar *restrict bytes_b, global const ushort *restrict codes_p, const ulong size_b,
                            const ulong size_p)
 {
-    const size_t start = get_global_id(0) * STRETCH, stop = min(start + STRETCH, (size_t)size_p);
+    const size_t start = get_global_id(0) * STRETCH, stop = LESSER(start + STRETCH, (size_t)size_p);
     size_t b = start / 8 * BITS;
     for (size_t p = start; p < stop; p += 8) {
         ulong queue = 0;
@@ -124,7 +127,7 @@ kernel void pack_uniform_b(global uchar *restrict bytes_b, global const ushort *
 kernel void unpack_uniform_p(global ushort *restrict codes_p, global const uchar *restrict bytes_b,
                              const ulong size_b, const ulong size_p)
 {
-    const size_t start = get_global_id(0) * STRETCH, stop = min(start + STRETCH, (size_t)size_p);
+    const size_t start = get_global_id(0) * STRETCH, stop = LESSER(start + STRETCH, (size_t)size_p);
     size_t b = start / 8 * BITS;
     for (size_t p = start; p < stop; p += 8) {
         ulong queue = 0;
