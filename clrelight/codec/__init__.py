@@ -4,5 +4,18 @@ from clrelight.codec.half import Half
 from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, encode, register
 from clrelight.codec.s3tc import S3tc
 from clrelight.codec.uniform import Uniform
+from clrelight.codec.wavelet import Wavelet
 
-__all__ = ["Codec", "Encoded", "Half", "S3tc", "Uniform", "codec_class", "codec_ids", "decode", "encode", "register"]
+__all__ = [
+    "Codec",
+    "Encoded",
+    "Half",
+    "S3tc",
+    "Uniform",
+    "Wavelet",
+    "codec_class",
+    "codec_ids",
+    "decode",
+    "encode",
+    "register",
+]

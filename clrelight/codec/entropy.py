@@ -1,0 +1,317 @@
+"""Adaptive range coding of integers in contexts, vectorised: count, encode and decode share one interface.
+
+A `ModelSet` holds one frequency table per context. Symbols are coded in batches: all symbols of a batch use the tables
+as they were before it, then the tables learn the batch. Encoder and decoder learn alike, so no table is ever sent.
+Tables are integers and everything made from them uses only exactly rounded arithmetic, so bytes are the same everywhere.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, Self
+
+import constriction
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.errors import PayloadError
+
+DIRECT = 16
+"""Magnitudes below this are symbols of their own; above, four symbols share an octave and raw bits follow."""
+
+ALPHABET = DIRECT + 4 * 27
+"""Symbols of magnitudes below 2**31."""
+
+CLASSES = 64
+"""Classes of `classify`: two an octave."""
+
+# One observation adds _GAIN to a table's count; a table that weighs more than _LIMIT is halved, to follow the data.
+_GAIN = 1024
+_LIMIT = _GAIN * 8192
+_PRIOR_WEIGHT = _GAIN * 12
+
+_LOOKUP = 1 << 14
+_MAX_RAW_BITS = 23  # constriction's Uniform takes less than 2**24 values
+
+
+def _octaves(values: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    mantissa, exponent = np.frexp(values.astype(np.float64))
+    return exponent - 1, mantissa
+
+
+def _compute_symbols(magnitudes: NDArray[np.integer]) -> NDArray[np.int32]:
+    octave, mantissa = _octaves(np.maximum(magnitudes, DIRECT))
+    coarse = DIRECT + 4 * (octave - 4) + (mantissa * 8).astype(np.int32) - 4
+    return np.where(magnitudes < DIRECT, magnitudes, coarse).astype(np.int32)
+
+
+def _compute_classes(activity: NDArray[np.integer]) -> NDArray[np.int32]:
+    octave, mantissa = _octaves(np.maximum(activity, 1))
+    return np.where(activity < 2, activity, 2 * octave + (mantissa >= 0.75)).astype(np.int32)
+
+
+_SYMBOL_OF = _compute_symbols(np.arange(_LOOKUP)).astype(np.uint8)
+_CLASS_OF = _compute_classes(np.arange(_LOOKUP)).astype(np.uint8)
+_RAW_BITS = np.array([0] * DIRECT + [2 + i // 4 for i in range(ALPHABET - DIRECT)], np.int32)
+_FIRST = np.array([*range(DIRECT), *((4 + i % 4) << (2 + i // 4) for i in range(ALPHABET - DIRECT))], np.int64)
+
+
+def classify(activity: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Return the class, two an octave, of non-negative integers below 2**31: 0, 1, 2, 3, 4-5, 6-7, 8-11, ..."""
+    if activity.size and activity.max() >= _LOOKUP:
+        return _compute_classes(activity)
+    return _CLASS_OF[activity]
+
+
+def class_floor(index: int) -> int:
+    """Return the least activity of a class."""
+    return index if index < 2 else (2 + index % 2) << (index // 2) >> 1
+
+
+class ModelSet:
+    """Frequency tables, one per context.
+
+    Parameters
+    ----------
+    prior : ndarray, shape (contexts, symbols), float64
+        Probabilities to start from.
+    """
+
+    def __init__(self, prior: NDArray[np.float64]) -> None:
+        self.counts = np.floor(prior * _PRIOR_WEIGHT).astype(np.int64) + 1
+
+    def copy(self) -> Self:
+        """Return tables that learn apart."""
+        twin = object.__new__(type(self))
+        twin.counts = self.counts.copy()
+        return twin
+
+    def learn(self, contexts: NDArray[np.integer], histograms_cs: NDArray[np.integer]) -> None:
+        """Add what was seen: one histogram for each context named (each once)."""
+        counts = self.counts[contexts] + _GAIN * histograms_cs
+        weight = counts.sum(axis=1)
+        while (heavy := weight > _LIMIT).any():
+            counts[heavy] = (counts[heavy] + 1) >> 1
+            weight[heavy] = counts[heavy].sum(axis=1)
+        self.counts[contexts] = counts
+
+    def count_bits(self, contexts: NDArray[np.integer], histograms_cs: NDArray[np.integer]) -> float:
+        """Return the ideal code length of what was seen in the contexts named (each once)."""
+        counts = self.counts[contexts]
+        seen = histograms_cs > 0
+        whole = float(histograms_cs.sum(axis=1) @ np.log2(counts.sum(axis=1)))
+        return whole - float(histograms_cs[seen] @ np.log2(counts[seen]))
+
+
+class Coder(Protocol):
+    """Where symbols go to or come from. What is given is None where they are decoded; what holds is returned."""
+
+    def code(
+        self, models: ModelSet, contexts: NDArray[np.integer], symbols: NDArray[np.integer] | None
+    ) -> NDArray[np.integer]:
+        """Code one symbol in each context, as one batch."""
+        ...
+
+    def code_raw(self, widths: NDArray[np.integer], values: NDArray[np.integer] | None) -> NDArray[np.integer]:
+        """Code equally likely integers of ``widths`` bits each."""
+        ...
+
+
+class BitCounter:
+    """A coder that only counts, in `bits`; it comes within 0.1% of the bytes that `Encoder` makes."""
+
+    def __init__(self) -> None:
+        self.bits = 0.0
+
+    def code(
+        self, models: ModelSet, contexts: NDArray[np.integer], symbols: NDArray[np.integer] | None
+    ) -> NDArray[np.integer]:
+        """See `Coder`."""
+        assert symbols is not None
+        size = models.counts.shape[1]
+        present = np.bincount(contexts) > 0
+        used = np.flatnonzero(present)
+        rank = np.cumsum(present) - 1
+        joint = np.bincount(rank[contexts] * size + symbols, minlength=len(used) * size)
+        histograms = joint.reshape(len(used), size)
+        self.bits += models.count_bits(used, histograms)
+        models.learn(used, histograms)
+        return symbols
+
+    def code_raw(self, widths: NDArray[np.integer], values: NDArray[np.integer] | None) -> NDArray[np.integer]:
+        """See `Coder`."""
+        assert values is not None
+        self.bits += float(widths.sum())
+        return values
+
+
+class Encoder:
+    """A coder that writes."""
+
+    def __init__(self) -> None:
+        self._range = constriction.stream.queue.RangeEncoder()
+
+    def copy(self) -> Self:
+        """Return a coder that goes on alone from here."""
+        twin = object.__new__(type(self))
+        twin._range = self._range.clone()
+        return twin
+
+    def code(
+        self, models: ModelSet, contexts: NDArray[np.integer], symbols: NDArray[np.integer] | None
+    ) -> NDArray[np.integer]:
+        """See `Coder`."""
+        assert symbols is not None
+        order, groups = _group(contexts)
+        by_context = symbols[order].astype(np.int32)
+        size = models.counts.shape[1]
+        used, histograms = [], []
+        for context, part in groups:
+            self._range.encode(by_context[part], _categorical(models.counts[context]))
+            used.append(context)
+            histograms.append(np.bincount(by_context[part], minlength=size))
+        if used:
+            models.learn(np.array(used), np.stack(histograms))
+        return symbols
+
+    def code_raw(self, widths: NDArray[np.integer], values: NDArray[np.integer] | None) -> NDArray[np.integer]:
+        """See `Coder`."""
+        assert values is not None
+        order, groups = _group(widths)
+        by_width = values[order].astype(np.int64)
+        for width, part in groups:
+            for shift, digit in _digits(width):
+                digits = (by_width[part] >> shift) & ((1 << digit) - 1)
+                self._range.encode(digits.astype(np.int32), constriction.stream.model.Uniform(1 << digit))
+        return values
+
+    @property
+    def byte_count(self) -> int:
+        """Length of what `to_bytes` would return now."""
+        return 4 * self._range.num_words()
+
+    def to_bytes(self) -> bytes:
+        """Return what was coded so far; decoding needs nothing else."""
+        return self._range.get_compressed().astype("<u4").tobytes()
+
+
+class Decoder:
+    """A coder that reads what `Encoder` wrote; PayloadError where the bytes cannot be that."""
+
+    def __init__(self, payload: bytes) -> None:
+        if len(payload) % 4:
+            raise PayloadError(f"the range-coded bytes should be a multiple of 4, they are {len(payload)}")
+        words = np.frombuffer(payload, "<u4").astype(np.uint32)
+        self._range = constriction.stream.queue.RangeDecoder(words)
+
+    def code(
+        self, models: ModelSet, contexts: NDArray[np.integer], symbols: NDArray[np.integer] | None
+    ) -> NDArray[np.integer]:
+        """See `Coder`."""
+        order, groups = _group(contexts)
+        by_context = np.empty(len(contexts), np.int32)
+        size = models.counts.shape[1]
+        used, histograms = [], []
+        for context, part in groups:
+            by_context[part] = self._take(_categorical(models.counts[context]), part)
+            used.append(context)
+            histograms.append(np.bincount(by_context[part], minlength=size))
+        if used:
+            models.learn(np.array(used), np.stack(histograms))
+        decoded = np.empty_like(by_context)
+        decoded[order] = by_context
+        return decoded
+
+    def code_raw(self, widths: NDArray[np.integer], values: NDArray[np.integer] | None) -> NDArray[np.integer]:
+        """See `Coder`."""
+        order, groups = _group(widths)
+        by_width = np.zeros(len(widths), np.int64)
+        for width, part in groups:
+            for shift, digit in _digits(width):
+                digits = self._take(constriction.stream.model.Uniform(1 << digit), part)
+                by_width[part] |= digits.astype(np.int64) << shift
+        decoded = np.empty_like(by_width)
+        decoded[order] = by_width
+        return decoded
+
+    def finish(self) -> None:
+        """Raise PayloadError if bytes are left that no symbol needed."""
+        if not self._range.maybe_exhausted():
+            raise PayloadError("the range-coded bytes hold more than the indices")
+
+    def _take(self, model: object, part: slice) -> NDArray[np.int32]:
+        try:
+            return self._range.decode(model, part.stop - part.start)
+        except (KeyboardInterrupt, SystemExit, MemoryError):
+            raise
+        except BaseException as error:  # a Rust panic is no Exception
+            raise PayloadError(f"the range-coded bytes are damaged: {error}") from None
+
+
+def code_integers(
+    coder: Coder,
+    models: ModelSet,
+    contexts: NDArray[np.integer],
+    values: NDArray[np.integer] | None,
+) -> NDArray[np.int64]:
+    """Code non-negative integers below 2**31: their symbol in its context, then the raw bits below it."""
+    if values is None:
+        symbols = coder.code(models, contexts, None)
+        coded = _FIRST[symbols]
+    else:
+        small = values.size == 0 or values.max() < _LOOKUP
+        symbols = coder.code(models, contexts, _SYMBOL_OF[values] if small else _compute_symbols(values))
+        coded = values.astype(np.int64)
+    large = np.flatnonzero(symbols >= DIRECT)
+    if large.size:
+        widths, first = _RAW_BITS[symbols[large]], _FIRST[symbols[large]]
+        coded[large] = first + coder.code_raw(widths, None if values is None else coded[large] - first)
+    return coded
+
+
+def zero_order_bits(magnitudes: NDArray[np.integer]) -> float:
+    """Return the zero-order entropy of integers, given their magnitudes: symbols, raw bits and signs."""
+    small = magnitudes.size == 0 or magnitudes.max() < _LOOKUP
+    symbols = _SYMBOL_OF[magnitudes] if small else _compute_symbols(magnitudes)
+    counts = np.bincount(symbols.ravel(), minlength=ALPHABET)
+    seen = counts[counts > 0]
+    entropy = float((seen * (np.log2(magnitudes.size) - np.log2(seen))).sum())
+    return entropy + float(counts @ _RAW_BITS) + float(counts[1:].sum())
+
+
+def geometric_prior(means: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (len(means), ALPHABET) symbol probabilities of geometric magnitudes with these means."""
+    ratio = means / (1.0 + means)
+    tail = np.empty((len(means), ALPHABET + 1))
+    for symbol, first in enumerate(_FIRST):
+        tail[:, symbol] = _power(ratio, int(first))
+    tail[:, ALPHABET] = 0.0
+    return tail[:, :-1] - tail[:, 1:]
+
+
+def _power(base: NDArray[np.float64], exponent: int) -> NDArray[np.float64]:
+    # np.power may differ in its last bit between machines; products do not.
+    result, square = np.ones_like(base), base.copy()
+    while exponent:
+        if exponent & 1:
+            result = result * square
+        square = square * square
+        exponent >>= 1
+    return result
+
+
+def _categorical(counts: NDArray[np.int64]) -> object:
+    return constriction.stream.model.Categorical(counts.astype(np.float64), perfect=False)
+
+
+def _group(keys: NDArray[np.integer]) -> tuple[NDArray[np.integer], list[tuple[int, slice]]]:
+    """Return the stable order that sorts keys, and each key with its part of that order."""
+    order = np.argsort(keys.astype(np.uint16), kind="stable")
+    ends = np.cumsum(np.bincount(keys)) if len(keys) else np.zeros(0, np.int64)
+    starts = np.concatenate([[0], ends[:-1]]) if len(ends) else ends
+    parts = zip(starts.tolist(), ends.tolist(), strict=True)
+    return order, [(key, slice(start, end)) for key, (start, end) in enumerate(parts) if end > start]
+
+
+def _digits(width: int) -> list[tuple[int, int]]:
+    """Return (shift, bits) of the digits of an integer of `width` bits."""
+    return [(shift, min(_MAX_RAW_BITS, width - shift)) for shift in range(0, width, _MAX_RAW_BITS)]

@@ -1,0 +1,174 @@
+"""The CDF 9/7 wavelet transform of coefficient maps on a device, and where its subbands lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.device import Device, DeviceArray
+
+_FILE = "codec/wavelet.cl"
+_LANES = 8
+
+
+@dataclass(frozen=True)
+class Subband:
+    """One subband's place in a transformed plane.
+
+    Attributes
+    ----------
+    name : str
+        ``"LL"``, ``"HL"`` (high along x), ``"LH"`` (high along y) or ``"HH"``.
+    level : int
+        1 is the finest.
+    rows, columns : slice
+        Where the subband lies.
+    """
+
+    name: str
+    level: int
+    rows: slice
+    columns: slice
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns, both at least 1."""
+        return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
+
+
+def list_subbands(height: int, width: int, levels: int) -> list[Subband]:
+    """Return the subbands of a plane from coarse to fine, without empty ones: ``3 levels + 1`` where sides suffice."""
+    bands: list[Subband] = []
+    for level in range(1, levels + 1):
+        low_h, low_w = (height + 1) // 2, (width + 1) // 2
+        top, bottom, left, right = slice(0, low_h), slice(low_h, height), slice(0, low_w), slice(low_w, width)
+        named = [("HL", top, right), ("LH", bottom, left), ("HH", bottom, right)]
+        found = [Subband(name, level, rows, columns) for name, rows, columns in named]
+        bands = [band for band in found if min(band.shape) > 0] + bands
+        height, width = low_h, low_w
+    return [Subband("LL", levels, slice(0, height), slice(0, width)), *bands]
+
+
+def forward_transform(
+    coeffs_khwc: NDArray[np.float32], scale_k: NDArray[np.float32], levels: int, device: Device
+) -> DeviceArray:
+    """Scale and transform every channel plane of every map alone.
+
+    Parameters
+    ----------
+    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32, C-contiguous
+    scale_k : ndarray, shape (n_coeff,), float32
+        Factor of each map, to bring it near 1.
+    levels : int
+        How often the low subband is split again; a side of one sample is left as it is.
+    device : Device
+
+    Returns
+    -------
+    DeviceArray
+        Subbands in place (see `list_subbands`), (n_coeff * channel, height, width padded to a multiple of 8). Near
+        orthonormal: see lifting.clh.
+    """
+    n_coeff, height, width, channels = coeffs_khwc.shape
+    planes, scratch = (empty_planes(coeffs_khwc.shape, device) for _ in range(2))
+    device.launch(
+        _FILE,
+        "planes_from_coeffs",
+        (width, height, n_coeff * channels),
+        planes,
+        device.upload(coeffs_khwc),
+        device.upload(np.ascontiguousarray(scale_k, dtype=np.float32)),
+        *(height, width, channels, *planes.shape[1:]),
+    )
+    for size in _level_sizes(height, width, levels):
+        _run_level("analyse", planes, scratch, size, device)
+    device.finish()
+    return planes
+
+
+def inverse_transform(
+    planes: DeviceArray, shape: tuple[int, int, int, int], scale_k: NDArray[np.float32], levels: int, device: Device
+) -> NDArray[np.float32]:
+    """Undo `forward_transform`: overwrites `planes`, returns (n_coeff, height, width, channel) float32 coefficients.
+
+    `scale_k` multiplies each map; what would exceed float32 is clamped to its largest number.
+    """
+    n_coeff, height, width, channels = shape
+    scratch = empty_planes(shape, device)
+    for size in reversed(_level_sizes(height, width, levels)):
+        _run_level("synthesise", planes, scratch, size, device)
+    coeffs = device.empty(shape, np.float32)
+    device.launch(
+        _FILE,
+        "coeffs_from_planes",
+        (width, height, n_coeff * channels),
+        coeffs,
+        planes,
+        device.upload(np.ascontiguousarray(scale_k, dtype=np.float32)),
+        *(height, width, channels, *planes.shape[1:]),
+    )
+    return device.download(coeffs)
+
+
+def empty_planes(shape: tuple[int, int, int, int], device: Device) -> DeviceArray:
+    """Return uninitialised planes for maps of a shape (n_coeff, height, width, channel)."""
+    n_coeff, height, width, channels = shape
+    return device.empty((n_coeff * channels, height, -(-width // _LANES) * _LANES), np.float32)
+
+
+def quantise_map(
+    planes: DeviceArray, k: int, shape: tuple[int, int, int, int], step: float, rounding: float, device: Device
+) -> NDArray[np.int32]:
+    """Return the (channel, height, width) int32 indices ``sign(v) floor(|v|/step + rounding)`` of map `k`."""
+    _, height, width, channels = shape
+    index = device.empty((channels, height, width), np.int32)
+    device.launch(
+        _FILE,
+        "quantise",
+        (width, height, channels),
+        index,
+        planes,
+        *(np.float32(1.0 / step), rounding, k * channels, height, width, *planes.shape[1:]),
+    )
+    return device.download(index)
+
+
+def dequantise_map(
+    planes: DeviceArray,
+    k: int,
+    index_chw: NDArray[np.int32],
+    step: float,
+    biases: tuple[float, float],
+    device: Device,
+) -> None:
+    """Write map `k` of `planes` as ``sign(q) (|q| - bias) step``; `biases` are those of |q| = 1 and of |q| > 1."""
+    channels, height, width = index_chw.shape
+    device.launch(
+        _FILE,
+        "dequantise",
+        (width, height, channels),
+        planes,
+        device.upload(index_chw),
+        *(step, *biases, k * channels, height, width, *planes.shape[1:]),
+    )
+    device.finish()  # the indices are the caller's memory
+
+
+def _level_sizes(height: int, width: int, levels: int) -> list[tuple[int, int]]:
+    sizes = []
+    for _ in range(levels):
+        sizes.append((height, width))
+        height, width = (height + 1) // 2, (width + 1) // 2
+    return [size for size in sizes if size != (1, 1)]
+
+
+def _run_level(
+    verb: str, planes: DeviceArray, scratch: DeviceArray, size: tuple[int, int], device: Device
+) -> None:
+    height, width = size
+    count, *pitch = planes.shape
+    columns, rows = (-(-width // _LANES), (height + 1) // 2, count), (-(-width // (2 * _LANES)), height, count)
+    device.launch(_FILE, f"{verb}_columns", columns, scratch, planes, height, *pitch)
+    device.launch(_FILE, f"{verb}_rows", rows, planes, scratch, width, *pitch)
