@@ -164,9 +164,7 @@ def _level_sizes(height: int, width: int, levels: int) -> list[tuple[int, int]]:
     return [size for size in sizes if size != (1, 1)]
 
 
-def _run_level(
-    verb: str, planes: DeviceArray, scratch: DeviceArray, size: tuple[int, int], device: Device
-) -> None:
+def _run_level(verb: str, planes: DeviceArray, scratch: DeviceArray, size: tuple[int, int], device: Device) -> None:
     height, width = size
     count, *pitch = planes.shape
     columns, rows = (-(-width // _LANES), (height + 1) // 2, count), (-(-width // (2 * _LANES)), height, count)

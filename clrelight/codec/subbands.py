@@ -99,9 +99,7 @@ def code_indices(
     for band in bands:
         low = band.name == "LL"
         relatives = [
-            by_name[key]
-            for key in [(band.name, band.level + 1), *_siblings(band)]
-            if not low and key in by_name
+            by_name[key] for key in [(band.name, band.level + 1), *_siblings(band)] if not low and key in by_name
         ]
         place = (band.rows, band.columns)
         for channel in range(shape[0]):
@@ -110,9 +108,7 @@ def code_indices(
                 slope = statistics.slope(channel, low)
                 predicted = np.rint(indices[channel - 1][place] * slope).astype(np.int32)
             known = None if decoding else indices[channel][place] - predicted
-            hints = [
-                (differences[channel][other.rows, other.columns], other.level > band.level) for other in relatives
-            ]
+            hints = [(differences[channel][other.rows, other.columns], other.level > band.level) for other in relatives]
             previous = differences[channel - 1][place] if channel else None
             found = _code_band(coder, statistics, low, predicted, previous, hints, known)
             differences[channel][place] = found
@@ -196,8 +192,7 @@ def _gather(bordered: NDArray[np.integer], phase: int) -> NDArray[np.integer]:
     height, width = bordered.shape
     row, column = _PHASES[phase]
     parts = [
-        bordered[1 + row + y : height - 1 + y : 2, 1 + column + x : width - 1 + x : 2]
-        for y, x in _neighbours_of(phase)
+        bordered[1 + row + y : height - 1 + y : 2, 1 + column + x : width - 1 + x : 2] for y, x in _neighbours_of(phase)
     ]
     return parts[0] + parts[1] + parts[2] + parts[3]
 
@@ -224,6 +219,7 @@ def _integrate(values):
 
 def _code_signed(coder, statistics, site, activity, expected, residual):
     from clrelight.codec.entropy import classify
+
     shape = activity.shape
     expected = np.clip(expected.ravel(), -2, 2)
     contexts = (site * _PREDICTED + np.abs(expected)) * CLASSES + classify(activity.ravel())
@@ -231,7 +227,9 @@ def _code_signed(coder, statistics, site, activity, expected, residual):
     sizes = code_integers(coder, statistics.magnitudes, contexts, None if given is None else np.abs(given))
     nonzero = np.flatnonzero(sizes)
     sign_contexts = expected[nonzero] + 2
-    negative = coder.code(statistics.signs, sign_contexts, None if given is None else (given[nonzero] < 0).astype(np.int32))
+    negative = coder.code(
+        statistics.signs, sign_contexts, None if given is None else (given[nonzero] < 0).astype(np.int32)
+    )
     if given is not None:
         return residual
     out = sizes.astype(np.int32)

@@ -1,0 +1,53 @@
+"""A decoded map as a few planes and one small matrix: relit without ever becoming coefficients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.basis import evaluate_basis
+from clrelight.conventions import degree_of
+from clrelight.device import Device
+from clrelight.matmul import apply_operator, pack_operator
+
+
+@dataclass(frozen=True)
+class Factored:
+    """Coefficients ``c[k, p, channel] = sum_j operator[k, channel, j] planes[j, p]``.
+
+    Attributes
+    ----------
+    planes_jp : ndarray, shape (n_plane, height * width), float32
+        The last plane is 1 everywhere: it carries the mean.
+    operator_kcj : ndarray, shape (n_coeff, channel, n_plane), float64
+    height, width : int
+    """
+
+    planes_jp: NDArray[np.float32]
+    operator_kcj: NDArray[np.float64]
+    height: int
+    width: int
+
+    def to_coeffs(self, device: Device) -> NDArray[np.float32]:
+        """Return the (n_coeff, height, width, channel) float32 coefficients."""
+        n_coeff, channel, _ = self.operator_kcj.shape
+        rows = self._apply(self.operator_kcj.reshape(n_coeff * channel, -1), device)
+        return np.ascontiguousarray(rows.reshape(n_coeff, channel, self.height, self.width).transpose(0, 2, 3, 1))
+
+    def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
+        """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak.
+
+        The light vector is transformed once; a pixel then costs one product per plane, however high the degree.
+        """
+        n_coeff, channel, _ = self.operator_kcj.shape
+        basis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))
+        operator = np.einsum("ik,kcj->icj", basis_ik, self.operator_kcj).reshape(len(basis_ik) * channel, -1)
+        images = self._apply(operator, device).reshape(len(basis_ik), channel, self.height, self.width)
+        return np.ascontiguousarray(images.transpose(0, 2, 3, 1))
+
+    def _apply(self, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
+        out = device.empty((len(operator_mj), self.planes_jp.shape[1]), np.float32)
+        apply_operator(device, pack_operator(device, operator_mj), device.upload(self.planes_jp), out)
+        return device.download(out)

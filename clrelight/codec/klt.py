@@ -1,0 +1,243 @@
+"""Whitened principal-axis coding: what a scene does not need costs no bits."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.entropy import BitCounter, Decoder, Encoder
+from clrelight.codec.factored import Factored
+from clrelight.codec.lifting import (
+    dequantise_map,
+    empty_planes,
+    forward_transform,
+    inverse_transform,
+    list_subbands,
+    quantise_map,
+)
+from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.principal import (
+    ROTATION_UNIT,
+    Axes,
+    Whitened,
+    code_vectors,
+    principal_axes,
+    quantise_axes,
+    solve_planes,
+    whiten,
+)
+from clrelight.codec.registry import Codec, register
+from clrelight.codec.subbands import Statistics, code_indices
+from clrelight.device import Device
+from clrelight.errors import InputError, PayloadError
+
+_VERSION = 1
+_HEAD = struct.Struct("<BBhfHbb")
+_LEVELS = 5
+_ROUNDING = 0.2
+_DROPPED = 0.15
+"""An axis along which pixels deviate less than this part of a step is not coded."""
+_MEAN_STEPS = 4  # the mean is quantised this much finer than the planes: its error is in every pixel
+_BIAS_UNIT = 1.0 / 256.0
+_LEAST_USED = 0.972
+_AIM = 0.986
+_MAX_TRIALS = 24
+_STEP_RANGE = (2.0**-22, 2.0**3)
+
+
+@register
+@dataclass(frozen=True)
+class Klt(Codec):
+    """Whitened coordinates, their principal axes over coefficients and channels, 9/7 wavelet, range coding.
+
+    One quantiser step for everything, in a metric where it costs the same image error everywhere; axes that do not pay
+    are dropped; the table of axes is quantised and coded like the planes, which are then solved against it.
+
+    Attributes
+    ----------
+    rate : float, optional
+        Bits per coefficient not to be passed.
+    bytes : int, optional
+        Bytes not to be passed. At least 97% are used, unless the finest step needs less.
+    step : float, optional
+        Quantiser step in radiance times root steradian, relative to the largest coefficient's power of two.
+
+    One of them is given; by default the rate is 0.1.
+    """
+
+    id: ClassVar[str] = "klt"
+    summary: ClassVar[str] = "whitened principal axes, 9/7 wavelet and range coding: quality per byte"
+
+    rate: float | None = None
+    bytes: int | None = None
+    step: float | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name in ("rate", "bytes", "step") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise InputError(f"klt takes one of rate, bytes and step, got {' and '.join(given)}")
+        if not given:
+            object.__setattr__(self, "rate", 0.1)
+        for name in ("rate", "bytes", "step"):
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, int | float) and 0.0 < value < float("inf")):
+                raise InputError(f"klt {name} must be a positive number, got {value!r}")
+        if self.step is not None and not _STEP_RANGE[0] <= self.step <= _STEP_RANGE[1]:
+            raise InputError(f"klt step must be {_STEP_RANGE[0]:g} to {_STEP_RANGE[1]:g}, got {self.step!r}")
+
+    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+        """See `Codec`; the step chosen and the number of planes are reported."""
+        source = _Source(coeffs_khwc, device)
+        if self.step is not None:
+            body, planes = source.encode(self.step)
+            return body, {"step": float(self.step), "planes": float(planes)}
+        budget = self.bytes if self.bytes is not None else (self.rate or 0.0) * coeffs_khwc.size / 8.0
+        return source.encode_within(int(budget))
+
+    @classmethod
+    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+        """See `Codec`."""
+        return cls.decode_factored(body, shape, device).to_coeffs(device)
+
+    @classmethod
+    def decode_factored(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> Factored:
+        """Return the planes and the matrix that make coefficients, or images, of them."""
+        n_coeff, height, width, channel = shape
+        metric = hemisphere_metric(n_coeff)
+        component = len(metric.forward_jk)
+        if len(body) < _HEAD.size + channel * channel:
+            raise PayloadError(f"a klt body of {channel} channels has at least {_HEAD.size + channel**2} bytes")
+        version, levels, exponent, step, count, *biases = _HEAD.unpack_from(body)
+        if version != _VERSION:
+            raise PayloadError(f"klt version {version} is not known, this program reads {_VERSION}")
+        if not (1 <= levels <= _LEVELS and abs(exponent) <= 150 and _STEP_RANGE[0] <= step <= _STEP_RANGE[1]):
+            raise PayloadError(f"a klt body cannot have {levels} levels, exponent {exponent} and step {step}")
+        if count > channel * component or len(body) < _HEAD.size + channel * channel + count:
+            raise PayloadError(f"a klt body of {len(body)} bytes cannot have {count} planes")
+        at = _HEAD.size
+        rotation_cc = np.frombuffer(body, "<i1", channel * channel, at).reshape(channel, channel)
+        scales = np.frombuffer(body, "<u1", count, at + channel * channel)
+        decoder = Decoder(body[at + channel * channel + count :])
+        mean = code_vectors(decoder, (1, channel, component), None).ravel() * (step / _MEAN_STEPS)
+        entries = code_vectors(decoder, (count, channel, component), None).reshape(count, -1)
+        planes_jp = np.ones((count + 1, height * width), np.float32)
+        if count:
+            planes_jp[:count] = _decode_planes(decoder, (count, height, width), levels, step, biases, device)
+        decoder.finish()
+        vectors_jd = np.concatenate([Axes(entries, scales).vectors_jd, mean[None]])
+        rotation = np.linalg.pinv(rotation_cc / ROTATION_UNIT)
+        operator_kcj = np.einsum(
+            "kn,cd,jdn->kcj",
+            np.ldexp(metric.inverse_kj, exponent),
+            rotation,
+            vectors_jd.reshape(-1, channel, component),
+            optimize=True,
+        )
+        return Factored(planes_jp, operator_kcj, height, width)
+
+
+class _Source:
+    """A map ready to be encoded at any step."""
+
+    def __init__(self, coeffs_khwc: NDArray[np.float32], device: Device) -> None:
+        self._shape, self._device = coeffs_khwc.shape, device
+        largest = float(np.abs(coeffs_khwc).max())
+        self._exponent = int(np.clip(np.frexp(largest)[1], -126, 126)) if largest else 0
+        self._whitened: Whitened = whiten(coeffs_khwc, self._exponent, device)
+        self._vectors, self._deviation = principal_axes(self._whitened)
+
+    def encode(self, step: float) -> tuple[bytes, int]:
+        """Return the body at a step, and its number of planes."""
+        step = float(np.float32(step))
+        encoder = Encoder()
+        axes, biases = self._code(encoder, step)
+        count = len(axes.scales_j)
+        head = _HEAD.pack(_VERSION, _LEVELS, self._exponent, step, count, *biases)
+        return head + self._whitened.rotation_cc.tobytes() + axes.scales_j.tobytes() + encoder.to_bytes(), count
+
+    def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
+        """Return the body at the step that fills a budget of bytes best, and what was found."""
+        finest, coarsest = np.log2(_STEP_RANGE[0]), np.log2(_STEP_RANGE[1])
+        fine, coarse = finest, coarsest
+        tried: list[tuple[float, float]] = []
+        place = -5.0
+        for _ in range(_MAX_TRIALS):
+            size = self._count_bytes(2.0**place)
+            tried.append((place, size))
+            if size > budget:
+                fine = max(fine, place)
+            else:
+                coarse = min(coarse, place)
+                if size >= _LEAST_USED * budget:
+                    break
+            if coarse - fine < 1e-4:
+                break
+            place = _next_place(tried, fine, coarse, _AIM * budget)
+        for attempt in range(_MAX_TRIALS):
+            body, planes = self.encode(2.0**coarse)
+            if len(body) <= budget:
+                return body, {"step": 2.0**coarse, "planes": float(planes)}
+            coarse = min(coarse + 0.002 * 2**attempt, coarsest)
+        raise InputError(f"klt needs {len(body)} bytes for this map even at its coarsest step, the budget is {budget}")
+
+    def _count_bytes(self, step: float) -> float:
+        counter = BitCounter()
+        axes, _ = self._code(counter, float(np.float32(step)))
+        fixed = _HEAD.size + self._whitened.rotation_cc.size + len(axes.scales_j)
+        return fixed + counter.bits / 8.0 + 4.0
+
+    def _code(self, coder: BitCounter | Encoder, step: float) -> tuple[Axes, tuple[int, int]]:
+        n_coeff, height, width, channel = self._shape
+        component = len(hemisphere_metric(n_coeff).forward_jk)
+        kept = self._deviation > _DROPPED * step
+        axes = quantise_axes(self._vectors[kept], self._deviation[kept], height * width, step)
+        count = len(axes.scales_j)
+        mean = np.rint(self._whitened.mean_d * (_MEAN_STEPS / step)).astype(np.int64)
+        code_vectors(coder, (1, channel, component), mean.reshape(1, channel, component))
+        code_vectors(coder, (count, channel, component), axes.entries_jd.reshape(count, channel, component))
+        if not count:
+            return axes, (0, 0)
+        planes_hwj = solve_planes(self._whitened, axes).reshape(1, height, width, count)
+        planes = forward_transform(np.ascontiguousarray(planes_hwj), np.ones(1, np.float32), _LEVELS, self._device)
+        index = quantise_map(planes, 0, planes_hwj.shape, step, _ROUNDING, self._device)
+        code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index)
+        return axes, _measure_biases(index, self._device.download(planes)[:, :, :width], step)
+
+
+def _next_place(tried: list[tuple[float, float]], fine: float, coarse: float, target: float) -> float:
+    """Return the logarithm of the step to try next: secant in logarithms of step and size, kept in the bracket."""
+    near = sorted(tried, key=lambda pair: abs(np.log(pair[1] / target)))[:2]
+    place = near[0][0] + np.log2(near[0][1] / target)  # bytes fall about as the step grows
+    if len(near) == 2 and near[0][1] != near[1][1]:
+        slope = (near[1][0] - near[0][0]) / (np.log(near[1][1]) - np.log(near[0][1]))
+        place = near[0][0] + slope * (np.log(target) - np.log(near[0][1]))
+    if not fine < place < coarse:
+        place = (fine + coarse) / 2.0
+    return float(place)
+
+
+def _measure_biases(index: NDArray[np.int32], planes: NDArray[np.float32], step: float) -> tuple[int, int]:
+    """Return by how much |q| = 1 and |q| > 1 lie above the mean of what they stand for, in 1/256 of a step."""
+    sizes = np.abs(index)
+    biases = []
+    for chosen in (sizes == 1, sizes > 1):
+        values = np.abs(planes[chosen])
+        excess = float(sizes[chosen].mean()) - float(values.mean(dtype=np.float64)) / step if values.size else 0.0
+        biases.append(int(np.clip(np.rint(excess / _BIAS_UNIT), -128, 127)))
+    return biases[0], biases[1]
+
+
+def _decode_planes(
+    decoder: Decoder, shape: tuple[int, int, int], levels: int, step: float, biases: list[int], device: Device
+) -> NDArray[np.float32]:
+    count, height, width = shape
+    index = code_indices(decoder, Statistics(), list_subbands(height, width, levels), shape, None)
+    as_map = (1, height, width, count)
+    planes = empty_planes(as_map, device)
+    dequantise_map(planes, 0, index, step, (biases[0] * _BIAS_UNIT, biases[1] * _BIAS_UNIT), device)
+    pixels = inverse_transform(planes, as_map, np.ones(1, np.float32), levels, device)
+    return pixels.reshape(height * width, count).T

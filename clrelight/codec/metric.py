@@ -1,0 +1,75 @@
+"""Coordinates in which one unit of error costs the same image error everywhere on the hemisphere."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.basis import evaluate_basis
+from clrelight.conventions import degree_of
+
+_KEPT = 1e-7
+"""Components whose share of an image is below this are not kept: no float32 coefficient shows them."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A change of coordinates ``z = forward c`` with ``|z|^2 = integral over the hemisphere of (c' y)^2``.
+
+    Attributes
+    ----------
+    forward_jk : ndarray, shape (n_component, n_coeff), float64
+    inverse_kj : ndarray, shape (n_coeff, n_component), float64
+        ``c = inverse z``, exact up to what the hemisphere cannot see.
+    """
+
+    forward_jk: NDArray[np.float64]
+    inverse_kj: NDArray[np.float64]
+
+
+@functools.lru_cache(maxsize=8)
+def hemisphere_metric(n_coeff: int) -> Metric:
+    """Return the metric of the whole hemisphere, components from smooth to rough.
+
+    With ``G = integral y y' = V S^2 V'`` the coordinates ``S V' c`` are orthonormal in the image (DESIGN: whitened
+    coding). Rotating them to the principal axes of the Laplace-Beltrami operator orders them by roughness. G couples
+    only functions of one order m, so both steps run order by order: there the eigenvalues are distinct, and every
+    machine finds the same axes. Nothing but the degree enters, so a decoder needs no table.
+
+    Components are listed like basis functions: the j-th smoothest of order m stands where ``l = |m| + j`` would.
+    """
+    degree = degree_of(n_coeff)
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 2)
+    z = (nodes + 1.0) / 2.0
+    meridian = np.stack([np.sqrt(1.0 - z * z), np.zeros_like(z), z], axis=-1)
+    basis = evaluate_basis(meridian, degree) * np.sqrt(weights / 2.0 * np.pi)[:, None]
+    forward, inverse = np.zeros((n_coeff, n_coeff)), np.zeros((n_coeff, n_coeff))
+    kept = np.zeros(n_coeff, bool)
+    for m in range(degree + 1):
+        degrees = np.arange(m, degree + 1)
+        scale = np.sqrt(2.0) if m == 0 else 1.0  # the integral of 1, or of cos^2, over the azimuth
+        into, out_of = _smooth_axes(scale * basis[:, degrees * (degrees + 1) + m], degrees)
+        for order in {m, -m}:
+            rows = degrees * (degrees + 1) + order
+            forward[np.ix_(rows[: len(into)], rows)] = into
+            inverse[np.ix_(rows, rows[: len(into)])] = out_of
+            kept[rows[: len(into)]] = True
+    return Metric(forward[kept], inverse[:, kept])
+
+
+def _smooth_axes(block: NDArray[np.float64], degrees: NDArray[np.integer]) -> tuple[NDArray, NDArray]:
+    """Return forward and inverse of the functions of one order, given at quadrature points with their weights."""
+    _, singular, right = np.linalg.svd(block, full_matrices=False)
+    held = singular > _KEPT
+    inverse = right[held].T / singular[held]
+    roughness = (inverse * (degrees * (degrees + 1.0))[:, None] ** 2).T @ inverse
+    _, axes = np.linalg.eigh(roughness)
+    forward, inverse = axes.T @ (singular[held, None] * right[held]), inverse @ axes
+    # The sign that LAPACK leaves open: the first entry that is nearly the largest is positive.
+    size = np.abs(forward)
+    first = np.argmax(size > 0.7 * size.max(axis=1, keepdims=True), axis=1)
+    signs = np.sign(forward[np.arange(len(forward)), first])
+    return forward * signs[:, None], inverse * signs

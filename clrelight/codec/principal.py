@@ -1,0 +1,143 @@
+"""Principal axes of all coefficients and channels of a pixel together, and how their table is coded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.entropy import CLASSES, Coder, ModelSet, class_floor, classify, code_integers, geometric_prior
+from clrelight.codec.metric import hemisphere_metric
+from clrelight.device import Device
+from clrelight.errors import PayloadError
+from clrelight.matmul import apply_operator, pack_operator
+
+ROTATION_UNIT = 127
+"""The rotation of the channels is sent as whole numbers of this unit."""
+
+SCALES_PER_OCTAVE = 4
+_SAMPLED_PIXELS = 16384
+_MAX_ENTRY = 1 << 24
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """A map in coordinates whose errors all cost the same image error.
+
+    Attributes
+    ----------
+    pixels_pd : ndarray, shape (height * width, channel * n_component), float32
+        Channels after their rotation, each with its components from smooth to rough; mean removed.
+    mean_d : ndarray, shape (channel * n_component,), float64
+    rotation_cc : ndarray, shape (channel, channel), int8
+        Rows are the rotated channels, in units of 1/127.
+    """
+
+    pixels_pd: NDArray[np.float32]
+    mean_d: NDArray[np.float64]
+    rotation_cc: NDArray[np.int8]
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Principal axes as the decoder knows them.
+
+    Attributes
+    ----------
+    entries_jd : ndarray, shape (n_axis, channel * n_component), int64
+    scales_j : ndarray, shape (n_axis,), uint8
+        An entry of axis j means ``entry / 2**(scale / 4)``.
+    """
+
+    entries_jd: NDArray[np.int64]
+    scales_j: NDArray[np.uint8]
+
+    @property
+    def vectors_jd(self) -> NDArray[np.float64]:
+        """The axes, near to unit length."""
+        return self.entries_jd / np.exp2(self.scales_j[:, None] / SCALES_PER_OCTAVE)
+
+
+def whiten(coeffs_khwc: NDArray[np.float32], exponent: int, device: Device) -> Whitened:
+    """Return a map, times ``2**-exponent``, in the metric of the hemisphere with its channels rotated.
+
+    The channels' rotation (their principal axes) puts what they share into the first, so that tables are mostly zero
+    in the others.
+    """
+    n_coeff, height, width, channel = coeffs_khwc.shape
+    forward_jk = hemisphere_metric(n_coeff).forward_jk
+    source = device.upload(np.ascontiguousarray(coeffs_khwc).reshape(n_coeff, -1))
+    whitened = device.empty((len(forward_jk), source.shape[1]), np.float32)
+    apply_operator(device, pack_operator(device, np.ldexp(forward_jk, -exponent)), source, whitened)
+    z_jpc = device.download(whitened).reshape(len(forward_jk), height * width, channel)
+    sampled = z_jpc[:, :: _stride(height * width)].reshape(-1, channel).astype(np.float64)
+    _, axes = np.linalg.eigh(sampled.T @ sampled)
+    rotation_cc = np.rint(ROTATION_UNIT * axes[:, ::-1].T).astype(np.int8)
+    turned = np.einsum("jpc,dc->pdj", z_jpc, (rotation_cc / ROTATION_UNIT).astype(np.float32), optimize=True)
+    pixels_pd = np.ascontiguousarray(turned.reshape(height * width, -1), dtype=np.float32)
+    mean_d = pixels_pd.mean(axis=0, dtype=np.float64)
+    return Whitened(pixels_pd - mean_d.astype(np.float32), mean_d, rotation_cc)
+
+
+def principal_axes(whitened: Whitened) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the axes (rows, unit length) and the standard deviation of the pixels along each, both descending."""
+    sampled = whitened.pixels_pd[:: _stride(len(whitened.pixels_pd))].astype(np.float64)
+    variance, vectors = np.linalg.eigh(sampled.T @ sampled / len(sampled))
+    return vectors[:, ::-1].T, np.sqrt(np.maximum(variance[::-1], 0.0))
+
+
+def quantise_axes(vectors_jd: NDArray[np.float64], deviation_j: NDArray[np.float64], n_pixel: int, step: float) -> Axes:
+    """Return the axes in steps that cost the image what a step of the planes costs it.
+
+    An error e of an entry of axis j adds ``n_pixel deviation_j^2 e^2`` to the squared error, one of a plane's sample
+    adds e^2: equal slopes of distortion and bits ask for ``step / (deviation sqrt(n_pixel))``.
+    """
+    ratio = deviation_j * np.sqrt(n_pixel) / step
+    scales = np.clip(np.rint(SCALES_PER_OCTAVE * np.log2(np.maximum(ratio, 1.0))), 0, 80).astype(np.uint8)
+    entries = np.rint(vectors_jd * np.exp2(scales[:, None] / SCALES_PER_OCTAVE)).astype(np.int64)
+    kept = entries.any(axis=1)
+    return Axes(entries[kept], scales[kept])
+
+
+def solve_planes(whitened: Whitened, axes: Axes) -> NDArray[np.float32]:
+    """Return each pixel's coordinates (n_pixel, n_axis) along the axes as the decoder knows them, by least squares."""
+    vectors = axes.vectors_jd
+    solution = np.linalg.pinv(vectors)  # (d, j), the axes being near orthonormal
+    return whitened.pixels_pd @ solution.astype(np.float32)
+
+
+def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray[np.int64] | None) -> NDArray[np.int64]:
+    """Code vectors of shape (rows, channel, component) one after another, each entry near others of its size.
+
+    The context of an entry is the size of the same one, its left and its right neighbour in the row before.
+    """
+    rows, channel, component = shape
+    middle = np.array([0.15, *(0.45 * class_floor(i) for i in range(1, CLASSES))])
+    models = ModelSet(geometric_prior(np.minimum(middle, 1e6)))
+    signs = ModelSet(np.full((1, 2), 0.5))
+    entries = np.zeros(shape, np.int64)
+    before = np.zeros((channel, component + 2), np.int64)
+    before[:, 1:-1] = 4
+    for row in range(rows):
+        activity = 2 * before[:, 1:-1] + before[:, :-2] + before[:, 2:]
+        given = None if entries_rcj is None else entries_rcj[row].ravel()
+        contexts = classify(np.minimum(activity.ravel(), 1 << 20))
+        sizes = code_integers(coder, models, contexts, None if given is None else np.abs(given))
+        nonzero = np.flatnonzero(sizes)
+        negative = coder.code(
+            signs, np.zeros(len(nonzero), np.int32), None if given is None else (given[nonzero] < 0).astype(np.int32)
+        )
+        if sizes.size and sizes.max() > _MAX_ENTRY:
+            raise PayloadError("the range-coded bytes are damaged: a table entry is too large")
+        values = sizes.copy()
+        values[nonzero[negative == 1]] *= -1
+        entries[row] = values.reshape(channel, component)
+        # Half of what was expected stays, so that one row of zeros does not end the expectation.
+        before[:, 1:-1] = (before[:, 1:-1] + 3 * np.abs(entries[row])) >> 2
+    return entries
+
+
+def _stride(n_pixel: int) -> int:
+    # Odd, so that no column of the image is preferred.
+    return max(n_pixel // _SAMPLED_PIXELS, 1) | 1 if n_pixel > _SAMPLED_PIXELS else 1
