@@ -2,7 +2,7 @@
 
 A `ModelSet` holds one frequency table per context. Symbols are coded in batches: all symbols of a batch use the tables
 as they were before it, then the tables learn the batch. Encoder and decoder learn alike, so no table is ever sent.
-Tables are integers and everything made from them uses only exactly rounded arithmetic, so bytes are the same everywhere.
+Tables are integers and what is made of them needs only exactly rounded arithmetic: every machine decodes alike.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CLASSES = 64
 # One observation adds _GAIN to a table's count; a table that weighs more than _LIMIT is halved, to follow the data.
 _GAIN = 1024
 _LIMIT = _GAIN * 8192
-_PRIOR_WEIGHT = _GAIN * 12
+_PRIOR_WEIGHT = _GAIN * 16
 
 _LOOKUP = 1 << 14
 _MAX_RAW_BITS = 23  # constriction's Uniform takes less than 2**24 values

@@ -58,12 +58,14 @@ def forward_transform(
 
     Parameters
     ----------
-    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32, C-contiguous
+    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32
+        C-contiguous.
     scale_k : ndarray, shape (n_coeff,), float32
         Factor of each map, to bring it near 1.
     levels : int
         How often the low subband is split again; a side of one sample is left as it is.
     device : Device
+        Where to run.
 
     Returns
     -------
@@ -164,9 +166,7 @@ def _level_sizes(height: int, width: int, levels: int) -> list[tuple[int, int]]:
     return [size for size in sizes if size != (1, 1)]
 
 
-def _run_level(
-    verb: str, planes: DeviceArray, scratch: DeviceArray, size: tuple[int, int], device: Device
-) -> None:
+def _run_level(verb: str, planes: DeviceArray, scratch: DeviceArray, size: tuple[int, int], device: Device) -> None:
     height, width = size
     count, *pitch = planes.shape
     columns, rows = (-(-width // _LANES), (height + 1) // 2, count), (-(-width // (2 * _LANES)), height, count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import struct
 from dataclasses import dataclass
 from typing import ClassVar
@@ -53,7 +54,10 @@ class Wavelet(Codec):
 
     Notes
     -----
-    Where all maps are coded to full precision (step 2**-22 of the largest magnitude) the size stays below the rate.
+    The 1% holds from about 1 kB of body up; below that the range coder's 4-byte words are coarser. Where all maps are
+    coded to full precision (step 2**-22 of the largest magnitude; with one step for all: of the largest map) the
+    size stays below the rate. Side tables too large for the rate are an InputError.
+
     Body: levels (1 byte), two reconstruction biases (2); an exponent of each map (1 each), their step codes (2 each);
     range-coded indices. Maps with the finest step come first, then the others, both in index order.
     """
@@ -86,7 +90,7 @@ class Wavelet(Codec):
             )
         exponents = _exponents(coeffs_khwc)
         planes = forward_transform(coeffs_khwc, np.ldexp(np.float32(1.0), -exponents), self.levels, device)
-        maps = _TransformedMaps(planes, shape, list_subbands(*shape[1:3], self.levels), device)
+        maps = _TransformedMaps(planes, shape, list_subbands(shape[1], shape[2], self.levels), device)
         budget = 8 * (available - tables)
         search = _search_map_steps if self.allocation == "map" else _search_global_step
         codes, payload = search(maps, exponents, _present(coeffs_khwc), 8 * available, budget)
@@ -98,10 +102,10 @@ class Wavelet(Codec):
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """See `Codec`."""
         tables, payload = _Tables.from_bytes(body, shape[0])
-        n_coeff, height, width, channels = shape
+        _, height, width, channels = shape
         bands = list_subbands(height, width, tables.levels)
         biases = (tables.biases[0] / _BIAS_SCALE, tables.biases[1] / _BIAS_SCALE)
-        decoder, statistics = Decoder(payload), Statistics()
+        decoder, shared = Decoder(payload), Statistics()
         planes = empty_planes(shape, device)
         zeros = np.zeros((channels, height, width), np.int32)
         for k in _coding_order(tables.codes):
@@ -109,7 +113,7 @@ class Wavelet(Codec):
             if code == _ABSENT:
                 dequantise_map(planes, k, zeros, 0.0, (0.0, 0.0), device)
                 continue
-            index = code_indices(decoder, statistics, bands, (channels, height, width), None)
+            index = code_indices(decoder, _statistics_for(code, shared), bands, (channels, height, width), None)
             dequantise_map(planes, k, index, step_of(code), biases, device)
         decoder.finish()
         return inverse_transform(planes, shape, np.ldexp(np.float32(1.0), tables.exponents), tables.levels, device)
@@ -197,6 +201,11 @@ def _coding_order(codes: NDArray[np.integer]) -> list[int]:
     return np.argsort(codes != 0, kind="stable").tolist()
 
 
+def _statistics_for(code: int, shared: Statistics) -> Statistics:
+    """Return what a map learns into: at the finest step it is unlike the others, and learns alone."""
+    return Statistics() if code == 0 else shared
+
+
 def _count(maps: _TransformedMaps, statistics: Statistics, k: int, code: int) -> float:
     counter = BitCounter()
     maps.run(counter, statistics.copy(), k, code)
@@ -213,7 +222,7 @@ def _search_map_steps(
     codes[limited] = 0
     encoder, statistics, ratio = Encoder(), Statistics(), 0.8
     for k in limited:
-        maps.run(encoder, statistics, k, 0)
+        maps.run(encoder, Statistics(), k, 0)
     others = [k for k in present if k not in limited]
     for done, k in enumerate(others):
         spent = 8 * encoder.byte_count
@@ -221,7 +230,7 @@ def _search_map_steps(
         tolerance = min(_MAP_TOLERANCE * asked / len(others) + _MAP_SLACK, _TOLERANCE * asked)
         for margin in range(0, 32 * _ATTEMPTS, 32):
             code, ratio = find_code(
-                lambda c, k=k: _count(maps, statistics, k, c),
+                functools.partial(_count, maps, statistics, k),
                 samples[k].bits,
                 target,
                 budget - spent - margin,
@@ -273,10 +282,10 @@ def _search_global_step(
         return own
 
     def run(coder: BitCounter | Encoder, code: int) -> None:
-        codes, statistics = codes_of(code), Statistics()
+        codes, shared = codes_of(code), Statistics()
         for k in _coding_order(codes):
             if codes[k] != _ABSENT:
-                maps.run(coder, statistics, k, int(codes[k]))
+                maps.run(coder, _statistics_for(int(codes[k]), shared), k, int(codes[k]))
 
     def count(code: int) -> float:
         counter = BitCounter()

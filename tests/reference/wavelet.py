@@ -4,7 +4,9 @@ import numpy as np
 
 # ISO/IEC 15444-1 table F.4 gives the lifting; these are the filters' taps as published by Cohen, Daubechies and
 # Feauveau 1992 (analysis low-pass with gain 1 at frequency 0, high-pass with gain 1 at the Nyquist frequency).
-LOW = np.array([0.6029490182363579, 0.2668641184428723, -0.07822326652898785, -0.01686411844287495, 0.02674875741080976])
+LOW = np.array(
+    [0.6029490182363579, 0.2668641184428723, -0.07822326652898785, -0.01686411844287495, 0.02674875741080976]
+)
 HIGH = np.array([0.5575435262284970, -0.2956358815571280, -0.02877176311424978, 0.04563588155712474])
 
 
