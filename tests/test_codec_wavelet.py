@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-import clrelight.codec.wavelet as module
+import clrelight.codec.allocation
+import clrelight.codec.wavelet
 from clrelight.codec import Encoded, Wavelet, decode, encode
 from clrelight.codec.entropy import Decoder, Encoder
 from clrelight.errors import InputError, PayloadError
@@ -94,7 +95,7 @@ def test_context_coding_beats_zero_order_entropy(device):
 
 def test_decoder_sees_the_encoders_indices(device, monkeypatch):
     seen = {Encoder: [], Decoder: []}
-    original = module.code_indices
+    original = clrelight.codec.wavelet.code_indices
 
     def record(coder, *arguments):
         index = original(coder, *arguments)
@@ -102,11 +103,14 @@ def test_decoder_sees_the_encoders_indices(device, monkeypatch):
             seen[type(coder)].append(index.copy())
         return index
 
-    monkeypatch.setattr(module, "code_indices", record)
+    monkeypatch.setattr(clrelight.codec.allocation, "code_indices", record)
+    monkeypatch.setattr(clrelight.codec.wavelet, "code_indices", record)
     coeffs = make_maps((4, 23, 37, 3))
     body = encode(coeffs, Wavelet(rate=3.0), device).body
     first, second = decode_body(body, coeffs.shape, device), decode_body(body, coeffs.shape, device)
     np.testing.assert_array_equal(first, second)
+    assert len(seen[Encoder]) >= 4
+    assert len(seen[Decoder]) == 8
     for encoded, decoded in zip(seen[Encoder][-4:], seen[Decoder][:4], strict=True):
         np.testing.assert_array_equal(encoded, decoded)
 

@@ -1,21 +1,10 @@
 import numpy as np
 import pytest
 
-from clrelight.codec.entropy import (
-    ALPHABET,
-    CLASSES,
-    BitCounter,
-    Decoder,
-    Encoder,
-    ModelSet,
-    class_floor,
-    classify,
-    code_integers,
-    geometric_prior,
-    zero_order_bits,
-)
+from clrelight.codec.entropy import BitCounter, Decoder, Encoder, ModelSet, code_integers
 from clrelight.codec.lifting import list_subbands
 from clrelight.codec.subbands import Statistics, code_indices
+from clrelight.codec.symbols import ALPHABET, CLASSES, class_floor, classify, geometric_prior, zero_order_bits
 from clrelight.errors import PayloadError
 
 

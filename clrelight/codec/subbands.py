@@ -19,8 +19,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy import CLASSES, Coder, ModelSet, class_floor, classify, code_integers, geometric_prior
+from clrelight.codec.entropy import Coder, ModelSet, code_integers
 from clrelight.codec.lifting import Subband
+from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
 from clrelight.errors import PayloadError
 
 _PHASES = ((0, 0), (1, 1), (0, 1), (1, 0))
