@@ -2,7 +2,7 @@
 
 A `ModelSet` holds one frequency table per context. Symbols are coded in batches: all symbols of a batch use the tables
 as they were before it, then the tables learn the batch. Encoder and decoder learn alike, so no table is ever sent.
-Tables are integers and everything made from them uses only exactly rounded arithmetic, so bytes are the same everywhere.
+Tables are integers and what is made of them needs only exactly rounded arithmetic: every machine decodes alike.
 """
 
 from __future__ import annotations
@@ -13,58 +13,15 @@ import constriction
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.symbols import DIRECT, FIRST, RAW_BITS, symbols_of
 from clrelight.errors import PayloadError
-
-DIRECT = 16
-"""Magnitudes below this are symbols of their own; above, four symbols share an octave and raw bits follow."""
-
-ALPHABET = DIRECT + 4 * 27
-"""Symbols of magnitudes below 2**31."""
-
-CLASSES = 64
-"""Classes of `classify`: two an octave."""
 
 # One observation adds _GAIN to a table's count; a table that weighs more than _LIMIT is halved, to follow the data.
 _GAIN = 1024
 _LIMIT = _GAIN * 8192
-_PRIOR_WEIGHT = _GAIN * 12
+_PRIOR_WEIGHT = _GAIN * 16
 
-_LOOKUP = 1 << 14
 _MAX_RAW_BITS = 23  # constriction's Uniform takes less than 2**24 values
-
-
-def _octaves(values: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    mantissa, exponent = np.frexp(values.astype(np.float64))
-    return exponent - 1, mantissa
-
-
-def _compute_symbols(magnitudes: NDArray[np.integer]) -> NDArray[np.int32]:
-    octave, mantissa = _octaves(np.maximum(magnitudes, DIRECT))
-    coarse = DIRECT + 4 * (octave - 4) + (mantissa * 8).astype(np.int32) - 4
-    return np.where(magnitudes < DIRECT, magnitudes, coarse).astype(np.int32)
-
-
-def _compute_classes(activity: NDArray[np.integer]) -> NDArray[np.int32]:
-    octave, mantissa = _octaves(np.maximum(activity, 1))
-    return np.where(activity < 2, activity, 2 * octave + (mantissa >= 0.75)).astype(np.int32)
-
-
-_SYMBOL_OF = _compute_symbols(np.arange(_LOOKUP)).astype(np.uint8)
-_CLASS_OF = _compute_classes(np.arange(_LOOKUP)).astype(np.uint8)
-_RAW_BITS = np.array([0] * DIRECT + [2 + i // 4 for i in range(ALPHABET - DIRECT)], np.int32)
-_FIRST = np.array([*range(DIRECT), *((4 + i % 4) << (2 + i // 4) for i in range(ALPHABET - DIRECT))], np.int64)
-
-
-def classify(activity: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Return the class, two an octave, of non-negative integers below 2**31: 0, 1, 2, 3, 4-5, 6-7, 8-11, ..."""
-    if activity.size and activity.max() >= _LOOKUP:
-        return _compute_classes(activity)
-    return _CLASS_OF[activity]
-
-
-def class_floor(index: int) -> int:
-    """Return the least activity of a class."""
-    return index if index < 2 else (2 + index % 2) << (index // 2) >> 1
 
 
 class ModelSet:
@@ -256,47 +213,15 @@ def code_integers(
     """Code non-negative integers below 2**31: their symbol in its context, then the raw bits below it."""
     if values is None:
         symbols = coder.code(models, contexts, None)
-        coded = _FIRST[symbols]
+        coded = FIRST[symbols]
     else:
-        small = values.size == 0 or values.max() < _LOOKUP
-        symbols = coder.code(models, contexts, _SYMBOL_OF[values] if small else _compute_symbols(values))
+        symbols = coder.code(models, contexts, symbols_of(values))
         coded = values.astype(np.int64)
     large = np.flatnonzero(symbols >= DIRECT)
     if large.size:
-        widths, first = _RAW_BITS[symbols[large]], _FIRST[symbols[large]]
+        widths, first = RAW_BITS[symbols[large]], FIRST[symbols[large]]
         coded[large] = first + coder.code_raw(widths, None if values is None else coded[large] - first)
     return coded
-
-
-def zero_order_bits(magnitudes: NDArray[np.integer]) -> float:
-    """Return the zero-order entropy of integers, given their magnitudes: symbols, raw bits and signs."""
-    small = magnitudes.size == 0 or magnitudes.max() < _LOOKUP
-    symbols = _SYMBOL_OF[magnitudes] if small else _compute_symbols(magnitudes)
-    counts = np.bincount(symbols.ravel(), minlength=ALPHABET)
-    seen = counts[counts > 0]
-    entropy = float((seen * (np.log2(magnitudes.size) - np.log2(seen))).sum())
-    return entropy + float(counts @ _RAW_BITS) + float(counts[1:].sum())
-
-
-def geometric_prior(means: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (len(means), ALPHABET) symbol probabilities of geometric magnitudes with these means."""
-    ratio = means / (1.0 + means)
-    tail = np.empty((len(means), ALPHABET + 1))
-    for symbol, first in enumerate(_FIRST):
-        tail[:, symbol] = _power(ratio, int(first))
-    tail[:, ALPHABET] = 0.0
-    return tail[:, :-1] - tail[:, 1:]
-
-
-def _power(base: NDArray[np.float64], exponent: int) -> NDArray[np.float64]:
-    # np.power may differ in its last bit between machines; products do not.
-    result, square = np.ones_like(base), base.copy()
-    while exponent:
-        if exponent & 1:
-            result = result * square
-        square = square * square
-        exponent >>= 1
-    return result
 
 
 def _categorical(counts: NDArray[np.int64]) -> object:

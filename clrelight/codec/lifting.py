@@ -58,12 +58,14 @@ def forward_transform(
 
     Parameters
     ----------
-    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32, C-contiguous
+    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32
+        C-contiguous.
     scale_k : ndarray, shape (n_coeff,), float32
         Factor of each map, to bring it near 1.
     levels : int
         How often the low subband is split again; a side of one sample is left as it is.
     device : Device
+        Where to run.
 
     Returns
     -------

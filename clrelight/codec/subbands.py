@@ -19,25 +19,34 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy import CLASSES, Coder, ModelSet, class_floor, code_integers, geometric_prior
+from clrelight.codec.entropy import Coder, ModelSet, code_integers
 from clrelight.codec.lifting import Subband
+from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
+from clrelight.errors import PayloadError
 
 _PHASES = ((0, 0), (1, 1), (0, 1), (1, 0))
 _PREDICTED = 3  # |prediction| of 0, 1, more
-_SITES = 4  # LL, detail in the first phase, other phases; of channel 0 or not
-_UNIT = 16  # activity of a neighbourhood whose magnitudes are all 1
-_MAX_MAGNITUDE = 1 << 22  # for contexts only
+_SITES = 6  # LL, details of channel 0, details of other channels; of each the first phase, and the others
+# By site and prediction: the mean size as a part of the activity, and where the activity is 0. Only to start from.
+_SIZE_TO_EXPECT = np.array([[0.8] * 3, [0.8] * 3, [0.5] * 3, [0.8] * 3, [0.3, 0.45, 0.55], [0.55, 0.75, 0.85]])
+_SIZE_AT_REST = np.array([[2.0] * 3, [0.2, 0.5, 1.0], [0.05] * 3, [0.02] * 3, [0.02, 0.2, 0.4], [0.02, 0.15, 0.3]])
+_UNIT = 16  # activity where all sizes are 1
+_NEARBY = 3  # weight of the neighbours, where the hints weigh 1
+_MAX_SIZE = 1 << 22
+_MAX_PREDICTED = 1 << 29
+_MAX_DIFFERENCE = 1 << 30
 
 
 class Statistics:
     """What coder and decoder have learnt from the maps so far."""
 
     def __init__(self) -> None:
-        middle = np.array([class_floor(i) + class_floor(i + 1) for i in range(CLASSES - 2)]) / 2.0
-        means = np.concatenate([middle, middle[-1:], middle[-1:]]) / _UNIT
-        means[0] = 0.02
-        self.magnitudes = ModelSet(np.tile(geometric_prior(means), (_SITES * _PREDICTED, 1)))
-        self.signs = ModelSet(np.full((9, 2), 0.5))
+        middle = np.array([class_floor(i) + class_floor(i + 1) for i in range(CLASSES - 2)]) / (2.0 * _UNIT)
+        middle = np.concatenate([middle, middle[-1:], middle[-1:]])
+        means = np.multiply.outer(_SIZE_TO_EXPECT, middle)
+        means[:, :, 0] = _SIZE_AT_REST
+        self.magnitudes = ModelSet(geometric_prior(means.ravel()))
+        self.signs = ModelSet(np.full((2 * _PREDICTED - 1, 2), 0.5))
         # (channel, LL or detail) -> sums of x y and x x of indices x of the previous channel and y of this
         self.products: dict[tuple[int, bool], tuple[int, int]] = {}
 
@@ -50,7 +59,8 @@ class Statistics:
 
     def slope(self, channel: int, low: bool) -> float:
         """Return the regression slope of a channel's indices on the previous one's, within [-4, 4]."""
-        xy, xx = self.products.get((channel, low), (0, 0))
+        known = self.products.get((channel, low))
+        xy, xx = known or self.products.get((channel, not low), (0, 0))
         return min(max(xy / xx, -4.0), 4.0) if xx else 0.0
 
     def learn_slope(self, channel: int, low: bool, previous: NDArray[np.integer], this: NDArray[np.integer]) -> None:
@@ -78,6 +88,7 @@ def code_indices(
     Parameters
     ----------
     coder : Coder
+        Where symbols go to or come from.
     statistics : Statistics
         Changed.
     bands : list of Subband
@@ -85,94 +96,104 @@ def code_indices(
     shape : tuple of int
         (channel, height, width).
     index_chw : ndarray, shape (channel, height, width), int32, or None
-        What to code; None when decoding.
+        What to code, below 2**29 in magnitude; None when decoding.
 
     Returns
     -------
     ndarray, shape (channel, height, width), int32
         The indices.
+
+    Raises
+    ------
+    PayloadError
+        If what is decoded cannot be indices.
     """
     decoding = index_chw is None
-    indices = np.zeros(shape, np.int32) if index_chw is None else index_chw
-    differences = np.zeros(shape, np.int32)
+    indices_chw = np.zeros(shape, np.int32) if index_chw is None else index_chw
+    sizes_chw = np.zeros(shape, np.int32)  # of the differences, for contexts
     by_name = {(band.name, band.level): band for band in bands}
     for band in bands:
         low = band.name == "LL"
-        relatives = [
-            by_name[key] for key in [(band.name, band.level + 1), *_siblings(band)] if not low and key in by_name
-        ]
-        place = (band.rows, band.columns)
+        relatives = [by_name[key] for key in _relatives(band) if key in by_name]
         for channel in range(shape[0]):
+            place = (channel, band.rows, band.columns)
+            before = (channel - 1, band.rows, band.columns)
+            hints = [(sizes_chw[channel, r.rows, r.columns], r.level > band.level) for r in relatives]
             predicted = np.zeros(band.shape, np.int32)
             if channel:
-                slope = statistics.slope(channel, low)
-                predicted = np.rint(indices[channel - 1][place] * slope).astype(np.int32)
-            known = None if decoding else indices[channel][place] - predicted
-            hints = [(differences[channel][other.rows, other.columns], other.level > band.level) for other in relatives]
-            previous = differences[channel - 1][place] if channel else None
-            found = _code_band(coder, statistics, low, predicted, previous, hints, known)
-            differences[channel][place] = found
+                expected = np.rint(indices_chw[before] * statistics.slope(channel, low))
+                predicted = np.clip(expected, -_MAX_PREDICTED, _MAX_PREDICTED).astype(np.int32)
+                hints.append((sizes_chw[before], False))
+            known = None if decoding else indices_chw[place] - predicted
+            site = 0 if low else 1 if channel == 0 else 2
+            difference, sizes_chw[place] = _code_band(coder, statistics, site, predicted, hints, known)
             if decoding:
-                indices[channel][place] = predicted + found
+                indices_chw[place] = predicted + difference
             if channel:
-                statistics.learn_slope(channel, low, indices[channel - 1][place], indices[channel][place])
-    return indices
+                statistics.learn_slope(channel, low, indices_chw[before], indices_chw[place])
+    return indices_chw
 
 
-def _siblings(band: Subband) -> list[tuple[str, int]]:
-    return [(name, band.level) for name in {"LH": ["HL"], "HH": ["HL", "LH"]}.get(band.name, [])]
+def _relatives(band: Subband) -> list[tuple[str, int]]:
+    """Return name and level of the parent and of the siblings that are coded before a subband."""
+    if band.name == "LL":
+        return []
+    siblings = {"HL": [], "LH": ["HL"], "HH": ["HL", "LH"]}[band.name]
+    return [(band.name, band.level + 1), *((name, band.level) for name in siblings)]
 
 
 def _code_band(
     coder: Coder,
     statistics: Statistics,
-    low: bool,
+    site: int,
     predicted: NDArray[np.int32],
-    previous: NDArray[np.int32] | None,
     hints: list[tuple[NDArray[np.int32], bool]],
     known: NDArray[np.int32] | None,
-) -> NDArray[np.int32]:
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Code one channel of one subband; return the differences from the prediction, and their sizes for contexts.
+
+    `hints` are sizes that tell what to expect, and whether they are those of a coarser level. Site 0 is LL.
+    """
     height, width = predicted.shape
     # With a border of zeros, and zero where nothing is decoded yet.
-    values = np.zeros((height + 2, width + 2), np.int32)
+    values = np.zeros((height + 2, width + 2), np.int64)
     sizes = np.zeros((height + 2, width + 2), np.int32)
-    inner = values[1:-1, 1:-1]
+    inner = (slice(1, -1), slice(1, -1))
     for phase, (row, column) in enumerate(_PHASES):
         part = (slice(row, None, 2), slice(column, None, 2))
-        shape = predicted[part].shape
-        if 0 in shape:
-            continue
-        offset = np.zeros(shape, np.int32)
-        if phase:
-            count = _neighbour_count(phase, height, width)
-            activity = 3 * _gather(sizes, phase) * (4 * _UNIT // 16) // count
-            if low:
-                offset = _gather(values, phase) // count
-        else:
-            activity = np.zeros(shape, np.int32)
-        context_values = []
-        if previous is not None:
-            context_values.append(np.abs(previous[part]))
-        for hint, coarser in hints:
-            context_values.append(np.abs(_fit(hint if coarser else hint[part], shape)))
-        if context_values:
-            total = np.minimum(context_values[0], _MAX_MAGNITUDE)
-            for value in context_values[1:]:
-                total = total + np.minimum(value, _MAX_MAGNITUDE)
-            share = (1 if phase else 4) * 4
-            activity = activity + share * total // len(context_values)
-        site = 0 if low else (1 if phase == 0 else 2 + (previous is not None))
         expected = predicted[part]
-        if known is None:
-            coded = _code_signed(coder, statistics, site, activity, expected, None)
-            coded = _integrate(coded) if low and phase == 0 else coded + offset
-        else:
-            coded = known[part]
-            residual = _differentiate(coded) if low and phase == 0 else coded - offset
-            _code_signed(coder, statistics, site, activity, expected, residual)
-        inner[part] = coded
-        sizes[1:-1, 1:-1][part] = np.minimum(np.abs(coded), _MAX_MAGNITUDE)
-    return inner
+        if expected.size == 0:
+            continue
+        first = phase == 0
+        hinted = [_crop(size if coarser else size[part], expected.shape) for size, coarser in hints]
+        nearby: NDArray | None = None
+        offset: NDArray = np.zeros((), np.int64)
+        if not first:
+            count = _neighbour_count(phase, height, width)
+            nearby = 4 * _gather(sizes, phase) // count
+            offset = _gather(values, phase) // count if site == 0 else offset
+        activity = _activity(nearby, hinted, expected.shape)
+        delta = site == 0 and first
+        residual = None
+        if known is not None:
+            residual = _differentiate(known[part]) if delta else known[part].astype(np.int64) - offset
+        residual = _code_signed(coder, statistics, 2 * site + (not first), activity, expected, residual)
+        coded = _integrate(residual) if delta else residual + offset
+        if np.abs(coded).max() > _MAX_DIFFERENCE:
+            raise PayloadError("the range-coded bytes are damaged: an index is too large")
+        values[inner][part] = coded
+        sizes[inner][part] = np.minimum(np.abs(residual), _MAX_SIZE)
+    return values[inner].astype(np.int32), sizes[inner]
+
+
+def _activity(
+    nearby: NDArray[np.int32] | None, hints: list[NDArray[np.int32]], shape: tuple[int, ...]
+) -> NDArray[np.int32]:
+    """Return the size to expect, times `_UNIT`: the mean of the hints, and of the neighbours with more weight."""
+    hinted = sum(hints[1:], start=hints[0]) * (_UNIT // 4) // len(hints) if hints else np.zeros(shape, np.int32)
+    if nearby is None:
+        return 4 * hinted
+    return _NEARBY * (_UNIT // 4) * nearby // 4 + (4 - _NEARBY) * hinted
 
 
 def _neighbours_of(phase: int) -> list[tuple[int, int]]:
@@ -183,11 +204,10 @@ def _neighbours_of(phase: int) -> list[tuple[int, int]]:
 @functools.lru_cache(maxsize=256)
 def _neighbour_count(phase: int, height: int, width: int) -> NDArray[np.int32]:
     """Return how many of the neighbours lie inside the subband, at least 1."""
-    inside = np.pad(np.ones((height, width), np.int32), 1)
-    return np.maximum(_gather(inside, phase), 1)
+    return np.maximum(_gather(np.pad(np.ones((height, width), np.int32), 1), phase), 1)
 
 
-def _gather(bordered: NDArray[np.integer], phase: int) -> NDArray[np.integer]:
+def _gather(bordered: NDArray, phase: int) -> NDArray:
     """Return the sum of the four neighbours at each sample of a phase; the array has a border of one."""
     height, width = bordered.shape
     row, column = _PHASES[phase]
@@ -197,41 +217,46 @@ def _gather(bordered: NDArray[np.integer], phase: int) -> NDArray[np.integer]:
     return parts[0] + parts[1] + parts[2] + parts[3]
 
 
-def _fit(values, shape):
+def _crop(values: NDArray[np.int32], shape: tuple[int, ...]) -> NDArray[np.int32]:
+    """Return the top left of an array, with zeros where it is too small (subbands of odd sides differ by one)."""
     values = values[: shape[0], : shape[1]]
     if values.shape == shape:
         return values
     return np.pad(values, [(0, shape[0] - values.shape[0]), (0, shape[1] - values.shape[1])])
 
 
-def _differentiate(values):
-    result = values.copy()
+def _differentiate(values: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Return each sample less the one to its left; in the first column, less the one above."""
+    result = values.astype(np.int64)
     result[:, 1:] -= values[:, :-1]
     result[1:, 0] -= values[:-1, 0]
     return result
 
 
-def _integrate(values):
+def _integrate(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Undo `_differentiate`."""
     result = values.copy()
     result[:, 0] = np.cumsum(values[:, 0])
-    return np.cumsum(result, axis=1).astype(np.int32)
+    return np.cumsum(result, axis=1)
 
 
-def _code_signed(coder, statistics, site, activity, expected, residual):
-    from clrelight.codec.entropy import classify
-
-    shape = activity.shape
+def _code_signed(
+    coder: Coder,
+    statistics: Statistics,
+    site: int,
+    activity: NDArray[np.integer],
+    expected: NDArray[np.int32],
+    residual: NDArray[np.int64] | None,
+) -> NDArray[np.int64]:
+    """Code magnitudes in the contexts of a site, a prediction and an activity, then the signs of what is not zero."""
     expected = np.clip(expected.ravel(), -2, 2)
     contexts = (site * _PREDICTED + np.abs(expected)) * CLASSES + classify(activity.ravel())
     given = None if residual is None else residual.ravel()
-    sizes = code_integers(coder, statistics.magnitudes, contexts, None if given is None else np.abs(given))
-    nonzero = np.flatnonzero(sizes)
-    sign_contexts = expected[nonzero] + 2
-    negative = coder.code(
-        statistics.signs, sign_contexts, None if given is None else (given[nonzero] < 0).astype(np.int32)
-    )
-    if given is not None:
+    coded = code_integers(coder, statistics.magnitudes, contexts, None if given is None else np.abs(given))
+    nonzero = np.flatnonzero(coded)
+    given_signs = None if given is None else (given[nonzero] < 0).astype(np.int32)
+    negative = coder.code(statistics.signs, expected[nonzero] + 2, given_signs)
+    if residual is not None:
         return residual
-    out = sizes.astype(np.int32)
-    out[nonzero[negative.astype(bool)]] *= -1
-    return out.reshape(shape)
+    coded[nonzero[negative == 1]] *= -1
+    return coded.reshape(activity.shape)

@@ -1,0 +1,188 @@
+"""Choose the quantiser steps of transformed maps and code them, so that all bytes together come to those asked for."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.entropy import BitCounter, Encoder
+from clrelight.codec.lifting import Subband, quantise_map
+from clrelight.codec.rate import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, find_code, step_of
+from clrelight.codec.subbands import Statistics, code_indices
+from clrelight.codec.symbols import zero_order_bits
+from clrelight.device import Device, DeviceArray
+
+ROUNDING = 0.4  # a dead zone of 1.2 steps: best at 0.1 to 1 bit, and 0.02 dB from the best at 4
+ABSENT = 65535  # step code of a map that is zero
+_AIM, _TOLERANCE = 0.996, 0.003  # of the bytes asked: near the middle of what is allowed, and how near is enough
+_MAP_TOLERANCE, _MAP_SLACK = 0.006, 12.0  # of one map's share, and bits; the next maps make up for it
+_ATTEMPTS = 6  # to stay below the bytes asked, though words are coarser than the bits counted
+BIAS_SCALE = 256.0
+
+
+class TransformedMaps:
+    """Wavelet coefficients of all maps, quantised as asked."""
+
+    def __init__(
+        self, planes: DeviceArray, shape: tuple[int, int, int, int], bands: list[Subband], device: Device
+    ) -> None:
+        self._planes, self._shape, self._bands, self._device = planes, shape, bands, device
+        self._host = device.download(planes)[:, :, : shape[2]]
+
+    def samples(self) -> dict[int, Sample]:
+        """Return a sample of each map that is not zero."""
+        every = {k: self._values(k) for k in range(self._shape[0])}
+        return {k: Sample(values, ROUNDING) for k, values in every.items() if values.any()}
+
+    def run(self, coder: BitCounter | Encoder, statistics: Statistics, k: int, code: int) -> None:
+        """Code one map."""
+        index = quantise_map(self._planes, k, self._shape, step_of(code), ROUNDING, self._device)
+        code_indices(coder, statistics, self._bands, index.shape, index)
+
+    def measure(self, codes: NDArray[np.integer]) -> tuple[tuple[int, int], float]:
+        """Return the biases in 1/256 step, and the zero-order entropy of all indices in bits."""
+        excess, counts, entropy = np.zeros(2), np.zeros(2), 0.0
+        for k in np.flatnonzero(codes != ABSENT).tolist():
+            step = step_of(int(codes[k]))
+            magnitudes = np.abs(quantise_map(self._planes, k, self._shape, step, ROUNDING, self._device))
+            for plane in magnitudes:
+                entropy += sum(zero_order_bits(plane[band.rows, band.columns]) for band in self._bands)
+            difference = magnitudes - np.abs(self._values(k)) * np.float32(1.0 / step)
+            for i, chosen in enumerate((magnitudes == 1, magnitudes > 1)):
+                excess[i] += float(difference.sum(where=chosen, dtype=np.float64))
+                counts[i] += np.count_nonzero(chosen)
+        biases = np.clip(np.rint(BIAS_SCALE * excess / np.maximum(counts, 1.0)), -128, 127).astype(int)
+        return (int(biases[0]), int(biases[1])), entropy
+
+    def _values(self, k: int) -> NDArray[np.float32]:
+        channels = self._shape[3]
+        return self._host[k * channels : (k + 1) * channels]
+
+
+def coding_order(codes: NDArray[np.integer]) -> list[int]:
+    """Return the maps as they follow each other: those of the finest step, then the others."""
+    return np.argsort(codes != 0, kind="stable").tolist()
+
+
+def statistics_for(code: int, shared: Statistics) -> Statistics:
+    """Return what a map learns into: at the finest step it is unlike the others, and learns alone."""
+    return Statistics() if code == 0 else shared
+
+
+def _count(maps: TransformedMaps, statistics: Statistics, k: int, code: int) -> float:
+    counter = BitCounter()
+    maps.run(counter, statistics.copy(), k, code)
+    return counter.bits
+
+
+def spend_alike(
+    maps: TransformedMaps, exponents: NDArray[np.integer], asked: int, budget: int
+) -> tuple[NDArray[np.int64], bytes]:
+    """Spend alike on every map: each aims at an equal share of what is left.
+
+    Parameters
+    ----------
+    maps : TransformedMaps
+        What to code.
+    exponents : ndarray, shape (n_coeff,), integer
+        Powers of two that the maps were divided by.
+    asked, budget : int
+        Bits asked for in all, and what side tables leave of them.
+
+    Returns
+    -------
+    codes : ndarray, shape (n_coeff,), int64
+        Step codes; `ABSENT` for a map that is zero.
+    payload : bytes
+        The range-coded indices, in `coding_order`; at most `budget` bits.
+    """
+    codes = np.full(len(exponents), ABSENT, np.int64)
+    samples = maps.samples()
+    limited = _find_limited(maps, samples, budget)
+    codes[limited] = 0
+    encoder, statistics, ratio = Encoder(), Statistics(), 0.8
+    for k in limited:
+        maps.run(encoder, Statistics(), k, 0)
+    others = [k for k in samples if k not in limited]
+    for done, k in enumerate(others):
+        spent = 8 * encoder.byte_count
+        target = (budget - (1.0 - _AIM) * asked - spent) / (len(others) - done)
+        tolerance = min(_MAP_TOLERANCE * asked / len(others) + _MAP_SLACK, _TOLERANCE * asked)
+        for margin in range(0, 32 * _ATTEMPTS, 32):
+            code, ratio = find_code(
+                functools.partial(_count, maps, statistics, k),
+                samples[k].bits,
+                target,
+                budget - spent - margin,
+                tolerance,
+                ratio,
+                1,
+            )
+            if code is None:
+                break
+            attempt, learnt = encoder.copy(), statistics.copy()
+            maps.run(attempt, learnt, k, code)
+            if 8 * attempt.byte_count <= budget:
+                codes[k], encoder, statistics = code, attempt, learnt
+                break
+    return codes, encoder.to_bytes()
+
+
+def _find_limited(maps: TransformedMaps, samples: dict[int, Sample], budget: int) -> list[int]:
+    """Return the maps that cannot use an equal share, what they leave being shared by the others."""
+    full = {k: sample.bits(0) for k, sample in samples.items()}
+    limited: list[int] = []
+    left = 0.999 * budget - 64.0  # counts are not yet bytes
+    for k in sorted(full, key=lambda k: (full[k], k)):
+        share = left / (len(full) - len(limited))
+        if full[k] > 3.0 * share:
+            break
+        bits = _count(maps, Statistics(), k, 0)
+        if bits <= share:
+            limited.append(k)
+            left -= bits
+    return sorted(limited)
+
+
+def spend_by_one_step(
+    maps: TransformedMaps, exponents: NDArray[np.integer], asked: int, budget: int
+) -> tuple[NDArray[np.int64], bytes]:
+    """Spend by one step, in the coefficients' own unit, for all maps; see `spend_alike`."""
+    samples = maps.samples()
+    largest = max((int(exponents[k]) for k in samples), default=0)
+
+    def codes_of(code: int) -> NDArray[np.int64]:
+        """Return the codes of the maps' own scales for the code of the largest map."""
+        own = code + STEPS_PER_OCTAVE * (largest - exponents.astype(np.int64))
+        own = np.where(own > COARSEST_CODE, ABSENT, own)
+        absent = np.setdiff1d(np.arange(len(own)), list(samples))
+        own[absent] = ABSENT
+        return own
+
+    def run(coder: BitCounter | Encoder, code: int) -> None:
+        codes, shared = codes_of(code), Statistics()
+        for k in coding_order(codes):
+            if codes[k] != ABSENT:
+                maps.run(coder, statistics_for(int(codes[k]), shared), k, int(codes[k]))
+
+    def count(code: int) -> float:
+        counter = BitCounter()
+        run(counter, code)
+        return counter.bits
+
+    def guess(code: int) -> float:
+        codes = codes_of(code)
+        return sum(sample.bits(int(codes[k])) for k, sample in samples.items() if codes[k] != ABSENT)
+
+    for margin in range(0, 32 * _ATTEMPTS, 32):
+        target = budget - (1.0 - _AIM) * asked
+        code, _ = find_code(count, guess, target, budget - margin, _TOLERANCE * asked, 0.8, 0)
+        if code is None:
+            break
+        encoder = Encoder()
+        run(encoder, code)
+        if 8 * encoder.byte_count <= budget:
+            return codes_of(code), encoder.to_bytes()
+    return np.full(len(exponents), ABSENT, np.int64), b""
