@@ -97,7 +97,8 @@ class ConstrainedLeastSquares(FitMethod):
         errors of large sums. The doubt of the first pass is lambda's relative change for an error of z by one unit of
         the root of E_c; the rounding error of a projection of n_light samples is some eps32 times their norm.
         """
-        rounding = _PROJECTION_ERROR * np.finfo(np.float32).eps / np.sqrt(plan.energy_i.max())
+        # The norm that counts is that of the weighted samples, sqrt(E_c / mean weight).
+        rounding = _PROJECTION_ERROR * np.finfo(np.float32).eps / np.sqrt(plan.energy_i.mean())
         doubtful = np.flatnonzero(doubt_p * rounding > LAMBDA_TOLERANCE).astype(np.int32)
         if not len(doubtful):
             return
