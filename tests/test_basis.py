@@ -72,7 +72,7 @@ def test_horizon_is_exact():
 def test_reflection_in_the_horizon():
     directions = random_directions(9)
     mirrored = evaluate_basis(directions * [1, 1, -1], 12)
-    signs = np.concatenate([(-1.0) ** (l + np.arange(-l, l + 1)) for l in range(13)])
+    signs = np.concatenate([(-1.0) ** (l + np.arange(-l, l + 1)) for l in range(13)])  # noqa: E741
     np.testing.assert_array_equal(mirrored, signs * evaluate_basis(directions, 12))
 
 
@@ -88,8 +88,8 @@ def test_shape_of_directions():
 
 
 def test_index_and_count():
-    pairs = [(l, m) for l in range(12) for m in range(-l, l + 1)]
-    assert [coefficient_index(l, m) for l, m in pairs] == list(range(coefficient_count(11)))
+    pairs = [(degree, m) for degree in range(12) for m in range(-degree, degree + 1)]
+    assert [coefficient_index(*pair) for pair in pairs] == list(range(coefficient_count(11)))
     assert [degree_of(coefficient_count(d)) for d in range(40)] == list(range(40))
     for count in (0, -1, 2, 48, 50):
         with pytest.raises(ValueError, match=f"got {count}"):

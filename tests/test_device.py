@@ -46,11 +46,11 @@ def launch(tmp_path, monkeypatch, device):
 
 def infos():
     """Three devices of a made-up machine."""
-    packaged = replace(list_devices()[0], index=0, kind="cpu", name="Small CPU", version="OpenCL 3.0 PoCL 3.0")
+    cpu = replace(list_devices()[0], index=0, kind="cpu", name="Small CPU", packaged=False, default=False)
     return [
-        replace(packaged, version="OpenCL 3.0 PoCL 5.0", packaged=False, default=False),
-        replace(packaged, index=1, packaged=True, default=False),
-        replace(packaged, index=2, name="Big Card", version="OpenCL 3.0 CUDA", kind="gpu", packaged=False, default=True),
+        replace(cpu, version="OpenCL 3.0 PoCL 5.0"),
+        replace(cpu, index=1, version="OpenCL 3.0 PoCL 3.0", packaged=True),
+        replace(cpu, index=2, version="OpenCL 3.0 CUDA", name="Big Card", kind="gpu", default=True),
     ]
 
 

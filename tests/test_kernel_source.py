@@ -29,7 +29,7 @@ def test_an_installed_package_comes_first(tmp_path, monkeypatch):
     monkeypatch.setattr(kernel_source, "_CHECKOUT_FOLDER", checkout)
     kernel_folder.cache_clear()
     try:
-        with pytest.raises(FileNotFoundError, match="installed.*checkout.*reinstall"):
+        with pytest.raises(FileNotFoundError, match=r"installed.*checkout.*reinstall"):
             kernel_folder()
         (checkout / "common").mkdir(parents=True)
         assert kernel_folder() == checkout
@@ -74,7 +74,7 @@ def test_an_include_of_itself_ends(folder):
 
 def test_build_error_names_file_line_and_defines(folder):
     (folder / "common" / "broken.clh").write_text("#define N 1\n\n\nthis is no OpenCL;\n")
-    (folder / "outer.cl").write_text('#include "common/broken.clh"\n__kernel void f(__global int *a_p) { a_p[0] = N; }\n')
+    (folder / "outer.cl").write_text('#include "common/broken.clh"\n__kernel void f(__global int *a_p) {}\n')
     with pytest.raises(KernelBuildError) as caught:
         open_device().launch("outer.cl", "f", (1,), defines={"TILE": 7})
     assert caught.value.file == "outer.cl"

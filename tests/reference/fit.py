@@ -18,10 +18,14 @@ def bound(sample_ip, weight_i):
 
 
 def decomposed(basis_ik, sample_ip, weight_i):
-    """Return U (k, r), sigma (r, 1) and W' beta (r, p) of the basis with rows weighted to mean 1."""
+    """Return U (k, r), sigma (r, 1) and W' beta (r, p) of the basis with rows weighted to mean 1.
+
+    Without the components that rounding errors of the basis made: those of equal lights, for one.
+    """
     root_i = np.sqrt(weight_i / np.mean(weight_i))[:, None]
     left, sigma, right = np.linalg.svd(root_i * basis_ik, full_matrices=False)
-    return right.T, sigma[:, None], left.T @ (root_i * sample_ip)
+    rank = np.linalg.matrix_rank(root_i * basis_ik)
+    return right[:rank].T, sigma[:rank, None], left[:, :rank].T @ (root_i * sample_ip)
 
 
 def least_squares(basis_ik, sample_ip, weight_i):

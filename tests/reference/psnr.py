@@ -10,9 +10,9 @@ def decode(values):
 
 def encode(values):
     """Return encoded values of linear radiance >= 0."""
-    return np.vectorize(
-        lambda v: 12.92 * v if v <= 0.0031308 else 1.055 * v ** (1 / 2.4) - 0.055, otypes=[float]
-    )(values)
+    return np.vectorize(lambda v: 12.92 * v if v <= 0.0031308 else 1.055 * v ** (1 / 2.4) - 0.055, otypes=[float])(
+        values
+    )
 
 
 def display(radiance, transfer):
