@@ -9,8 +9,8 @@ from clrelight.sampling import make_pattern
 from datasets_synth.ring import render_ring
 from tests.reference.psnr import decode
 
-BLACK, FLAT = 0, 1
-"""Columns of `make_stack` that are 0 under every light, and the same under every light."""
+BLACK, FLAT, VARYING = 0, 1, slice(2, None)
+"""Columns of `make_stack`: 0 under every light, the same under every light, and all others."""
 
 
 @functools.cache
