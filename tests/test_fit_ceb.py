@@ -5,7 +5,8 @@ from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import fit, prepare_fit
 from clrelight.sampling import make_pattern
-from tests.reference import basis, fit as reference
+from tests.reference import basis
+from tests.reference import fit as reference
 from tests.stacks import BLACK, VARYING, columns_of, make_stack, samples_of
 
 METHODS = {"ceb": False, "ceb-crossing": True}

@@ -9,7 +9,8 @@ import pytest
 from clrelight.fit import fit
 from clrelight.ingest import ingest_folder
 from clrelight.store.stacks import open_stack
-from tests.reference import basis, fit as reference
+from tests.reference import basis
+from tests.reference import fit as reference
 from tests.stacks import columns_of, ring_stack, samples_of
 
 DEGREES = [2, 4, 6, 8]
