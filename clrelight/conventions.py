@@ -42,7 +42,7 @@ def coefficient_index(l: int, m: int) -> int:  # noqa: E741 - l is the field's n
 
 def degree_of(n_coeff: int) -> int:
     """Return the degree whose coefficient count is ``n_coeff``; ValueError if there is none."""
-    root = math.isqrt(n_coeff)
+    root = math.isqrt(max(n_coeff, 0))
     if n_coeff < 1 or root * root != n_coeff:
         raise ValueError(f"a coefficient count is a square (1, 4, 9, ...), got {n_coeff}")
     return root - 1

@@ -63,6 +63,8 @@ class LightStack:
             self.weights_i.shape != shape[:1] or not np.all(np.isfinite(self.weights_i) & (self.weights_i >= 0))
         ):
             raise InputError(f"weights must be {shape[0]} finite numbers >= 0, got shape {self.weights_i.shape}")
+        if self.weights_i is not None and not self.weights_i.any():
+            raise InputError("weights must not all be 0")
         if self.mask_hw is not None and (self.mask_hw.shape != shape[1:3] or self.mask_hw.dtype != np.bool_):
             raise InputError(f"mask must be bool of shape {shape[1:3]}, got {self.mask_hw.dtype} {self.mask_hw.shape}")
 

@@ -379,7 +379,10 @@ def _check_array(where: str, type_name: str, name: str, value: Any, extents: dic
 def _check_scalar(where: str, type_name: str, name: str, value: Any, extents: dict[str, tuple[int, str]]) -> Any:
     if isinstance(value, DeviceArray) or np.ndim(value) != 0:
         raise TypeError(f"{where}: {name} must be one {type_name}, got {type(value).__name__}")
-    scalar = np.dtype(_DTYPES[type_name][0]).type(value)
+    dtype = np.dtype(_DTYPES[type_name][0])
+    if dtype.kind in "iu" and not isinstance(value, int | np.integer):
+        raise TypeError(f"{where}: {name} must be a whole number, got {value!r}")
+    scalar = dtype.type(value)
     if name.startswith("size_") and name[5:] in extents and extents[name[5:]][0] != int(scalar):
         extent, owner = extents[name[5:]]
         raise ValueError(f"{where}: {name} is {int(scalar)}, but {owner} has {extent} along {name[5:]}")

@@ -9,6 +9,7 @@ from clrelight.basis import evaluate_basis
 from clrelight.conventions import linear_to_srgb
 from clrelight.dataset import CoefficientMap, check_directions
 from clrelight.device import Device, open_device
+from clrelight.errors import InputError
 from clrelight.matmul import apply_operator, pack_operator
 
 
@@ -32,6 +33,8 @@ def relight(
     """
     device = device or open_device()
     check_directions(directions_i3, None)
+    if not len(directions_i3):
+        raise InputError("relighting needs at least 1 light, got none")
     coeffs_kp = np.ascontiguousarray(coefficients.coeffs_khwc[:]).reshape(coefficients.n_coeff, -1)
     images_ip = device.empty((len(directions_i3), coeffs_kp.shape[1]), np.float32)
     basis = pack_operator(device, evaluate_basis(directions_i3, coefficients.degree))

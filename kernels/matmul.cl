@@ -40,15 +40,20 @@ __kernel void apply_operator_mq(__global float *restrict out_mq,
                      curve_v, scale);
 #if WITH_ENERGY
         for (int v = 0; v < TILE_VECTORS; v += 2) {
-            vecf low = 0.0f, high = 0.0f;
-            for (int i = 0; i < rows; i++) {
-                const vecf a = tile[i * TILE_VECTORS + v], b = tile[i * TILE_VECTORS + v + 1];
-                const float weight = weight_i[i0 + i];
-                low = weight * a * a + low;
-                high = weight * b * b + high;
+            vecf low_sum = 0.0f, high_sum = 0.0f;
+            for (int start = 0; start < rows; start += DEPTH) {
+                vecf low = 0.0f, high = 0.0f;
+                for (int i = start; i < min(start + DEPTH, rows); i++) {
+                    const vecf a = tile[i * TILE_VECTORS + v], b = tile[i * TILE_VECTORS + v + 1];
+                    const float weight = weight_i[i0 + i];
+                    low = weight * a * a + low;
+                    high = weight * b * b + high;
+                }
+                low_sum += low;
+                high_sum += high;
             }
-            sums[v] = low;
-            sums[v + 1] = high;
+            sums[v] = low_sum;
+            sums[v + 1] = high_sum;
         }
         store_row(energy_q + first, (__local const float *)sums, wanted, i0 > 0);
 #endif

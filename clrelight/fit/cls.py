@@ -21,8 +21,9 @@ LAMBDA_TOLERANCE = 2e-5
 _PROJECTION_ERROR = 0.7
 """Rounding error of a component, in eps32 times the norm of the samples; at 0.3 a comparison with float64 finds
 lambda off by 1e-4."""
-_CONVERGED_AFTER = {"bisection": 24, "newton": 8}
-"""Iterations from which the solver's own error is below the tolerance; with fewer the user trades accuracy away."""
+_CONVERGED_AFTER = {"bisection": 24, "newton": 16}
+"""Iterations from which the solver's own error is below the tolerance. Bisection may have fewer: it ends above lambda,
+where the bound holds. Newton ends below, so there they are the least."""
 
 
 @register
@@ -37,7 +38,7 @@ class ConstrainedLeastSquares(FitMethod):
     solver : str
         ``"bisection"`` (the paper's search) or ``"newton"``.
     iterations : int
-        Steps of the solver; 32 is the paper's.
+        Steps of the bisection; 32 is the paper's. Newton ends by itself, and takes 16 or more as a cap.
     """
 
     id = "cls"
@@ -54,6 +55,12 @@ class ConstrainedLeastSquares(FitMethod):
             raise InputError(f"solver must be bisection or newton, got {self.solver!r}")
         if not 1 <= self.iterations <= MAX_ITERATIONS:
             raise InputError(f"iterations must be 1 to {MAX_ITERATIONS}, got {self.iterations}")
+        least = _CONVERGED_AFTER["newton"]
+        if self.solver == "newton" and self.iterations < least:
+            raise InputError(
+                f"newton needs {least} iterations or more to reach the bound, got {self.iterations}: "
+                "it ends by itself, so more cost nothing"
+            )
 
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the matrices; fewer lights than coefficients is legal."""
@@ -90,7 +97,8 @@ class ConstrainedLeastSquares(FitMethod):
         errors of large sums. The doubt of the first pass is lambda's relative change for an error of z by one unit of
         the root of E_c; the rounding error of a projection of n_light samples is some eps32 times their norm.
         """
-        rounding = _PROJECTION_ERROR * np.finfo(np.float32).eps / np.sqrt(plan.energy_i.max())
+        # The norm that counts is that of the weighted samples, sqrt(E_c / mean weight).
+        rounding = _PROJECTION_ERROR * np.finfo(np.float32).eps / np.sqrt(plan.energy_i.mean())
         doubtful = np.flatnonzero(doubt_p * rounding > LAMBDA_TOLERANCE).astype(np.int32)
         if not len(doubtful):
             return

@@ -9,7 +9,7 @@ import numpy as np
 from clrelight.basis import evaluate_basis
 from clrelight.conventions import coefficient_index
 from clrelight.errors import InputError
-from clrelight.fit.plan import FitPlan, Lighting, plan_least_squares, require_lights
+from clrelight.fit.plan import FitPlan, Lighting, is_sphere, plan_least_squares, require_lights
 from clrelight.fit.registry import FitMethod, register
 
 _MIRROR = np.array([1.0, 1.0, -1.0])
@@ -37,6 +37,8 @@ class Projection(FitMethod):
         """Return the quadrature matrix; every degree works, with the error that the paper points out."""
         basis_ik = evaluate_basis(lighting.directions_i3, degree)
         if self.fill == "mirror":
+            if is_sphere(lighting.directions_i3):
+                raise InputError("there are lights below the horizon, so fill must be zero (nothing is), not mirror")
             basis_ik = basis_ik + evaluate_basis(lighting.directions_i3 * _MIRROR, degree)
         analysis_ki = (lighting.solid_angles_i[:, None] * basis_ik).T
         return FitPlan(analysis_ki, None, np.ones(len(analysis_ki)), 2.0 * lighting.solid_angles_i, 1.0)

@@ -31,7 +31,8 @@ class Lighting:
     ----------
     directions_i3 : ndarray, shape (n_light, 3), float64
     solid_angles_i : ndarray, shape (n_light,), float64
-        Steradian; all ``2 pi / n_light`` for the uniform weighting.
+        Steradian; for the uniform weighting all equal, and together the hemisphere, or the sphere where lights
+        below the horizon were allowed.
     sampling : str
         ``"hemisphere"``, or ``"scattered"`` for samples on a part of it (section V-D of the paper).
     """
@@ -74,15 +75,20 @@ class FitPlan:
     notes: tuple[str, ...] = field(default=())
 
 
+def is_sphere(directions_i3: NDArray[np.float64]) -> bool:
+    """Return whether there are lights below the horizon, so that samples count as covering the whole sphere."""
+    return bool((directions_i3[:, 2] < -HORIZON).any())
+
+
 def make_lighting(stack: LightStack, weights: str, sampling: str) -> Lighting:
     """Return the lights of a stack with their weights; InputError for an unknown name."""
     if weights not in WEIGHTINGS:
         raise InputError(f"weights must be one of {', '.join(WEIGHTINGS)}, got {weights!r}")
     if sampling not in SAMPLINGS:
         raise InputError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")
-    angles = np.full(stack.n_light, 2.0 * np.pi / stack.n_light)
+    below = is_sphere(stack.directions_i3)
+    angles = np.full(stack.n_light, (4.0 if below else 2.0) * np.pi / stack.n_light)
     if weights == "solid-angle":
-        below = bool((stack.directions_i3[:, 2] < -HORIZON).any())
         given = stack.weights_i
         angles = solid_angle_weights(stack.directions_i3, sphere=below) if given is None else given
     return Lighting(stack.directions_i3, angles, sampling)

@@ -136,6 +136,8 @@ def prepare_fit(
         raise InputError(f"degree must be 0 to {MAX_DEGREE}, got {degree}")
     if isinstance(method, str):
         method = method_class(method).from_config(options or {})
+    elif options:
+        raise InputError(f"options belong to a method given by its id; this {method.id} has its own: {method}")
     start = time.perf_counter()
     plan = method.plan(make_lighting(stack, weights, sampling), degree)
     report = FitReport(notes=list(plan.notes), condition=plan.condition)

@@ -16,7 +16,8 @@
  * is an upper end in any case.
  *
  * Newton, safeguarded: lambda <- lambda + (f/r) (sqrt(f/E) - 1) with r = sum t^2/(s + lambda). 1/|c| is concave in
- * lambda, so the iteration comes from the left and never overshoots.
+ * lambda, so the iteration comes from the left and never overshoots. It starts where no t_r alone exceeds sqrt(E):
+ * below that, t^2/(s + lambda) overflows once s spans more than some twenty decades.
  */
 #include "common/columns.clh"
 
@@ -100,7 +101,10 @@ __kernel void shrink_by_newton_rq(__global float *restrict z_rq, __global float 
     const lanes energy = LOAD_LANES(energy_q + q);
     /* Black columns: any finite lambda gives zeros; 0/0 must not spread. */
     const lanes_mask empty = energy <= 0.0f;
-    lanes lambda = fmax(sqrt(norm / energy) - singular_r[0] * singular_r[0], 0.0f);
+    const lanes inverse_root = 1.0f / sqrt(energy);
+    lanes lambda = fmax(sqrt(norm) * inverse_root - singular_r[0] * singular_r[0], 0.0f);
+    for (int r = 0; r < N_COMPONENT; r++)
+        lambda = fmax(lambda, fabs(b[r]) * inverse_root - singular_r[r] * singular_r[r]);
     lambda = select(lambda, (lanes)0.0f, empty);
 
     for (int k = 0; k < iterations; k++) {

@@ -47,7 +47,10 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
         b[r] *= singular_r[r];
         norm = b[r] * b[r] + norm;
     }
-    double8 lambda = fmax(sqrt(norm / energy) - singular_r[0] * singular_r[0], 0.0);
+    const double8 inverse_root = 1.0 / sqrt(energy);
+    double8 lambda = fmax(sqrt(norm) * inverse_root - singular_r[0] * singular_r[0], 0.0);
+    for (int r = 0; r < N_COMPONENT; r++)
+        lambda = fmax(lambda, fabs(b[r]) * inverse_root - singular_r[r] * singular_r[r]);
     for (int k = 0; k < MAX_STEPS; k++) {
         double8 f = 0.0, slope = 0.0;
         for (int r = 0; r < N_COMPONENT; r++) {
