@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy import CLASSES, Coder, ModelSet, class_floor, classify, code_integers, geometric_prior
+from clrelight.codec.entropy import Coder, ModelSet, code_integers
 from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 from clrelight.matmul import apply_operator, pack_operator
