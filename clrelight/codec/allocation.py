@@ -17,7 +17,7 @@ from clrelight.device import Device, DeviceArray
 ROUNDING = 0.4  # a dead zone of 1.2 steps: best at 0.1 to 1 bit, and 0.02 dB from the best at 4
 ABSENT = 65535  # step code of a map that is zero
 _AIM, _TOLERANCE = 0.996, 0.003  # of the bytes asked: near the middle of what is allowed, and how near is enough
-_MAP_TOLERANCE, _MAP_SLACK = 0.006, 12.0  # of one map's share, and bits; the next maps make up for it
+_MAP_TOLERANCE, _MAP_SLACK = 0.015, 12.0  # of one map's share, and bits; the next maps make up for it
 _ATTEMPTS = 6  # to stay below the bytes asked, though words are coarser than the bits counted
 BIAS_SCALE = 256.0
 

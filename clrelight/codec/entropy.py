@@ -209,14 +209,14 @@ def code_integers(
     models: ModelSet,
     contexts: NDArray[np.integer],
     values: NDArray[np.integer] | None,
-) -> NDArray[np.int64]:
+) -> NDArray[np.int32]:
     """Code non-negative integers below 2**31: their symbol in its context, then the raw bits below it."""
     if values is None:
         symbols = coder.code(models, contexts, None)
         coded = FIRST[symbols]
     else:
         symbols = coder.code(models, contexts, symbols_of(values))
-        coded = values.astype(np.int64)
+        coded = values.astype(np.int32)
     large = np.flatnonzero(symbols >= DIRECT)
     if large.size:
         widths, first = RAW_BITS[symbols[large]], FIRST[symbols[large]]
@@ -231,10 +231,11 @@ def _categorical(counts: NDArray[np.int64]) -> object:
 def _group(keys: NDArray[np.integer]) -> tuple[NDArray[np.integer], list[tuple[int, slice]]]:
     """Return the stable order that sorts keys, and each key with its part of that order."""
     order = np.argsort(keys.astype(np.uint16), kind="stable")
-    ends = np.cumsum(np.bincount(keys)) if len(keys) else np.zeros(0, np.int64)
-    starts = np.concatenate([[0], ends[:-1]]) if len(ends) else ends
-    parts = zip(starts.tolist(), ends.tolist(), strict=True)
-    return order, [(key, slice(start, end)) for key, (start, end) in enumerate(parts) if end > start]
+    sizes = np.bincount(keys) if len(keys) else np.zeros(0, np.int64)
+    present = np.flatnonzero(sizes)
+    ends = np.cumsum(sizes[present]).tolist()
+    parts = [slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)] if ends else []
+    return order, list(zip(present.tolist(), parts, strict=True))
 
 
 def _digits(width: int) -> list[tuple[int, int]]:

@@ -156,7 +156,8 @@ def _code_band(
     """
     height, width = predicted.shape
     # With a border of zeros, and zero where nothing is decoded yet.
-    values = np.zeros((height + 2, width + 2), np.int64)
+    # Only LL predicts from its neighbours' values, whose sums may pass 31 bits.
+    values = np.zeros((height + 2, width + 2), np.int64 if site == 0 else np.int32)
     sizes = np.zeros((height + 2, width + 2), np.int32)
     inner = (slice(1, -1), slice(1, -1))
     for phase, (row, column) in enumerate(_PHASES):
@@ -176,14 +177,14 @@ def _code_band(
         delta = site == 0 and first
         residual = None
         if known is not None:
-            residual = _differentiate(known[part]) if delta else known[part].astype(np.int64) - offset
+            residual = _differentiate(known[part]) if delta else known[part] - offset if site == 0 else known[part]
         residual = _code_signed(coder, statistics, 2 * site + (not first), activity, expected, residual)
-        coded = _integrate(residual) if delta else residual + offset
-        if np.abs(coded).max() > _MAX_DIFFERENCE:
+        coded = _integrate(residual) if delta else residual + offset if site == 0 else residual
+        if max(-int(coded.min()), int(coded.max())) > _MAX_DIFFERENCE:
             raise PayloadError("the range-coded bytes are damaged: an index is too large")
         values[inner][part] = coded
         sizes[inner][part] = np.minimum(np.abs(residual), _MAX_SIZE)
-    return values[inner].astype(np.int32), sizes[inner]
+    return values[inner].astype(np.int32, copy=False), sizes[inner]
 
 
 def _activity(
@@ -235,8 +236,8 @@ def _differentiate(values: NDArray[np.integer]) -> NDArray[np.int64]:
 
 def _integrate(values: NDArray[np.int64]) -> NDArray[np.int64]:
     """Undo `_differentiate`."""
-    result = values.copy()
-    result[:, 0] = np.cumsum(values[:, 0])
+    result = values.astype(np.int64)
+    result[:, 0] = np.cumsum(values[:, 0], dtype=np.int64)
     return np.cumsum(result, axis=1)
 
 

@@ -36,7 +36,7 @@ def _compute_classes(activity: NDArray[np.integer]) -> NDArray[np.int32]:
 _SYMBOL_OF = _compute_symbols(np.arange(_LOOKUP)).astype(np.uint8)
 _CLASS_OF = _compute_classes(np.arange(_LOOKUP)).astype(np.uint8)
 RAW_BITS = np.array([0] * DIRECT + [2 + i // 4 for i in range(ALPHABET - DIRECT)], np.int32)
-FIRST = np.array([*range(DIRECT), *((4 + i % 4) << (2 + i // 4) for i in range(ALPHABET - DIRECT))], np.int64)
+FIRST = np.array([*range(DIRECT), *((4 + i % 4) << (2 + i // 4) for i in range(ALPHABET - DIRECT))], np.int32)
 
 
 def symbols_of(magnitudes: NDArray[np.integer]) -> NDArray[np.integer]:
