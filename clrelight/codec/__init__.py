@@ -7,6 +7,7 @@ from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, dec
 from clrelight.codec.s3tc import S3tc
 from clrelight.codec.uniform import Uniform
 from clrelight.codec.wavelet import Wavelet
+from clrelight.codec.whitened import Whitened
 
 __all__ = [
     "Codec",
@@ -17,6 +18,7 @@ __all__ = [
     "S3tc",
     "Uniform",
     "Wavelet",
+    "Whitened",
     "codec_class",
     "codec_ids",
     "decode",

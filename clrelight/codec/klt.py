@@ -61,7 +61,7 @@ class Klt(Codec):
     ----------
     rate : float, optional
         Bits per coefficient not to be passed.
-    bytes : int, optional
+    byte_budget : int, optional
         Bytes not to be passed. At least 97% are used, unless the finest step needs less.
     step : float, optional
         Quantiser step in radiance times root steradian, relative to the largest coefficient's power of two.
@@ -73,16 +73,16 @@ class Klt(Codec):
     summary: ClassVar[str] = "whitened principal axes, 9/7 wavelet and range coding: quality per byte"
 
     rate: float | None = None
-    bytes: int | None = None
+    byte_budget: int | None = None
     step: float | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in ("rate", "bytes", "step") if getattr(self, name) is not None]
+        given = [name for name in ("rate", "byte_budget", "step") if getattr(self, name) is not None]
         if len(given) > 1:
-            raise InputError(f"klt takes one of rate, bytes and step, got {' and '.join(given)}")
+            raise InputError(f"klt takes one of rate, byte_budget and step, got {' and '.join(given)}")
         if not given:
             object.__setattr__(self, "rate", 0.1)
-        for name in ("rate", "bytes", "step"):
+        for name in ("rate", "byte_budget", "step"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | float) and 0.0 < value < float("inf")):
                 raise InputError(f"klt {name} must be a positive number, got {value!r}")
@@ -95,7 +95,7 @@ class Klt(Codec):
         if self.step is not None:
             body, planes = source.encode(self.step)
             return body, {"step": float(self.step), "planes": float(planes)}
-        budget = self.bytes if self.bytes is not None else (self.rate or 0.0) * coeffs_khwc.size / 8.0
+        budget = self.byte_budget if self.byte_budget is not None else (self.rate or 0.0) * coeffs_khwc.size / 8.0
         return source.encode_within(int(budget))
 
     @classmethod
@@ -123,7 +123,7 @@ class Klt(Codec):
         scales = np.frombuffer(body, "<u1", count, at + channel * channel)
         decoder = Decoder(body[at + channel * channel + count :])
         mean = code_vectors(decoder, (1, channel, component), None).ravel() * (step / _MEAN_STEPS)
-        entries = code_vectors(decoder, (count, channel, component), None).reshape(count, -1)
+        entries = code_vectors(decoder, (count, channel, component), None).reshape(count, channel * component)
         planes_jp = np.ones((count + 1, height * width), np.float32)
         if count:
             planes_jp[:count] = _decode_planes(decoder, (count, height, width), levels, step, biases, device)

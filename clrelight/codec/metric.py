@@ -30,16 +30,16 @@ class Metric:
     inverse_kj: NDArray[np.float64]
 
 
-@functools.lru_cache(maxsize=8)
-def hemisphere_metric(n_coeff: int) -> Metric:
-    """Return the metric of the whole hemisphere, components from smooth to rough.
+@functools.lru_cache(maxsize=16)
+def hemisphere_metric(n_coeff: int, axes: str = "smooth") -> Metric:
+    """Return the metric of the whole hemisphere, ``G = integral y y' = V S^2 V'``, in coordinates orthonormal in it.
 
-    With ``G = integral y y' = V S^2 V'`` the coordinates ``S V' c`` are orthonormal in the image (DESIGN: whitened
-    coding). Rotating them to the principal axes of the Laplace-Beltrami operator orders them by roughness. G couples
-    only functions of one order m, so both steps run order by order: there the eigenvalues are distinct, and every
-    machine finds the same axes. Nothing but the degree enters, so a decoder needs no table.
+    ``axes="singular"`` is ``z = S V' c``, the whitened coordinates themselves; ``"smooth"`` rotates them to the
+    principal axes of the Laplace-Beltrami operator, from smooth to rough. G couples only functions of one order m, so
+    all steps run order by order: there the eigenvalues are distinct, and every machine finds the same axes. Nothing
+    but the degree enters, so a decoder needs no table.
 
-    Components are listed like basis functions: the j-th smoothest of order m stands where ``l = |m| + j`` would.
+    Components are listed like basis functions: the j-th of order m stands where ``l = |m| + j`` would.
     """
     degree = degree_of(n_coeff)
     nodes, weights = np.polynomial.legendre.leggauss(degree + 2)
@@ -51,7 +51,7 @@ def hemisphere_metric(n_coeff: int) -> Metric:
     for m in range(degree + 1):
         degrees = np.arange(m, degree + 1)
         scale = np.sqrt(2.0) if m == 0 else 1.0  # the integral of 1, or of cos^2, over the azimuth
-        into, out_of = _smooth_axes(scale * basis[:, degrees * (degrees + 1) + m], degrees)
+        into, out_of = _axes(scale * basis[:, degrees * (degrees + 1) + m], degrees, axes == "smooth")
         for order in {m, -m}:
             rows = degrees * (degrees + 1) + order
             forward[np.ix_(rows[: len(into)], rows)] = into
@@ -60,14 +60,15 @@ def hemisphere_metric(n_coeff: int) -> Metric:
     return Metric(forward[kept], inverse[:, kept])
 
 
-def _smooth_axes(block: NDArray[np.float64], degrees: NDArray[np.integer]) -> tuple[NDArray, NDArray]:
+def _axes(block: NDArray[np.float64], degrees: NDArray[np.integer], smooth: bool) -> tuple[NDArray, NDArray]:
     """Return forward and inverse of the functions of one order, given at quadrature points with their weights."""
     _, singular, right = np.linalg.svd(block, full_matrices=False)
     held = singular > _KEPT
     inverse = right[held].T / singular[held]
-    roughness = (inverse * (degrees * (degrees + 1.0))[:, None] ** 2).T @ inverse
-    _, axes = np.linalg.eigh(roughness)
-    forward, inverse = axes.T @ (singular[held, None] * right[held]), inverse @ axes
+    forward = singular[held, None] * right[held]
+    if smooth:
+        _, turn = np.linalg.eigh((inverse * (degrees * (degrees + 1.0))[:, None] ** 2).T @ inverse)
+        forward, inverse = turn.T @ forward, inverse @ turn
     # The sign that LAPACK leaves open: the first entry that is nearly the largest is positive.
     size = np.abs(forward)
     first = np.argmax(size > 0.7 * size.max(axis=1, keepdims=True), axis=1)

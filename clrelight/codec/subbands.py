@@ -247,8 +247,8 @@ def _code_signed(
     site: int,
     activity: NDArray[np.integer],
     expected: NDArray[np.int32],
-    residual: NDArray[np.int64] | None,
-) -> NDArray[np.int64]:
+    residual: NDArray[np.integer] | None,
+) -> NDArray[np.integer]:
     """Code magnitudes in the contexts of a site, a prediction and an activity, then the signs of what is not zero."""
     expected = np.clip(expected.ravel(), -2, 2)
     contexts = (site * _PREDICTED + np.abs(expected)) * CLASSES + classify(activity.ravel())

@@ -1,0 +1,84 @@
+"""Any codec, on coordinates that are whitened first: an error in them is an error in the image."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.registry import Codec, codec_class, register
+from clrelight.device import Device
+from clrelight.errors import InputError, PayloadError
+from clrelight.matmul import apply_operator, pack_operator
+
+
+@register
+@dataclass(frozen=True)
+class Whitened(Codec):
+    """Coefficients in the metric of the hemisphere, ``z = S V' c`` (see `hemisphere_metric`), through another codec.
+
+    Attributes
+    ----------
+    codec : str
+        The codec of the whitened maps.
+    options : mapping
+        Its options.
+
+    Notes
+    -----
+    Body: length of the inner codec's id (1 byte), id, the inner body. The change of coordinates depends on the degree
+    alone, so nothing else is sent.
+    """
+
+    id: ClassVar[str] = "whitened"
+    summary: ClassVar[str] = "another codec on whitened coefficients: errors cost the same everywhere in the image"
+
+    codec: str = "s3tc"
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.codec in _NOT_INSIDE:
+            raise InputError(f"codec {self.codec} is whitened itself, choose another inside whitened")
+        codec_class(self.codec).from_config(self.options)
+
+    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+        """See `Codec`; what the inner codec reports is passed on."""
+        forward = hemisphere_metric(len(coeffs_khwc), "singular").forward_jk
+        inner = codec_class(self.codec).from_config(self.options)
+        body, info = inner.encode_body(_transform(forward, coeffs_khwc, device), device)
+        name = self.codec.encode("ascii")
+        return bytes([len(name)]) + name + body, info
+
+    @classmethod
+    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+        """See `Codec`."""
+        whitened = cls.decode_whitened(body, shape, device)
+        return _transform(hemisphere_metric(shape[0], "singular").inverse_kj, whitened, device)
+
+    @classmethod
+    def decode_whitened(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+        """Return the whitened maps (n_component, height, width, channel), which relight as they are."""
+        if not body or len(body) < 1 + body[0]:
+            raise PayloadError("a whitened body starts with the name of its codec, this one is too short")
+        try:
+            inner = codec_class(body[1 : 1 + body[0]].decode("ascii"))
+        except (InputError, UnicodeDecodeError):
+            raise PayloadError("a whitened body names a codec that is not known") from None
+        if inner.id in _NOT_INSIDE:
+            raise PayloadError(f"a whitened body cannot hold codec {inner.id}")
+        component = len(hemisphere_metric(shape[0], "singular").forward_jk)
+        return inner.decode_body(body[1 + body[0] :], (component, *shape[1:]), device)
+
+
+_NOT_INSIDE = ("whitened", "klt")
+
+
+def _transform(matrix: NDArray[np.float64], maps_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
+    source = device.upload(np.ascontiguousarray(maps_khwc).reshape(len(maps_khwc), -1))
+    out = device.empty((len(matrix), source.shape[1]), np.float32)
+    apply_operator(device, pack_operator(device, matrix), source, out)
+    return device.download(out).reshape(len(matrix), *maps_khwc.shape[1:])

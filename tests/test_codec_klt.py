@@ -1,0 +1,165 @@
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from clrelight.basis import evaluate_basis
+from clrelight.codec import codec_class, decode, encode
+from clrelight.codec.klt import Klt
+from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.registry import Encoded
+from clrelight.errors import InputError, PayloadError
+
+
+def smooth_map(degree, height, width, channel, seed=0, rank=6):
+    """A few smooth planes times smooth spherical functions, and a little of everything else."""
+    rng = np.random.default_rng(seed)
+    n_coeff = (degree + 1) ** 2
+    y, x = np.mgrid[:height, :width]
+    planes = [np.cos(0.2 * rng.random() * x + 0.3 * rng.random() * y + 6 * rng.random()) for _ in range(rank)]
+    decay = 1.0 / (1.0 + np.arange(n_coeff)) ** 0.7
+    loadings = rng.standard_normal((n_coeff, channel, rank)) * decay[:, None, None]
+    coeffs = np.einsum("kcr,rhw->khwc", loadings, np.array(planes))
+    return (coeffs + 0.002 * rng.standard_normal(coeffs.shape)).astype(np.float32)
+
+
+def image_error(a_khwc, b_khwc, degree):
+    """Root mean square over the hemisphere, by a quadrature of this test's own (uniform in z and azimuth)."""
+    z, azimuth = np.meshgrid((np.arange(40) + 0.5) / 40, 2 * np.pi * np.arange(64) / 64, indexing="ij")
+    r = np.sqrt(1 - z * z)
+    directions = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], -1).reshape(-1, 3)
+    difference = (a_khwc.astype(np.float64) - b_khwc).reshape(len(a_khwc), -1)
+    return float(np.sqrt(np.mean((evaluate_basis(directions, degree) @ difference) ** 2)))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 4, 6, 9])
+@pytest.mark.parametrize("axes", ["smooth", "singular"])
+def test_metric_is_the_integral_over_the_hemisphere(degree, axes):
+    # 200 x 64 nodes, nothing shared with the package: Gauss-Legendre in z, trapezoid in azimuth.
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    z, azimuth = np.meshgrid((nodes + 1) / 2, 2 * np.pi * np.arange(64) / 64, indexing="ij")
+    r = np.sqrt(1 - z * z)
+    directions = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], -1).reshape(-1, 3)
+    basis = evaluate_basis(directions, degree)
+    gram = (basis * np.repeat(weights / 2, 64)[:, None] * 2 * np.pi / 64).T @ basis
+    metric = hemisphere_metric((degree + 1) ** 2, axes)
+    np.testing.assert_allclose(metric.forward_jk.T @ metric.forward_jk, gram, atol=1e-12)
+    np.testing.assert_allclose(metric.forward_jk @ metric.inverse_kj, np.eye(len(metric.forward_jk)), atol=1e-6)
+
+
+def test_smooth_axes_are_ordered_by_roughness():
+    metric = hemisphere_metric(49)
+    l = np.concatenate([np.full(2 * l + 1, l) for l in range(7)])
+    roughness = np.einsum("kj,k->j", metric.inverse_kj**2, (l * (l + 1.0)) ** 2)
+    for m in range(7):
+        rows = [l * (l + 1) + m for l in range(m, 7)]
+        assert np.all(np.diff(roughness[rows]) > 0)
+
+
+@pytest.mark.parametrize(("height", "width", "channel"), [(24, 32, 3), (17, 13, 1), (1, 29, 2), (5, 1, 3)])
+def test_a_finer_step_is_a_smaller_error(device, height, width, channel):
+    coeffs = smooth_map(4, height, width, channel)
+    errors = []
+    for step in (0.3, 0.03, 0.003):
+        decoded = decode(encode(coeffs, Klt(step=step), device).to_bytes(), device)
+        errors.append(image_error(coeffs, decoded, 4))
+    assert errors[0] > errors[1] > errors[2]
+    # The step is relative to the largest coefficient's power of two; one plane's error is about a third of it.
+    scale = 2.0 ** np.ceil(np.log2(np.abs(coeffs).max()))
+    assert errors[2] < 3 * 0.003 * scale
+
+
+@pytest.mark.parametrize("budget", [600, 2000, 9000])
+def test_a_byte_budget_is_filled_and_never_passed(device, budget):
+    encoded = encode(smooth_map(6, 40, 48, 3), Klt(byte_budget=budget), device)
+    assert 0.97 * budget <= encoded.encoded_bytes <= budget
+
+
+def test_a_rate_is_a_budget(device):
+    encoded = encode(smooth_map(6, 40, 48, 3), Klt(rate=0.2), device)
+    assert 0.97 * 0.2 <= encoded.bits_per_coefficient <= 0.2
+
+
+def test_relighting_the_planes_equals_relighting_the_coefficients(device):
+    coeffs = smooth_map(6, 20, 31, 3)
+    encoded = encode(coeffs, Klt(step=0.02), device)
+    directions = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.36, 0.48, 0.8]])
+    images = Klt.decode_factored(encoded.body, encoded.shape, device).relight(directions, device)
+    direct = np.einsum("ik,khwc->ihwc", evaluate_basis(directions, 6), decode(encoded, device).astype(np.float64))
+    assert np.abs(images - direct).max() < 1e-5 * np.abs(direct).max()
+
+
+def test_an_empty_map_and_a_constant_one(device):
+    zeros = np.zeros((9, 8, 8, 3), np.float32)
+    assert not decode(encode(zeros, Klt(step=0.01), device), device).any()
+    constant = np.full((9, 8, 8, 3), 0.5, np.float32)
+    error = image_error(constant, decode(encode(constant, Klt(step=0.001), device), device), 2)
+    assert error < 0.001
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e30])
+def test_scales(device, scale):
+    coeffs = (smooth_map(3, 16, 16, 3) * scale).astype(np.float32)
+    error = image_error(coeffs, decode(encode(coeffs, Klt(step=0.001), device), device), 3)
+    assert error < 0.01 * np.abs(coeffs).max()
+
+
+def test_same_map_same_bytes(device):
+    coeffs = smooth_map(4, 30, 22, 3)
+    assert encode(coeffs, Klt(rate=0.3), device).to_bytes() == encode(coeffs, Klt(rate=0.3), device).to_bytes()
+
+
+def test_options_are_checked():
+    for options in ({"rate": 1.0, "step": 0.1}, {"rate": -1.0}, {"byte_budget": 0}, {"step": 99.0}):
+        with pytest.raises(InputError):
+            Klt(**options)
+
+
+def test_a_budget_too_small_is_refused(device):
+    with pytest.raises(InputError, match="needs"):
+        encode(smooth_map(4, 16, 16, 3), Klt(byte_budget=20), device)
+
+
+@pytest.mark.parametrize("codec", ["klt", "whitened"])
+def test_mutated_payloads_are_refused_or_decode(device, codec):
+    coeffs = smooth_map(2, 9, 10, 3)
+    config = {"step": 0.05} if codec == "klt" else {"codec": "uniform"}
+    payload = encode(coeffs, codec_class(codec).from_config(config), device).to_bytes()
+    rng = np.random.default_rng(5)
+    refused = 0
+    for _ in range(400):
+        damaged = bytearray(payload)
+        for _ in range(rng.integers(1, 4)):
+            damaged[rng.integers(len(damaged))] = rng.integers(256)
+        if rng.random() < 0.2:
+            damaged = damaged[: rng.integers(len(damaged))]
+        at = 6 + payload[5]
+        if rng.random() < 0.7 and len(damaged) > at + 28 and damaged[:at] == payload[:at]:
+            # A sum that fits, so that the body reaches the decoder.
+            struct.pack_into("<Q", damaged, at + 16, len(damaged) - at - 28)
+            sums = zlib.crc32(bytes(damaged[at + 28 :]), zlib.crc32(bytes(damaged[: at + 24])))
+            struct.pack_into("<I", damaged, at + 24, sums)
+        try:
+            Encoded.from_bytes(bytes(damaged))
+            if max(struct.unpack_from("<4I", damaged, at)) > 100:
+                continue  # a huge shape that is legal would only be slow
+            decode(bytes(damaged), device)
+        except PayloadError:
+            refused += 1
+    assert refused > 100
+
+
+@pytest.mark.parametrize("inner", ["half", "s3tc", "uniform", "wavelet"])
+def test_whitened_gives_the_coefficients_back(device, inner):
+    coeffs = smooth_map(4, 32, 32, 3)
+    options = {"bits": 12} if inner == "uniform" else {"rate": 8.0} if inner == "wavelet" else {}
+    whitened = codec_class("whitened").from_config({"codec": inner, "options": options})
+    plain = codec_class(inner).from_config(options)
+    error = image_error(coeffs, decode(encode(coeffs, whitened, device).to_bytes(), device), 4)
+    assert error < 1.2 * image_error(coeffs, decode(encode(coeffs, plain, device), device), 4)
+
+
+def test_whitened_cannot_hold_itself():
+    with pytest.raises(InputError, match="choose another"):
+        codec_class("whitened").from_config({"codec": "klt"})
