@@ -47,7 +47,7 @@ def evaluate_basis(directions_i3: NDArray, degree: int) -> NDArray[np.float64]:
             sectoral = sectoral * np.sqrt((2 * m + 1) / (2 * m))
             turn = turn * azimuth
         before, polynomial = np.zeros_like(z), sectoral
-        for l in range(m, degree + 1):  # noqa: E741
+        for l in range(m, degree + 1):
             if l > m:
                 a = np.sqrt((4.0 * l * l - 1.0) / (l * l - m * m))
                 b = np.sqrt(((l - 1.0) ** 2 - m * m) / (4.0 * (l - 1.0) ** 2 - 1.0))

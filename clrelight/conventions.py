@@ -33,7 +33,7 @@ def coefficient_count(degree: int) -> int:
     return (degree + 1) ** 2
 
 
-def coefficient_index(l: int, m: int) -> int:  # noqa: E741 - l is the field's name for the degree
+def coefficient_index(l: int, m: int) -> int:
     """Return ``k = l (l + 1) + m``."""
     if abs(m) > l:
         raise ValueError(f"order m must satisfy |m| <= l, got l={l}, m={m}")

@@ -50,7 +50,7 @@ def test_orthonormal_at_degree_30():
 @pytest.mark.parametrize("z", [1.0, -1.0])
 def test_poles_hold_zonal_functions_only(z):
     basis = evaluate_basis(np.array([[0.0, 0.0, z]]), 100)[0]
-    l = np.arange(101)  # noqa: E741
+    l = np.arange(101)
     zonal = z**l * np.sqrt((2 * l + 1) / (4 * np.pi))
     expected = np.zeros(101**2)
     expected[l * (l + 1)] = zonal
@@ -62,7 +62,7 @@ def test_horizon_is_exact():
     azimuth = np.linspace(0, 2 * np.pi, 13)
     horizon = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(13)], axis=1)
     basis = evaluate_basis(horizon, 40)
-    for l in range(41):  # noqa: E741
+    for l in range(41):
         for m in range(-l, l + 1):
             if (l + m) % 2:  # odd in z
                 assert (basis[:, l * l + l + m] == 0).all()
@@ -72,7 +72,7 @@ def test_horizon_is_exact():
 def test_reflection_in_the_horizon():
     directions = random_directions(9)
     mirrored = evaluate_basis(directions * [1, 1, -1], 12)
-    signs = np.concatenate([(-1.0) ** (l + np.arange(-l, l + 1)) for l in range(13)])  # noqa: E741
+    signs = np.concatenate([(-1.0) ** (l + np.arange(-l, l + 1)) for l in range(13)])
     np.testing.assert_array_equal(mirrored, signs * evaluate_basis(directions, 12))
 
 

@@ -55,7 +55,7 @@ def test_projection_over_the_sphere_finds_a_band_limited_function(device):
 def test_mirrored_projection_finds_an_even_function(device):
     directions, weights = basis.sphere_quadrature(7)  # an even number of rows: none on the horizon
     upper = directions[:, 2] > 0
-    even = np.concatenate([(l + np.arange(-l, l + 1)) % 2 == 0 for l in range(4)])  # noqa: E741
+    even = np.concatenate([(l + np.arange(-l, l + 1)) % 2 == 0 for l in range(4)])
     exact = even * np.concatenate([[3.0], 0.3 * np.random.default_rng(1).standard_normal(15)])
     stack = band_limited(directions[upper], weights[upper], exact)
     found = fit(stack, "project", 3, options={"fill": "mirror"}, weights="solid-angle")

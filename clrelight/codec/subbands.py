@@ -234,7 +234,7 @@ def _differentiate(values: NDArray[np.integer]) -> NDArray[np.int64]:
     return result
 
 
-def _integrate(values: NDArray[np.int64]) -> NDArray[np.int64]:
+def _integrate(values: NDArray[np.integer]) -> NDArray[np.int64]:
     """Undo `_differentiate`."""
     result = values.astype(np.int64)
     result[:, 0] = np.cumsum(values[:, 0], dtype=np.int64)

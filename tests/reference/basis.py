@@ -12,7 +12,7 @@ def real_harmonics(directions_i3, degree):
     x, y, z = directions_i3.T
     complex_lmi = sph_harm_y_all(degree, degree, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x))
     basis_ik = np.empty((len(directions_i3), (degree + 1) ** 2))
-    for l in range(degree + 1):  # noqa: E741
+    for l in range(degree + 1):
         basis_ik[:, l * l + l] = complex_lmi[l, 0].real
         for m in range(1, l + 1):
             unsigned_i = (-1.0) ** m * np.sqrt(2.0) * complex_lmi[l, m]
