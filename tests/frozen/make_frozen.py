@@ -12,7 +12,7 @@ import numpy as np
 from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.device import open_device
 
-OPTIONS = {"uniform": {"bits": 7}}  # codes that cross bytes
+OPTIONS = {"uniform": {"bits": 7}, "klt": {"step": 0.015625}}  # codes that cross bytes; planes that are not empty
 FOLDER = Path(__file__).resolve().parent
 
 
