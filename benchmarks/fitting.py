@@ -17,7 +17,7 @@ from clrelight.matmul import apply_operator, pack_operator
 
 PROJECTION_GOAL = 1 / 1.5
 FIT_GOAL = 1 / 3
-NEWTON_STEPS = 12
+NEWTON_STEPS = 16
 
 _MATMUL = "NumPy float32 matmul"
 _IMAGE_ERROR = "largest image error / peak"
