@@ -14,8 +14,8 @@ from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.matmul import apply_operator, pack_operator, sample_defines
 
-_SEGMENT = 1024
-_TILE_BYTES = 1 << 24
+_SEGMENT = 512
+_TILE_BYTES = 1 << 23
 
 
 @dataclass(frozen=True)

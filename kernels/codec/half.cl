@@ -10,7 +10,7 @@
  * Work-item j converts the stretch of 8 VECTORS values from 8 VECTORS j on. With CLAMP, values beyond 65504
  * become +-65504 (and are flagged still).
  */
-#include "codec/lanes.clh"
+#include "common/lanes.clh"
 
 #ifndef VECTORS
 #error "VECTORS must be defined: how many vectors of eight values a work-item converts"

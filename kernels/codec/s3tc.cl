@@ -20,7 +20,7 @@
  * A work-item handles LANES blocks side by side, each in one lane of a vector, along a row of blocks
  * (get_global_id(1) = g rows + row), in steps of the global size.
  */
-#include "codec/lanes.clh"
+#include "common/lanes.clh"
 
 #if LANES == 8
 typedef float8 real;

@@ -10,7 +10,7 @@
  *
  * |x' - x| <= step/(2 s) + 2^-22 max|x| inside the interval.
  */
-#include "codec/lanes.clh"
+#include "common/lanes.clh"
 
 #ifndef BITS
 #error "BITS must be defined: 1 to 16 bits per coefficient"

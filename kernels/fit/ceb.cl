@@ -40,7 +40,7 @@ __kernel void truncate_rq(__global float *restrict z_rq, __global int *restrict 
         keeping &= sum <= energy;
 #endif
         rank -= keeping;
-        STORE_LANES(select((lanes)0.0f, z, keeping), row);
+        STORE_LANES(keeping ? z : 0.0f, row);
     }
     vstore8(rank, 0, rank_q + q);
 }

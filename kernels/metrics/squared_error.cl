@@ -8,6 +8,7 @@
  *   SEGMENT     columns that one work-item sums; float32 error below eps32 SEGMENT / 8 of the sum
  *   ENCODE      0 linear, 1 sRGB
  */
+#include "common/lanes.clh"
 #include "common/types.clh"
 #include "common/transfer.clh"
 
@@ -15,9 +16,12 @@
 #error "SEGMENT and ENCODE must be defined"
 #endif
 
+/* NaN stays NaN. */
+#define CLIP(x) ((x) < 0.0f ? 0.0f : (x) > 1.0f ? 1.0f : (x))
+
 static float display_value(const float radiance)
 {
-    const float v = clamp(radiance, 0.0f, 1.0f);
+    const float v = CLIP(radiance);
 #if ENCODE
     return encode_srgb(v);
 #else
@@ -36,15 +40,25 @@ __kernel void sum_squared_error_mt(__global float *restrict error_mt, __global c
     int p = t * SEGMENT;
     float8 sums = 0.0f;
 #if !ENCODE
-    for (; p + 8 <= end; p += 8) {
-        const float8 a = clamp(vload8(0, relit + p), 0.0f, 1.0f);
-        const float8 b = clamp(scale * LOAD_SAMPLE8(source, p), 0.0f, 1.0f);
-        sums = vload8(0, weight_p + p) * (a - b) * (a - b) + sums;
+    if (end == p + SEGMENT) {
+        float given[SEGMENT];
+#if SAMPLE_HALF
+        for (int c = 0; c < SEGMENT; c += 8) AT(, float8, given + c) = scale * LOAD_SAMPLE8(source, p + c);
+#else
+        /* A loop of fixed length without calls: compilers vectorise it with the conversion. */
+        for (int c = 0; c < SEGMENT; c++) given[c] = scale * LOAD_SAMPLE(source, p + c);
+#endif
+        for (int c = 0; c < SEGMENT; c += 8) {
+            const float8 a = AT(__global const, float8, relit + p + c), b = AT(const, float8, given + c);
+            const float8 d = CLIP(a) - CLIP(b);
+            sums += AT(__global const, float8, weight_p + p + c) * d * d;
+        }
+        p = end;
     }
 #endif
     float sum = sums.s0 + sums.s1 + sums.s2 + sums.s3 + sums.s4 + sums.s5 + sums.s6 + sums.s7;
     for (; p < end; p++) {
-        const float d = display_value(relit[p]) - clamp(scale * LOAD_SAMPLE(source, p), 0.0f, 1.0f);
+        const float d = display_value(relit[p]) - CLIP(scale * LOAD_SAMPLE(source, p));
         sum += weight_p[p] * d * d;
     }
     error_mt[(long)m * size_t + t] = sum;

@@ -1,0 +1,113 @@
+"""Stages of the codecs: the whole of `encode` and `decode`, checks and bytes included, and the half kernel alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.stage import Stage
+from benchmarks.workload import Workload
+from clrelight.codec import codec_class, codec_ids, decode, encode
+from clrelight.codec.registry import Codec
+
+HALF_GOAL = 5.0
+S3TC_GOAL = 0.4
+WAVELET_RATE = 4.0
+
+_IMAGE_RMS = "image rms after decoding / peak"
+_COPY = "NumPy copy of the coefficients"
+
+
+def codec_stages(work: Workload) -> Iterator[Stage]:
+    """Yield encoding and decoding of the CLS fit by each codec that is registered."""
+    coeffs_khwc = np.ascontiguousarray(work.fitted.coeffs_khwc)
+    yield _half_kernel(work, coeffs_khwc)
+    yield from _codec(work, coeffs_khwc, "half", {}, "NumPy astype(float16)")
+    yield from _codec(work, coeffs_khwc, "s3tc", {}, _COPY, goal=S3TC_GOAL)
+    yield from _codec(work, coeffs_khwc, "uniform", {"bits": 8}, _COPY)
+    if "wavelet" in codec_ids():
+        yield from _codec(work, coeffs_khwc, "wavelet", {"rate": WAVELET_RATE}, _COPY)
+
+
+def _codec(
+    work: Workload,
+    coeffs_khwc: NDArray[np.float32],
+    codec_id: str,
+    config: dict[str, object],
+    peer: str,
+    *,
+    goal: float | None = None,
+) -> Iterator[Stage]:
+    device = work.device
+    codec: Codec = codec_class(codec_id).from_config(config)
+    encoded = encode(coeffs_khwc, codec, device)
+    copy_khwc, halves = np.empty_like(coeffs_khwc), coeffs_khwc.astype(np.float16)
+    is_half = codec_id == "half"
+
+    def errors() -> tuple[float, float | None]:
+        loss = _image_rms(work, coeffs_khwc, decode(encoded, device))
+        return loss, _image_rms(work, coeffs_khwc, halves) if is_half else None
+
+    name = " ".join([codec_id, *(f"{key} {value}" for key, value in config.items())])
+    yield Stage(
+        f"encode {name}",
+        peer,
+        lambda: encode(coeffs_khwc, codec, device),
+        (lambda: coeffs_khwc.astype(np.float16)) if is_half else (lambda: np.copyto(copy_khwc, coeffs_khwc)),
+        errors,
+        _IMAGE_RMS,
+        goal=goal,
+    )
+    yield Stage(
+        f"decode {name}",
+        "NumPy astype(float32)" if is_half else f"{_COPY}, into new memory",
+        lambda: decode(encoded, device),
+        (lambda: halves.astype(np.float32)) if is_half else coeffs_khwc.copy,
+        errors,
+        _IMAGE_RMS,
+    )
+
+
+def _half_kernel(work: Workload, coeffs_khwc: NDArray[np.float32]) -> Stage:
+    device = work.device
+    vectors = 128 if device.info.kind == "cpu" else 1
+    group = 1 if device.info.kind == "cpu" else 32
+    items = -(-coeffs_khwc.size // (8 * vectors))
+    coeffs_p = device.upload(coeffs_khwc.reshape(-1))
+    halves_p, refused_j = device.empty((coeffs_khwc.size,), np.float16), device.empty((items,), np.uint8)
+    peer_halves = np.empty(coeffs_khwc.shape, np.float16)
+
+    def run() -> None:
+        device.launch(
+            "codec/half.cl",
+            "encode_half_p",
+            (-(-items // group) * group,),
+            halves_p,
+            refused_j,
+            coeffs_p,
+            coeffs_khwc.size,
+            defines={"VECTORS": vectors, "CLAMP": 0},
+            local_size=(group,),
+        )
+
+    return Stage(
+        "encode half, kernel alone",
+        "NumPy astype(float16) into ready memory",
+        run,
+        lambda: np.copyto(peer_halves, coeffs_khwc, casting="same_kind"),
+        lambda: (
+            _image_rms(work, coeffs_khwc, device.download(halves_p).reshape(coeffs_khwc.shape)),
+            _image_rms(work, coeffs_khwc, peer_halves),
+        ),
+        _IMAGE_RMS,
+        goal=HALF_GOAL,
+    )
+
+
+def _image_rms(work: Workload, coeffs_khwc: NDArray[np.float32], decoded_khwc: NDArray) -> float:
+    before_ks, after_ks = (
+        maps.reshape(len(maps), -1)[:, work.checked_s].astype(np.float64) for maps in (coeffs_khwc, decoded_khwc)
+    )
+    return float(np.sqrt(np.mean(work.image_error(after_ks, before_ks) ** 2)))

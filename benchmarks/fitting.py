@@ -1,0 +1,140 @@
+"""Stages of a fit: the projection alone, then whole fits from code values to coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import exact
+from benchmarks.peers import NewtonFit
+from benchmarks.stage import Stage
+from benchmarks.workload import DEGREE, Workload
+from clrelight.dataset import CoefficientMap
+from clrelight.fit.run import PreparedFit, collect_fit, prepare_fit
+from clrelight.matmul import apply_operator, pack_operator
+
+PROJECTION_GOAL = 1 / 1.5
+FIT_GOAL = 1 / 3
+NEWTON_STEPS = 16
+
+_MATMUL = "NumPy float32 matmul"
+_IMAGE_ERROR = "largest image error / peak"
+
+
+def projection_stages(work: Workload) -> Iterator[Stage]:
+    """Yield the projection of samples of each type, then of two smaller degrees; inputs are on the device."""
+    for dtype in ("uint8", "float16", "float32"):
+        yield _projection(work, DEGREE, dtype)
+    for degree in (2, 3):
+        yield _projection(work, degree, "uint8")
+
+
+def _projection(work: Workload, degree: int, dtype: str) -> Stage:
+    device = work.device
+    analysis_ri = prepare_fit(work.stack, "uls", degree, device=device).plan.analysis_ri
+    codes_ip = work.stack.images_ihwc.reshape(work.images_ip.shape)
+    source, scale = (codes_ip, 1.0 / work.stack.peak) if dtype == "uint8" else (work.images_ip.astype(dtype), 1.0)
+    operator, source_ip = pack_operator(device, analysis_ri * scale), device.upload(source)
+    z_rp = device.empty((len(analysis_ri), work.columns), np.float32)
+    peer_z_rp = np.empty(z_rp.shape, np.float32)
+    peer_analysis_ri = analysis_ri.astype(np.float32)
+
+    def relative_error(z_rp: NDArray, samples_ip: NDArray, scale: float) -> float:
+        exact_rs = analysis_ri @ (samples_ip[:, work.checked_s].astype(np.float64) * scale)
+        return float(np.abs(z_rp[:, work.checked_s] - exact_rs).max() / np.abs(exact_rs).max())
+
+    return Stage(
+        f"project {dtype}, n = {len(analysis_ri)}",
+        _MATMUL,
+        lambda: apply_operator(device, operator, source_ip, z_rp),
+        lambda: np.matmul(peer_analysis_ri, work.images_ip, out=peer_z_rp),
+        lambda: (
+            relative_error(device.download(z_rp), source, scale),
+            relative_error(peer_z_rp, work.images_ip, 1.0),
+        ),
+        "largest error / largest value",
+        2.0 * analysis_ri.size * work.columns,
+        PROJECTION_GOAL if dtype == "uint8" and degree == DEGREE else None,
+    )
+
+
+def fit_stages(work: Workload) -> Iterator[Stage]:
+    """Yield whole fits of degree 6, uint8 stack to coefficients in host memory, beside the matmul of a projection."""
+    uls, ceb = _prepare(work, "uls"), _prepare(work, "ceb")
+    bisection = _prepare(work, "cls", {"iterations": 32})
+    newton = _prepare(work, "cls", {"solver": "newton", "iterations": NEWTON_STEPS})
+    exact_uls_ks = exact.fit_uls(uls.plan, work.samples_is)
+    exact_cls_ks = exact.fit_cls(bisection.plan, work.samples_is)
+    newton_name = f"fit CLS, Newton {NEWTON_STEPS}"
+    yield _fit(work, "fit ULS", uls, _compare(work, exact_uls_ks))
+    yield _fit(work, "fit CLS, 32 bisections", bisection, _compare(work, exact_cls_ks), goal=FIT_GOAL)
+    yield _fit(work, newton_name, newton, _compare(work, exact_cls_ks))
+    yield _fit_beside_numpy(work, newton_name, newton, exact_cls_ks)
+    yield _fit(work, "fit CEB", ceb, _compare_ranks(work, ceb), "largest image error / peak where ranks agree")
+
+
+def _prepare(work: Workload, method: str, options: Mapping[str, object] | None = None) -> PreparedFit:
+    return prepare_fit(work.stack, method, DEGREE, options=options, device=work.device)
+
+
+def _fit(
+    work: Workload,
+    name: str,
+    prepared: PreparedFit,
+    compare: Callable[[CoefficientMap], float],
+    error_unit: str = _IMAGE_ERROR,
+    *,
+    goal: float | None = None,
+) -> Stage:
+    analysis_ri = prepared.plan.analysis_ri.astype(np.float32)
+    z_rp = np.empty((len(analysis_ri), work.columns), np.float32)
+    return Stage(
+        name,
+        _MATMUL,
+        lambda: collect_fit(prepared),
+        lambda: np.matmul(analysis_ri, work.images_ip, out=z_rp),
+        lambda: (compare(collect_fit(prepared)), None),
+        error_unit,
+        goal=goal,
+    )
+
+
+def _fit_beside_numpy(work: Workload, name: str, prepared: PreparedFit, exact_ks: NDArray[np.float64]) -> Stage:
+    peer = NewtonFit(prepared.plan, NEWTON_STEPS)
+    compare = _compare(work, exact_ks)
+    return Stage(
+        name,
+        "the same in NumPy float32",
+        lambda: collect_fit(prepared),
+        lambda: peer(work.images_ip),
+        lambda: (
+            compare(collect_fit(prepared)),
+            float(work.image_error(peer(work.images_ip)[:, work.checked_s], exact_ks).max()),
+        ),
+        _IMAGE_ERROR,
+    )
+
+
+def _checked(work: Workload, fitted: CoefficientMap) -> NDArray[np.float32]:
+    return fitted.coeffs_khwc[:].reshape(fitted.n_coeff, -1)[:, work.checked_s]
+
+
+def _compare(work: Workload, exact_ks: NDArray[np.float64]) -> Callable[[CoefficientMap], float]:
+    return lambda fitted: float(work.image_error(_checked(work, fitted), exact_ks).max())
+
+
+def _compare_ranks(work: Workload, prepared: PreparedFit) -> Callable[[CoefficientMap], float]:
+    # Where the sum meets the bound within rounding, one eigenvector more or less is as good: not an error to tell.
+    exact_ks, exact_rank_s = exact.fit_ceb(prepared.plan, work.samples_is)
+
+    def compare(fitted: CoefficientMap) -> float:
+        if fitted.rank_hwc is None:
+            raise ValueError("expected a fit with ranks, got none")
+        agree_s = fitted.rank_hwc.reshape(-1)[work.checked_s] == exact_rank_s
+        if agree_s.mean() < 0.99:
+            return float("nan")
+        return float(work.image_error(_checked(work, fitted), exact_ks)[:, agree_s].max())
+
+    return compare
