@@ -16,6 +16,7 @@ from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, make_lighting
 from clrelight.fit.registry import Columns, FitMethod, method_class
+from clrelight.fit.samples import Samples
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
 
 DEFAULT_MEMORY = 1 << 28
@@ -137,7 +138,9 @@ def prepare_fit(
     if isinstance(method, str):
         method = method_class(method).from_config(options or {})
     start = time.perf_counter()
-    plan = method.plan(make_lighting(stack, weights, sampling), degree)
+    lighting = make_lighting(stack, weights, sampling)
+    method = method.settle(lighting, degree, Samples(stack))
+    plan = method.plan(lighting, degree)
     report = FitReport(notes=list(plan.notes), condition=plan.condition)
     report.add("plan", start)
     config = {**method.to_config(), "weights": weights, "sampling": sampling}
