@@ -25,8 +25,9 @@ _CONVERGED_AFTER = {"bisection": 24, "newton": 8}
 """Iterations from which the solver's own error is below the tolerance; with fewer the user trades accuracy away."""
 
 
-_HOST_STEPS = 12
-"""Newton steps of `ConstrainedLeastSquares.find_gains`; 9 reach 1e-6."""
+_HOST_STEPS = 100
+"""At most so many Newton steps of `ConstrainedLeastSquares.find_gains`; some 10 are usual."""
+_HOST_TOLERANCE = 1e-6
 
 
 @register
@@ -97,7 +98,9 @@ class ConstrainedLeastSquares(FitMethod):
             term_rp = (b_rp / (square_r1 + lambda_p)) ** 2
             norm_p, slope_p = term_rp.sum(axis=0), (term_rp / (square_r1 + lambda_p)).sum(axis=0)
             step_p = norm_p / np.maximum(slope_p, np.finfo(np.float64).tiny) * (np.sqrt(norm_p / bound_p) - 1.0)
-            lambda_p = np.maximum(lambda_p + step_p, 0.0)
+            before_p, lambda_p = lambda_p, np.maximum(lambda_p + step_p, 0.0)
+            if np.all(np.abs(lambda_p - before_p) <= _HOST_TOLERANCE * lambda_p):
+                break
         return plan.singular_r[:, None] / (square_r1 + lambda_p)
 
     def _refine(

@@ -27,6 +27,7 @@ class Projection(FitMethod):
     id = "project"
     title = "Projection"
     summary = "quadrature over the sphere, lower hemisphere filled with zeros or mirrored"
+    is_regression = False
     fill: str = "zero"
 
     def __post_init__(self) -> None:

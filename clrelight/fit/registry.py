@@ -63,6 +63,8 @@ class FitMethod(ABC):
     title: ClassVar[str]
     has_lambda: ClassVar[bool] = False
     has_rank: ClassVar[bool] = False
+    is_regression: ClassVar[bool] = True
+    """Whether leaving a light out changes nothing but that the others alone are fitted."""
 
     def settle(self, lighting: Lighting, degree: int, samples: Samples) -> FitMethod:
         """Return the method with every option set that it leaves to the data; `samples` are read where needed only."""
@@ -81,8 +83,8 @@ class FitMethod(ABC):
     ) -> NDArray[np.float64]:
         """Return what `shrink` multiplies each component with, in float64 on the host.
 
-        With it a prediction at left-out lights is in closed form: ``f = B (g z)`` with ``B = Y synthesis``, and the
-        weight of a sample in its own fit is ``H_ii = sum_r B_ir g_r analysis_ri``.
+        With it the fit's values are ``f = B (g z)``, ``B = Y synthesis``, and the weight of a sample in its own fit is
+        ``H_ii = sum_r B_ir g_r analysis_ri``, which is what prediction at unseen lights needs.
 
         Parameters
         ----------
@@ -96,6 +98,8 @@ class FitMethod(ABC):
         -------
         ndarray, shape (rank, P) or (rank, 1), float64
         """
+        if type(self).shrink is not FitMethod.shrink:
+            raise NotImplementedError(f"{self.id} shrinks components, so it must say by how much")
         return np.ones((len(z_rp), 1))
 
     def allocate_maps(self, device: Device, columns: int) -> Shrunk:
