@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.options import device_option, given, json_option, memory_option
+from clrelight.cli.options import DegreeType, device_option, given, json_option, memory_option
 from clrelight.cli.output import decibel, print_facts, print_json, print_notes, progress_bar, seconds_line
 
 if TYPE_CHECKING:
@@ -20,13 +20,17 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("stack", type=click.Path())
 @click.argument("out", type=click.Path())
-@click.option("--method", default="cls", show_default=True, help="project, uls, sloan, cls, ceb or ceb-crossing.")
-@click.option("--degree", type=int, default=6, show_default=True, help="Largest SH degree; (degree+1)² coefficients.")
+@click.option(
+    "--method", default="cls", show_default=True, help="project, uls, sloan, cls, ceb, ceb-crossing, spline or auto."
+)
+@click.option("--degree", type=DegreeType(), default=6, show_default=True, help="Largest SH degree, or auto.")
 @click.option("--holdout", type=int, metavar="K", help="Keep every K-th light out of the fit and measure there too.")
 @click.option("--energy", type=float, help="Factor on the bound E_c of cls and ceb; 1 is the paper's.")
 @click.option("--iterations", type=int, help="Steps of the search for lambda (cls); default 32.")
 @click.option("--solver", help="Search for lambda (cls): bisection or newton.")
 @click.option("--fill", help="Lower hemisphere (project): zero or mirror.")
+@click.option("--lam", type=float, help="Smoothing of spline; default: by generalised cross-validation.")
+@click.option("--per", help="What shares one lambda (spline): stack or channel.")
 @click.option("--weights", default="uniform", show_default=True, help="uniform or solid-angle.")
 @click.option("--sampling", default="hemisphere", show_default=True, help="hemisphere or scattered (section V-D).")
 @click.option("--measure/--no-measure", default=True, help="Whether to measure PSNR after fitting.")
@@ -37,7 +41,7 @@ def fit(
     stack: str,
     out: str,
     method: str,
-    degree: int,
+    degree: int | str,
     holdout: int | None,
     weights: str,
     sampling: str,
@@ -52,6 +56,7 @@ def fit(
     \b
     Example:
       clrelight fit stack.h5 fit.h5 --method cls --degree 6 --holdout 5
+      clrelight fit stack.h5 fit.h5 --method auto --degree auto
     """
     from clrelight.dataset import split_lights
     from clrelight.device import open_device
@@ -70,7 +75,7 @@ def fit(
             progress_bar(f"fitting {prepared.method.title}") as bar,
             create_fit(
                 out,
-                degree=degree,
+                degree=prepared.degree,
                 image_shape=source.image_shape,
                 method=prepared.method.id,
                 peak=source.peak,
@@ -95,8 +100,8 @@ def fit(
         facts: dict[str, Any] = {
             "file": out,
             "method": prepared.method.id,
-            "degree": degree,
-            "n_coeff": (degree + 1) ** 2,
+            "degree": prepared.degree,
+            "n_coeff": (prepared.degree + 1) ** 2,
             "n_light": len(fitted),
             "n_holdout": len(held),
             "config": dict(prepared.config),
@@ -104,6 +109,8 @@ def fit(
             "device": opened.info.label,
             "notes": report.notes,
         }
+        if prepared.choice is not None:
+            facts["choice"] = prepared.choice.to_config()
         if measure:
             since = time.perf_counter()
             with open_fit(out) as coefficients:
@@ -117,7 +124,7 @@ def fit(
     print_facts(
         {
             "fit": out,
-            "method": f"{prepared.method.title}, degree {degree}, {len(fitted)} lights",
+            "method": f"{prepared.method.title}, degree {prepared.degree}, {len(fitted)} lights",
             "condition": f"{report.condition:.3g}",
             **_psnr_lines(facts.get("psnr")),
             "time": seconds_line(report.seconds),

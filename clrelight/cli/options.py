@@ -33,6 +33,21 @@ class ByteCount(click.ParamType):
         return count
 
 
+class DegreeType(click.ParamType):
+    """A whole number, or auto."""
+
+    name = "integer|auto"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | str:
+        """Return the number, or ``"auto"``."""
+        if value == "auto" or isinstance(value, int):
+            return value
+        try:
+            return int(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a whole number or auto", param, ctx)
+
+
 class Numbers(click.ParamType):
     """Numbers separated by commas, of a fixed count where one is given."""
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from clrelight.device import Device
 from clrelight.fit.cls import LANES, check_energy_factor, plan_constrained
 from clrelight.fit.plan import FitPlan, Lighting
@@ -45,6 +48,15 @@ class _Truncation(FitMethod):
             defines={"N_COMPONENT": z_rq.shape[0], "CROSSING": self.crossing},
         )
         return maps
+
+    def find_gains(
+        self, plan: FitPlan, z_rp: NDArray[np.float64], energy_p: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return ``1 / sigma`` for the components kept, else 0."""
+        term_rp = (z_rp / plan.singular_r[:, None]) ** 2
+        sum_rp = np.cumsum(term_rp, axis=0) - (term_rp if self.crossing else 0.0)
+        kept_rp = sum_rp < energy_p if self.crossing else sum_rp <= energy_p
+        return kept_rp / plan.singular_r[:, None]
 
 
 @register

@@ -26,6 +26,11 @@ _CONVERGED_AFTER = {"bisection": 24, "newton": 16}
 where the bound holds. Newton ends below, so there they are the least."""
 
 
+_HOST_STEPS = 100
+"""At most so many Newton steps of `ConstrainedLeastSquares.find_gains`; some 10 are usual."""
+_HOST_TOLERANCE = 1e-6
+
+
 @register
 @dataclass(frozen=True)
 class ConstrainedLeastSquares(FitMethod):
@@ -87,6 +92,23 @@ class ConstrainedLeastSquares(FitMethod):
         if self.iterations >= _CONVERGED_AFTER[self.solver] and device.info.float64:
             self._refine(device, plan, columns, maps, device.download(doubt_q)[: columns.source_ip.shape[1]])
         return maps
+
+    def find_gains(
+        self, plan: FitPlan, z_rp: NDArray[np.float64], energy_p: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return ``sigma / (sigma^2 + lambda)`` with each column's lambda, by Newton as in ``cls.cl``."""
+        square_r1 = plan.singular_r[:, None] ** 2
+        b_rp = plan.singular_r[:, None] * z_rp
+        bound_p = np.maximum(energy_p, np.finfo(np.float64).tiny)
+        lambda_p = np.maximum(np.linalg.norm(b_rp, axis=0) / np.sqrt(bound_p) - square_r1.max(), 0.0)
+        for _ in range(_HOST_STEPS):
+            term_rp = (b_rp / (square_r1 + lambda_p)) ** 2
+            norm_p, slope_p = term_rp.sum(axis=0), (term_rp / (square_r1 + lambda_p)).sum(axis=0)
+            step_p = norm_p / np.maximum(slope_p, np.finfo(np.float64).tiny) * (np.sqrt(norm_p / bound_p) - 1.0)
+            before_p, lambda_p = lambda_p, np.maximum(lambda_p + step_p, 0.0)
+            if np.all(np.abs(lambda_p - before_p) <= _HOST_TOLERANCE * lambda_p):
+                break
+        return plan.singular_r[:, None] / (square_r1 + lambda_p)
 
     def _refine(
         self, device: Device, plan: FitPlan, columns: Columns, maps: Shrunk, doubt_p: NDArray[np.float32]

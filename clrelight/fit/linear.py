@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from clrelight.basis import evaluate_basis
 from clrelight.conventions import coefficient_index
 from clrelight.errors import InputError
-from clrelight.fit.plan import FitPlan, Lighting, is_sphere, plan_least_squares, require_lights
+from clrelight.fit.plan import (
+    FitPlan,
+    Lighting,
+    is_sphere,
+    plan_least_squares,
+    require_lights,
+    scale_components,
+)
 from clrelight.fit.registry import FitMethod, register
 
 _MIRROR = np.array([1.0, 1.0, -1.0])
@@ -27,6 +34,7 @@ class Projection(FitMethod):
     id = "project"
     title = "Projection"
     summary = "quadrature over the sphere, lower hemisphere filled with zeros or mirrored"
+    is_regression = False
     fill: str = "zero"
 
     def __post_init__(self) -> None:
@@ -56,7 +64,8 @@ class UnconstrainedLeastSquares(FitMethod):
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the two matrices of the pseudo-inverse; InputError for fewer lights than coefficients."""
         require_lights(self.id, len(lighting.directions_i3), degree)
-        return invert_singular_values(plan_least_squares(lighting, degree))
+        plan = plan_least_squares(lighting, degree)
+        return scale_components(plan, 1.0 / plan.singular_r)
 
 
 @register
@@ -74,15 +83,4 @@ class SloanLeastSquares(FitMethod):
             raise InputError("sloan leaves y10 out, so it needs degree 1 or more, got 0")
         require_lights(self.id, len(lighting.directions_i3), degree)
         plan = plan_least_squares(lighting, degree, without=(coefficient_index(1, 0),))
-        return invert_singular_values(plan)
-
-
-def invert_singular_values(plan: FitPlan) -> FitPlan:
-    """Fold ``diag(1 / sigma)`` into the synthesis.
-
-    The product is not multiplied out with the analysis: components first, then coefficients, keeps the rounding errors
-    of the large coefficients in the directions where they cancel in the image.
-    """
-    if plan.synthesis_kr is None:
-        raise ValueError("expected a least-squares plan, got one without a synthesis")
-    return replace(plan, synthesis_kr=plan.synthesis_kr / plan.singular_r)
+        return scale_components(plan, 1.0 / plan.singular_r)

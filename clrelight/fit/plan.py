@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,9 @@ def make_lighting(stack: LightStack, weights: str, sampling: str) -> Lighting:
     return Lighting(stack.directions_i3, angles, sampling)
 
 
-def plan_least_squares(lighting: Lighting, degree: int, *, without: tuple[int, ...] = ()) -> FitPlan:
+def plan_least_squares(
+    lighting: Lighting, degree: int, *, without: tuple[int, ...] = (), penalty_k: NDArray[np.float64] | None = None
+) -> FitPlan:
     """Return the plan of a least-squares fit: ``z = W' beta`` with the thin SVD ``Y = W diag(sigma) U'``.
 
     Rows are weighted by the square root of the lights' weights. For scattered sampling the basis is scaled to
@@ -107,6 +109,10 @@ def plan_least_squares(lighting: Lighting, degree: int, *, without: tuple[int, .
     degree : int
     without : tuple of int
         Indices of basis functions that the fit may not use; their coefficients are 0.
+    penalty_k : ndarray, shape (n_coeff,), float64, optional
+        Diagonal of a penalty P on the coefficients, all positive. The SVD is then that of ``Y P^-1/2``, in whose
+        components ``(Y'Y + lambda P)^-1 Y'`` is diagonal; scattered sampling scales nothing, for the penalty settles
+        what the samples do not see.
     """
     basis_ik = evaluate_basis(lighting.directions_i3, degree)
     weight_i = lighting.row_weights_i
@@ -117,7 +123,9 @@ def plan_least_squares(lighting: Lighting, degree: int, *, without: tuple[int, .
     notes: list[str] = []
     used = np.ones(basis_ik.shape[1], bool)
     used[list(without)] = False
-    if lighting.sampling == "scattered":
+    if penalty_k is not None:
+        scale_k = 1.0 / np.sqrt(penalty_k)
+    elif lighting.sampling == "scattered":
         kappa_k = lighting.solid_angles_i @ basis_ik**2
         energy_i = lighting.solid_angles_i
         unseen = kappa_k < _SEEN * kappa_k.max()
@@ -134,11 +142,22 @@ def plan_least_squares(lighting: Lighting, degree: int, *, without: tuple[int, .
     return FitPlan(svd.left_ir.T * root_i, synthesis_kr, svd.singular_r, energy_i, svd.condition, tuple(notes))
 
 
+def scale_components(plan: FitPlan, factor_r: NDArray[np.float64]) -> FitPlan:
+    """Fold ``diag(factor)`` into the synthesis.
+
+    The product is not multiplied out with the analysis: components first, then coefficients, keeps the rounding errors
+    of large coefficients in the directions where they cancel in the image.
+    """
+    if plan.synthesis_kr is None:
+        raise ValueError("expected a least-squares plan, got one without a synthesis")
+    return replace(plan, synthesis_kr=plan.synthesis_kr * factor_r)
+
+
 def require_lights(method: str, n_light: int, degree: int) -> None:
     """Raise InputError where there are fewer lights than coefficients; the message says which degree fits."""
     if n_light < coefficient_count(degree):
         fitting = int(np.sqrt(n_light)) - 1
         raise InputError(
             f"{method} at degree {degree} has {coefficient_count(degree)} coefficients but there are {n_light} lights: "
-            f"degree {fitting} is the largest that fits; cls and ceb accept any degree"
+            f"degree {fitting} is the largest that fits; cls, ceb and spline accept any degree"
         )

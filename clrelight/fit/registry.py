@@ -8,10 +8,12 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clrelight.device import Device, DeviceArray
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, Lighting
+from clrelight.fit.samples import Samples
 from clrelight.matmul import SampleCurve
 
 _REGISTRY: dict[str, type[FitMethod]] = {}
@@ -61,6 +63,12 @@ class FitMethod(ABC):
     title: ClassVar[str]
     has_lambda: ClassVar[bool] = False
     has_rank: ClassVar[bool] = False
+    is_regression: ClassVar[bool] = True
+    """Whether leaving a light out changes nothing but that the others alone are fitted."""
+
+    def settle(self, lighting: Lighting, degree: int, samples: Samples) -> FitMethod:
+        """Return the method with every option set that it leaves to the data; `samples` are read where needed only."""
+        return self
 
     @abstractmethod
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
@@ -69,6 +77,30 @@ class FitMethod(ABC):
     def shrink(self, device: Device, plan: FitPlan, columns: Columns) -> Shrunk:
         """Queue the change of the components in place."""
         return Shrunk()
+
+    def find_gains(
+        self, plan: FitPlan, z_rp: NDArray[np.float64], energy_p: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return what `shrink` multiplies each component with, in float64 on the host.
+
+        With it the fit's values are ``f = B (g z)``, ``B = Y synthesis``, and the weight of a sample in its own fit is
+        ``H_ii = sum_r B_ir g_r analysis_ri``, which is what prediction at unseen lights needs.
+
+        Parameters
+        ----------
+        plan : FitPlan
+        z_rp : ndarray, shape (rank, P), float64
+            ``analysis beta`` of some columns.
+        energy_p : ndarray, shape (P,), float64
+            Their bound E_c.
+
+        Returns
+        -------
+        ndarray, shape (rank, P) or (rank, 1), float64
+        """
+        if type(self).shrink is not FitMethod.shrink:
+            raise NotImplementedError(f"{self.id} shrinks components, so it must say by how much")
+        return np.ones((len(z_rp), 1))
 
     def allocate_maps(self, device: Device, columns: int) -> Shrunk:
         """Return the maps that `shrink` fills, uninitialised."""

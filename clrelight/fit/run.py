@@ -16,6 +16,8 @@ from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, make_lighting
 from clrelight.fit.registry import Columns, FitMethod, method_class
+from clrelight.fit.samples import Samples
+from clrelight.fit.selection import AUTO, DEGREES, METHODS, Choice, choose_model
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
 
 DEFAULT_MEMORY = 1 << 28
@@ -57,6 +59,7 @@ class PreparedFit:
     plan: FitPlan
     device: Device
     report: FitReport
+    choice: Choice | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class FittedTile:
 def fit(
     stack: LightStack,
     method: str | FitMethod = "cls",
-    degree: int = 6,
+    degree: int | str = 6,
     *,
     options: Mapping[str, Any] | None = None,
     weights: str = "uniform",
@@ -88,9 +91,10 @@ def fit(
     ----------
     stack : LightStack
     method : str or FitMethod
-        An id of `method_ids`, or a method with its options.
-    degree : int
-        Largest degree.
+        An id of `method_ids`, a method with its options, or ``"auto"``: that with the least error at unseen lights
+        (`clrelight.fit.selection`), as far as the lights to fit can tell.
+    degree : int or str
+        Largest degree, or ``"auto"``.
     options : mapping, optional
         Options of the method where it is given by id, such as ``{"energy": 0.5}``.
     weights : str
@@ -124,7 +128,7 @@ def fit(
 def prepare_fit(
     stack: LightStack,
     method: str | FitMethod,
-    degree: int,
+    degree: int | str,
     *,
     options: Mapping[str, Any] | None = None,
     weights: str = "uniform",
@@ -132,18 +136,47 @@ def prepare_fit(
     device: Device | None = None,
 ) -> PreparedFit:
     """Check the request and make the matrices; see `fit` for the parameters."""
-    if not 0 <= degree <= MAX_DEGREE:
-        raise InputError(f"degree must be 0 to {MAX_DEGREE}, got {degree}")
-    if isinstance(method, str):
-        method = method_class(method).from_config(options or {})
-    elif options:
-        raise InputError(f"options belong to a method given by its id; this {method.id} has its own: {method}")
+    methods, degrees = _check_model(method, degree, options or {})
+    lighting = make_lighting(stack, weights, sampling)
+    samples = Samples(stack)
+    report = FitReport()
     start = time.perf_counter()
-    plan = method.plan(make_lighting(stack, weights, sampling), degree)
-    report = FitReport(notes=list(plan.notes), condition=plan.condition)
+    choice = None
+    if AUTO in (method, degree):
+        choice = choose_model(samples, methods, degrees, weights, sampling)
+        report.notes.append(choice.note)
+        methods, degrees = [choice.chosen.method], [choice.chosen.degree]
+        start = report.add("choose", start)
+    method, degree = methods[0].settle(lighting, degrees[0], samples), degrees[0]
+    plan = method.plan(lighting, degree)
+    report.notes += plan.notes
+    report.condition = plan.condition
     report.add("plan", start)
     config = {**method.to_config(), "weights": weights, "sampling": sampling}
-    return PreparedFit(stack, method, degree, config, plan, device or open_device(), report)
+    return PreparedFit(stack, method, degree, config, plan, device or open_device(), report, choice)
+
+
+def _check_model(
+    method: str | FitMethod, degree: int | str, options: Mapping[str, Any]
+) -> tuple[list[FitMethod], list[int]]:
+    """Return the methods and degrees asked for: one of each, or those that auto chooses from."""
+    if degree == AUTO:
+        degrees = list(DEGREES)
+    elif isinstance(degree, str) or not 0 <= degree <= MAX_DEGREE:
+        raise InputError(f"degree must be auto or 0 to {MAX_DEGREE}, got {degree!r}")
+    else:
+        degrees = [degree]
+    if method == AUTO:
+        if options:
+            raise InputError(f"auto chooses the options too; {', '.join(options)} needs a method by name")
+        return [method_class(name)() for name in METHODS], degrees
+    if isinstance(method, str):
+        method = method_class(method).from_config(options)
+    elif options:
+        raise InputError(f"options belong to a method given by its id; this {method.id} has its own: {method}")
+    if degree == AUTO and not method.is_regression:
+        raise InputError(f"degree auto needs a method that fits samples, such as cls or spline; {method.id} does not")
+    return [method], degrees
 
 
 def collect_fit(
