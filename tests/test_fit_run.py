@@ -207,8 +207,8 @@ def test_stages_are_timed(device):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"degree": -1}, "degree must be 0 to 100, got -1"),
-        ({"degree": 101}, "degree must be 0 to 100, got 101"),
+        ({"degree": -1}, "degree must be auto or 0 to 100, got -1"),
+        ({"degree": 101}, "degree must be auto or 0 to 100, got 101"),
         ({"method": "nnls"}, "unknown method 'nnls'; known are"),
         ({"weights": "area"}, "weights must be one of uniform, solid-angle, got 'area'"),
         ({"sampling": "sphere"}, "sampling must be one of hemisphere, scattered, got 'sphere'"),
