@@ -1,0 +1,154 @@
+"""The smallest encoding that reaches a quality."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clrelight.codec import Codec, Encoded, codec_class, decode, encode
+from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.device import Device
+from clrelight.errors import InputError
+from clrelight.metrics import Quality, measure_errors, summarize_errors
+
+TOLERANCE = 0.3
+"""Decibel above the target that are near enough; below it nothing is."""
+_AIM = 0.1
+_TYPICAL_SLOPE = 2.0  # dB for twice the step, to make a second guess from
+_MAX_TRIALS = 24
+_SAME_LIGHT = 1.0 - 1e-12
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One encoding that was tried.
+
+    Attributes
+    ----------
+    setting : float
+        Quantiser step (klt) or rate (wavelet).
+    bytes : int
+        Payload and every side table.
+    psnr : float
+        Pooled, in decibel, at the lights that the target is about.
+    """
+
+    setting: float
+    byte_count: int
+    psnr: float
+
+
+def split_by_fit(stack: LightStack, coefficients: CoefficientMap) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lights of a stack that a fit has seen, and those it has not."""
+    seen = np.max(stack.directions_i3 @ coefficients.directions_i3.T, axis=1) > _SAME_LIGHT
+    return np.flatnonzero(seen), np.flatnonzero(~seen)
+
+
+def encode_to_quality(
+    coefficients: CoefficientMap,
+    stack: LightStack,
+    target_psnr: float,
+    *,
+    codec: str = "klt",
+    device: Device,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Encoded, list[Trial], str]:
+    """Encode with as few bytes as a pooled PSNR allows.
+
+    Parameters
+    ----------
+    coefficients : CoefficientMap
+    stack : LightStack
+        What to measure against: at the lights that the fit has not seen, where there are any, else at those it has.
+    target_psnr : float
+        Decibel, pooled. The result lies between it and `TOLERANCE` above.
+    codec : str
+        ``"klt"`` or ``"wavelet"`` (with one step for all maps).
+    device : Device
+    progress : callable, optional
+        Told what is tried.
+
+    Returns
+    -------
+    encoded : Encoded
+    trials : list of Trial
+        In the order tried.
+    why : str
+        Why the search ended.
+
+    Raises
+    ------
+    InputError
+        If not even the uncompressed fit reaches the target.
+    """
+    fitted, held = split_by_fit(stack, coefficients)
+    lights = held if len(held) else fitted
+    chosen = stack if len(lights) == stack.n_light else stack.select(lights)
+
+    def measure(candidate: CoefficientMap) -> Quality:
+        return summarize_errors(measure_errors(candidate, chosen, device=device))
+
+    best = measure(coefficients).psnr_pooled
+    place = "at unseen lights" if len(held) else "at the fitted lights"
+    if best < target_psnr:
+        raise InputError(
+            f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: fit with another method or "
+            "degree (--method auto --degree auto)"
+        )
+    make, fine, coarse = _family(codec)
+    trials: list[Trial] = []
+    found: tuple[Encoded, Trial] | None = None
+    low, high = fine, coarse  # log2 of the setting: low reaches the target (or is untried), high does not
+    place_log = (fine + coarse) / 2.0 if codec == "wavelet" else -5.0
+    why = f"the search ended after {_MAX_TRIALS} trials"
+    for _ in range(_MAX_TRIALS):
+        encoded = encode(coefficients.coeffs_khwc, make(2.0**place_log), device)
+        decoded = replace(coefficients, coeffs_khwc=decode(encoded.to_bytes(), device))
+        trial = Trial(2.0**place_log, encoded.encoded_bytes, measure(decoded).psnr_pooled)
+        trials.append(trial)
+        if progress is not None:
+            progress(f"{trial.byte_count} bytes, {trial.psnr:.2f} dB")
+        if trial.psnr >= target_psnr:
+            low = place_log
+            if found is None or trial.byte_count < found[1].byte_count:
+                found = encoded, trial
+            if trial.psnr <= target_psnr + TOLERANCE:
+                why = f"{trial.psnr:.2f} dB is within {TOLERANCE} dB of the target"
+                break
+        else:
+            high = place_log
+        if abs(high - low) < 1e-3:
+            why = "no coarser setting reaches the target"
+            break
+        place_log = _next(trials, target_psnr + _AIM, low, high, coarse > fine)
+    if found is None:
+        raise InputError(f"codec {codec} does not reach {target_psnr:g} dB {place} at its finest setting")
+    return found[0], trials, why
+
+
+def _family(codec: str) -> tuple[Callable[[float], Codec], float, float]:
+    """Return how to make the codec from one number, and the logarithms of its finest and coarsest values."""
+    if codec == "klt":
+        return (lambda step: codec_class("klt").from_config({"step": step})), -20.0, 2.5
+    if codec == "wavelet":
+        return (lambda rate: codec_class("wavelet").from_config({"rate": rate, "allocation": "global"})), 4.0, -6.0
+    raise InputError(f"a quality can be asked of klt and wavelet, not of {codec}")
+
+
+def _next(trials: list[Trial], target: float, low: float, high: float, coarser_is_larger: bool) -> float:
+    """Return the logarithm to try next: secant of PSNR over it, kept within the bracket."""
+    near = sorted((t for t in trials if np.isfinite(t.psnr)), key=lambda trial: abs(trial.psnr - target))[:2]
+    middle = (low + high) / 2.0
+    if not near:
+        return middle
+    a = np.log2(near[0].setting)
+    if len(near) == 1 or near[0].psnr == near[1].psnr:
+        octaves = (near[0].psnr - target) / _TYPICAL_SLOPE
+        guess = float(a + octaves if coarser_is_larger else a - octaves)
+    else:
+        b = np.log2(near[1].setting)
+        guess = float(a + (b - a) * (target - near[0].psnr) / (near[1].psnr - near[0].psnr))
+    inside = min(low, high) + 0.02 * abs(high - low) < guess < max(low, high) - 0.02 * abs(high - low)
+    return guess if inside else middle
