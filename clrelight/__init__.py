@@ -1,3 +1,77 @@
-"""clrelight: fit, compress, relight and measure image stacks of one view under many lights."""
+"""clrelight: fit, compress, relight and measure image stacks of one view under many lights.
+
+The names below are imported when first used, so that ``import clrelight`` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from types import ModuleType
+from typing import Any
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "CoefficientMap": "clrelight.dataset",
+    "LightStack": "clrelight.dataset",
+    "codec_class": "clrelight.codec",
+    "decode": "clrelight.codec",
+    "encode": "clrelight.codec",
+    "encode_to_quality": "clrelight.experiment.target",
+    "fit": "clrelight.fit.run",
+    "ingest_folder": "clrelight.ingest",
+    "list_devices": "clrelight.device",
+    "measure_errors": "clrelight.metrics",
+    "open_device": "clrelight.device",
+    "open_fit": "clrelight.store",
+    "open_stack": "clrelight.store",
+    "read_encoded": "clrelight.store",
+    "read_fit": "clrelight.store",
+    "read_results": "clrelight.store",
+    "relight": "clrelight.relight",
+    "run_experiment": "clrelight.experiment",
+    "summarize_errors": "clrelight.metrics",
+    "write_encoded": "clrelight.store",
+    "write_fit": "clrelight.store",
+    "write_report": "clrelight.report",
+    "write_stack": "clrelight.store",
+}
+
+__all__ = sorted([*_HOMES, "__version__"])
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    importlib.import_module(_HOMES[name])
+    return getattr(sys.modules[_HOMES[name]], name)
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+class _Package(ModuleType):
+    """Keep `fit` and `relight` the functions, although modules of these names are loaded beside them."""
+
+    @property
+    def fit(self) -> Any:
+        """See `clrelight.fit.run.fit`."""
+        return __getattr__("fit")
+
+    @fit.setter
+    def fit(self, module: ModuleType) -> None:
+        pass
+
+    @property
+    def relight(self) -> Any:
+        """See `clrelight.relight.relight`."""
+        return __getattr__("relight")
+
+    @relight.setter
+    def relight(self, module: ModuleType) -> None:
+        pass
+
+
+sys.modules[__name__].__class__ = _Package

@@ -94,8 +94,8 @@ def encode_to_quality(
     place = "at unseen lights" if len(held) else "at the fitted lights"
     if best < target_psnr:
         raise InputError(
-            f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: fit with another method or "
-            "degree (--method auto --degree auto)"
+            f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: fit with another method "
+            "or degree (--method auto --degree auto)"
         )
     make, fine, coarse = _family(codec)
     trials: list[Trial] = []
