@@ -11,7 +11,7 @@ from tests.stacks import BLACK, columns_of, make_stack, samples_of
 SOLVERS = ["bisection", "newton"]
 
 
-def check(stack, fitted, weight_i=None, factor=1.0):
+def check(stack, fitted, weight_i=None, factor=1.0, rtol=1e-4):
     """Compare with float64: the image, lambda where it is well defined, and the bound."""
     weight_i = np.ones(stack.n_light) if weight_i is None else weight_i
     basis_ik, sample_ip = basis.real_harmonics(stack.directions_i3, fitted.degree), samples_of(stack)
@@ -22,7 +22,7 @@ def check(stack, fitted, weight_i=None, factor=1.0):
     found_p = fitted.lambda_hwc.ravel()
     share_p = np.where(free_p > 0, energy_p, np.inf) / np.where(free_p > 0, free_p, 1.0)
     bent = (share_p > 1e-3) & (share_p < 0.99)
-    np.testing.assert_allclose(found_p[bent], lambda_p[bent], rtol=1e-4)
+    np.testing.assert_allclose(found_p[bent], lambda_p[bent], rtol=rtol)
     assert (found_p[share_p < 0.9999] > 0).all()
     assert (found_p[share_p > 1.0001] == 0).all()
     assert found_p[BLACK] == 0
@@ -52,6 +52,13 @@ def test_solid_angle_weights(device, solver):
     fitted = fit(stack, "cls", 4, weights="solid-angle", options={"solver": solver})
     assert check(stack, fitted, weights) > 100
     assert fitted.config["weights"] == "solid-angle"
+
+
+def test_a_few_heavy_lights(device):
+    # Which columns float32 cannot settle depends on the mean weight; by the largest, lambda was off by 6e-5 here.
+    weights = np.where(np.arange(400) < 4, 1.0, 0.003)
+    stack = make_stack(400, weights_i=weights, shape_hwc=(5, 201, 3))
+    assert check(stack, fit(stack, "cls", 4, weights="solid-angle"), weights, rtol=3.5e-5) > 2000
 
 
 def test_weights_of_equal_cells_change_nothing(device):

@@ -6,12 +6,15 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from clrelight import device as device_module
 from clrelight.dataset import LightStack, LightSubset
+from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit import FitMethod, fit, fit_tiles, method_class, method_ids, prepare_fit, register
 from clrelight.fit.run import collect_fit, rows_per_tile
 from clrelight.sampling import make_pattern
-from tests.stacks import columns_of, make_samples, make_stack
+from tests.reference.basis import real_harmonics
+from tests.stacks import columns_of, make_samples, make_stack, samples_of
 
 METHODS = ["project", "uls", "sloan", "cls", "ceb", "ceb-crossing"]
 MAPS = ("coeffs_khwc", "lambda_hwc", "rank_hwc")
@@ -103,6 +106,31 @@ def test_a_row_beyond_the_memory_budget():
     row = 61 * 3 * 4 * (90 + 9 + 9 + 2)
     with pytest.raises(InputError, match=f"this fit takes {row} bytes, more than the memory budget {row - 1}"):
         fit(make_stack(90, (3, 61, 3)), "uls", 2, memory_bytes=row - 1)
+
+
+def with_limits(device, **changed):
+    """The same device, said to be another than it is."""
+    _, raw = device_module._devices()[device.info.index]
+    return Device(replace(device.info, **changed), raw)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_device_with_its_own_memory(device, method):
+    stack = make_stack()
+    assert_same(fit(stack, method, 4, device=with_limits(device, kind="gpu")), fit(stack, method, 4, device=device))
+
+
+@pytest.mark.parametrize("solver", ["bisection", "newton"])
+def test_a_device_without_float64(device, solver):
+    stack = make_stack()
+    options = {"solver": solver}
+    single = fit(stack, "cls", 4, options=options, device=with_limits(device, float64=False))
+    double = fit(stack, "cls", 4, options=options, device=device)
+    assert (single.lambda_hwc != double.lambda_hwc).any()
+    image_ip = real_harmonics(stack.directions_i3, 4) @ (columns_of(single) - columns_of(double))
+    assert np.abs(image_ip).max() < 1e-5
+    energy_p = 4 * np.pi * np.mean(np.square(samples_of(stack)), axis=0)
+    assert (np.sum(columns_of(single) ** 2, axis=0) <= energy_p * (1 + 1e-5)).all()
 
 
 @pytest.mark.parametrize("method", METHODS)
