@@ -20,6 +20,13 @@ from clrelight.fit.samples import Samples
 EPSILON = 1e-2
 """Penalty of the mean, which the Laplace-Beltrami operator does not see; at 1e-4 or 1 no figure changes."""
 
+REFERENCE_DEGREE = 15
+"""Lambda is found at this degree where a lower one is asked for.
+
+How rough a scene is does not depend on where its series is cut. At a low degree cross-validation would find that the
+cut has smoothed enough already and leave lambda near 0: coefficients as large as those of ULS.
+"""
+
 _EXPONENTS = np.arange(-10.0, 6.01, 0.25)
 """Where the grid of ``log10(lambda)`` looks before the minimum is refined."""
 _EXPONENT_TOLERANCE = 1e-4
@@ -62,7 +69,7 @@ class SmoothingSpline(FitMethod):
         """Return the method with lambda found, for each channel where asked for."""
         channels = samples.channels
         if self.lam is None:
-            plan = self._components(lighting, degree)
+            plan = self._components(lighting, max(degree, REFERENCE_DEGREE))
             radiance_ip = samples.radiance_ip
             groups = [radiance_ip[:, c::channels] for c in range(channels)] if self.per == "channel" else [radiance_ip]
             found = tuple(minimize_gcv(plan.singular_r, *_split_energy(plan, lighting, group)) for group in groups)
@@ -134,6 +141,10 @@ def minimize_gcv(singular_r: NDArray[np.float64], energy_r: NDArray[np.float64],
     ``V = n |(I - H) beta|^2 / tr(I - H)^2``. In the components of the SVD ``I - H`` is ``lambda / (sigma^2 + lambda)``
     inside the span of the basis and 1 outside, so V takes a few operations per component, however many columns.
 
+    Where there are no more lights than components, V may fall again towards lambda = 0, where the fit meets every
+    sample (Wahba and Wang 1995, Behavior near zero of the distribution of GCV smoothing parameter estimates): an end of
+    the range counts only where there is no minimum inside it.
+
     Parameters
     ----------
     singular_r : ndarray, shape (rank,), float64
@@ -151,8 +162,10 @@ def minimize_gcv(singular_r: NDArray[np.float64], energy_r: NDArray[np.float64],
 
     if not energy_r.sum() + outside > 0.0:
         return 1.0  # a black stack: any lambda gives zeros
-    values = [log_gcv(exponent) for exponent in _EXPONENTS]
-    best = int(np.argmin(values))
+    values = np.array([log_gcv(exponent) for exponent in _EXPONENTS])
+    inside = 1 + np.flatnonzero((values[1:-1] < values[:-2]) & (values[1:-1] <= values[2:]))
+    candidates = inside if len(inside) else np.arange(len(values))
+    best = int(candidates[np.argmin(values[candidates])])
     low, high = _EXPONENTS[max(best - 1, 0)], _EXPONENTS[min(best + 1, len(values) - 1)]
     found = minimize_scalar(log_gcv, bounds=(low, high), method="bounded", options={"xatol": _EXPONENT_TOLERANCE})
     return float(10.0 ** (found.x if found.fun < values[best] else _EXPONENTS[best]))
