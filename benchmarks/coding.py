@@ -14,8 +14,9 @@ from clrelight.codec.registry import Codec
 
 HALF_GOAL = 5.0
 S3TC_GOAL = 0.4
-WAVELET_RATE = 4.0
 
+_OPTIONS: dict[str, dict[str, object]] = {"uniform": {"bits": 8}, "wavelet": {"rate": 4.0}}
+"""What codecs are asked for; the others get their defaults."""
 _IMAGE_RMS = "image rms after decoding / peak"
 _COPY = "NumPy copy of the coefficients"
 
@@ -24,21 +25,12 @@ def codec_stages(work: Workload) -> Iterator[Stage]:
     """Yield encoding and decoding of the CLS fit by each codec that is registered."""
     coeffs_khwc = np.ascontiguousarray(work.fitted.coeffs_khwc)
     yield _half_kernel(work, coeffs_khwc)
-    yield from _codec(work, coeffs_khwc, "half", {}, "NumPy astype(float16)")
-    yield from _codec(work, coeffs_khwc, "s3tc", {}, _COPY, goal=S3TC_GOAL)
-    yield from _codec(work, coeffs_khwc, "uniform", {"bits": 8}, _COPY)
-    if "wavelet" in codec_ids():
-        yield from _codec(work, coeffs_khwc, "wavelet", {"rate": WAVELET_RATE}, _COPY)
+    for codec_id in codec_ids():
+        yield from _codec(work, coeffs_khwc, codec_id, _OPTIONS.get(codec_id, {}))
 
 
 def _codec(
-    work: Workload,
-    coeffs_khwc: NDArray[np.float32],
-    codec_id: str,
-    config: dict[str, object],
-    peer: str,
-    *,
-    goal: float | None = None,
+    work: Workload, coeffs_khwc: NDArray[np.float32], codec_id: str, config: dict[str, object]
 ) -> Iterator[Stage]:
     device = work.device
     codec: Codec = codec_class(codec_id).from_config(config)
@@ -53,12 +45,12 @@ def _codec(
     name = " ".join([codec_id, *(f"{key} {value}" for key, value in config.items())])
     yield Stage(
         f"encode {name}",
-        peer,
+        "NumPy astype(float16)" if is_half else _COPY,
         lambda: encode(coeffs_khwc, codec, device),
         (lambda: coeffs_khwc.astype(np.float16)) if is_half else (lambda: np.copyto(copy_khwc, coeffs_khwc)),
         errors,
         _IMAGE_RMS,
-        goal=goal,
+        goal=S3TC_GOAL if codec_id == "s3tc" else None,
     )
     yield Stage(
         f"decode {name}",
