@@ -1,8 +1,21 @@
 """Codecs: a coefficient map to bytes and back. One file per codec; importing this package registers them all."""
 
 from clrelight.codec.half import Half
+from clrelight.codec.jpeg2000 import Jpeg2000
 from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, encode, register
 from clrelight.codec.s3tc import S3tc
 from clrelight.codec.uniform import Uniform
 
-__all__ = ["Codec", "Encoded", "Half", "S3tc", "Uniform", "codec_class", "codec_ids", "decode", "encode", "register"]
+__all__ = [
+    "Codec",
+    "Encoded",
+    "Half",
+    "Jpeg2000",
+    "S3tc",
+    "Uniform",
+    "codec_class",
+    "codec_ids",
+    "decode",
+    "encode",
+    "register",
+]

@@ -12,7 +12,7 @@ import numpy as np
 from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.device import open_device
 
-OPTIONS = {"uniform": {"bits": 7}}  # codes that cross bytes
+OPTIONS = {"uniform": {"bits": 7}, "jpeg2000": {"rate": 8}}  # codes that cross bytes; tables and streams
 FOLDER = Path(__file__).resolve().parent
 
 
