@@ -1,5 +1,6 @@
 """Codecs: a coefficient map to bytes and back. One file per codec; importing this package registers them all."""
 
+from clrelight.codec.bc6h import Bc6h
 from clrelight.codec.half import Half
 from clrelight.codec.jpeg2000 import Jpeg2000
 from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, encode, register
@@ -7,6 +8,7 @@ from clrelight.codec.s3tc import S3tc
 from clrelight.codec.uniform import Uniform
 
 __all__ = [
+    "Bc6h",
     "Codec",
     "Encoded",
     "Half",
