@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import codestream
+from clrelight.codec.padding import check_padding, least_bytes, pad_body
 from clrelight.codec.registry import Codec, register
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
 CODE_MAX = 65535
-FLOOR = 1024
-"""Coefficients for which a body has at least one byte, filled up with zeros: a few bytes may not claim gigabytes."""
 TOLERANCE = 0.01
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
@@ -33,7 +32,7 @@ class Jpeg2000(Codec):
     Body: little-endian tables over the maps m = k channel + c: value of code 0 (float32), step (float32, 0 for a
     constant), bytes of the stream (uint32); the quantiser steps that all streams share (payload of a QCD marker
     segment, missing where all are constant); the packets of each stream, without the markers around them, which
-    follow from the shape; zeros up to one byte for each `FLOOR` coefficients.
+    follow from the shape; zeros up to one byte for each 1024 coefficients.
 
     Attributes
     ----------
@@ -60,8 +59,8 @@ class Jpeg2000(Codec):
         maps_mhw = coeffs_khwc.transpose(0, 3, 1, 2).reshape(k * c, h, w)
         tables = 12 * len(maps_mhw) + codestream.steps_size(h, w)
         available = int(self.rate * coeffs_khwc.size / 8)
-        if available < max(tables, _least_bytes(coeffs_khwc.size)):
-            least = 8.0 * max(tables, _least_bytes(coeffs_khwc.size)) / coeffs_khwc.size
+        if available < max(tables, least_bytes(coeffs_khwc.size)):
+            least = 8.0 * max(tables, least_bytes(coeffs_khwc.size)) / coeffs_khwc.size
             raise InputError(f"codec jpeg2000: the tables alone take {least:.4g} bits per coefficient, got {self.rate}")
         low_m = maps_mhw.min(axis=(1, 2))
         width_m = maps_mhw.max(axis=(1, 2)).astype(np.float64) - low_m
@@ -76,14 +75,14 @@ class Jpeg2000(Codec):
                 low_m[m], step_m[m] = maps_mhw[m].mean(dtype=np.float64), 0.0
         sizes_m = np.array([len(stream) for stream in streams], np.uint32)
         body = low_m.tobytes() + step_m.tobytes() + sizes_m.tobytes() + steps + b"".join(streams)
-        return body.ljust(_least_bytes(coeffs_khwc.size), b"\0"), {}
+        return pad_body(body, coeffs_khwc.size), {}
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """Return the coefficients; PayloadError where tables or streams do not make sense."""
         k, h, w, c = shape
         n_map = k * c
-        if len(body) < max(12 * n_map, _least_bytes(math.prod(shape))) or h * w > codestream.MAX_PIXELS:
+        if len(body) < max(12 * n_map, least_bytes(math.prod(shape))) or h * w > codestream.MAX_PIXELS:
             raise PayloadError(f"codec jpeg2000: {len(body)} bytes cannot hold a map of shape {shape}")
         with np.errstate(invalid="ignore"):
             low_m, step_m = np.frombuffer(body, np.float32, 2 * n_map).reshape(2, n_map).astype(np.float64)
@@ -95,8 +94,7 @@ class Jpeg2000(Codec):
             raise PayloadError("codec jpeg2000: a map with a step has no stream, or one without a step has one")
         streams_at = 12 * n_map + (codestream.steps_size(h, w) if sizes_m.any() else 0)
         end = streams_at + int(sizes_m.sum())
-        if len(body) != max(end, _least_bytes(math.prod(shape))) or any(body[end:]):
-            raise PayloadError(f"codec jpeg2000: the streams should end at byte {end} of {len(body)}")
+        check_padding(cls.id, body, end, math.prod(shape))
         codestream.require_pillow()
         steps = body[12 * n_map : streams_at]
         coeffs_khwc = np.empty(shape, np.float32)
@@ -109,10 +107,6 @@ class Jpeg2000(Codec):
             plane_hw = np.minimum(low_m[m] + step_m[m] * plane_hw, FLOAT32_MAX)
             coeffs_khwc[m // c, :, :, m % c] = plane_hw
         return coeffs_khwc
-
-
-def _least_bytes(n_value: int) -> int:
-    return -(-n_value // FLOOR)
 
 
 def _encode_maps(
