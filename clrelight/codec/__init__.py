@@ -7,6 +7,7 @@ from clrelight.codec.jpeg2000 import Jpeg2000
 from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, encode, register
 from clrelight.codec.s3tc import S3tc
 from clrelight.codec.uniform import Uniform
+from clrelight.codec.vq import Vq
 
 __all__ = [
     "Bc6h",
@@ -17,6 +18,7 @@ __all__ = [
     "Jpeg2000",
     "S3tc",
     "Uniform",
+    "Vq",
     "codec_class",
     "codec_ids",
     "decode",
