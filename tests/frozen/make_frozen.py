@@ -12,7 +12,8 @@ import numpy as np
 from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.device import open_device
 
-OPTIONS = {"uniform": {"bits": 7}, "klt": {"step": 0.015625}}  # codes that cross bytes; planes that are not empty
+# Codes that cross bytes; tables and streams; planes that are not empty.
+OPTIONS = {"uniform": {"bits": 7}, "jpeg2000": {"rate": 8}, "klt": {"step": 0.015625}}
 FOLDER = Path(__file__).resolve().parent
 
 

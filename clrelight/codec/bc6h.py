@@ -1,0 +1,100 @@
+"""Codec `bc6h`: the signed 16-byte block format that GPUs sample themselves (DXGI_FORMAT_BC6H_SF16)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec import blocks
+from clrelight.codec.half import OVERFLOW
+from clrelight.codec.registry import Codec, register
+from clrelight.codec.slabs import group_size, round_up
+from clrelight.device import Device
+from clrelight.errors import InputError, PayloadError
+
+
+@register
+@dataclass(frozen=True)
+class Bc6h(Codec):
+    """Code blocks of 4 x 4 texels of three components in 16 bytes: 8 bits per texel, 2.667 per coefficient.
+
+    Texels, groups and edges are those of `s3tc`. Values are halves: below 6e-8 they vanish.
+
+    Body: for each group (a coefficient's RGB map, or three planes) the blocks in raster order, exactly as a DDS or
+    KTX2 file and a GPU take them.
+
+    Attributes
+    ----------
+    clamp : bool
+        Store ±65504 for what binary16 cannot hold, and count it as ``info["clamped"]``, instead of refusing it.
+    """
+
+    id: ClassVar[str] = "bc6h"
+    summary: ClassVar[str] = "BC6H signed half blocks, a GPU's own format, 2.667 bits per coefficient"
+
+    clamp: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.clamp, bool):
+            raise InputError(f"codec bc6h: clamp must be true or false, got {self.clamp!r}")
+
+    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+        """Return the blocks; InputError names the first coefficient beyond binary16, unless clamping."""
+        clamped = 0
+        if max(coeffs_khwc.max(), -coeffs_khwc.min()) >= OVERFLOW:
+            large = np.abs(coeffs_khwc) >= OVERFLOW
+            if not self.clamp:
+                where = tuple(int(i) for i in np.unravel_index(int(large.argmax()), large.shape))
+                raise InputError(
+                    f"coefficient (k, row, column, channel) = {where} is {coeffs_khwc[where]:g}, which bc6h cannot"
+                    f" hold (|x| must be below {OVERFLOW:g}); fit with a constrained method, or clamp"
+                )
+            clamped = int(np.count_nonzero(large))
+        maps_khwc = blocks.as_maps(coeffs_khwc)
+        blocks_gbj = np.empty((*blocks.block_counts(coeffs_khwc.shape), 2), np.uint64)
+        for groups, maps in blocks.group_slabs(coeffs_khwc.shape):
+            out = device.empty(blocks_gbj[groups].shape, np.uint64, blocks_gbj[groups])
+            source = device.upload(maps_khwc[maps])
+            _launch(device, "encode_bc6h_gbj", out.shape[:2], source.shape, out, source)
+            fetched = device.download(out)
+            if not device.shares_memory:
+                blocks_gbj[groups] = fetched
+        return blocks_gbj.tobytes(), {"clamped": float(clamped)}
+
+    @classmethod
+    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+        """Return the coefficients; PayloadError on a wrong length, a mode of other encoders, or an infinity."""
+        counts = blocks.block_counts(shape)
+        if len(body) != 16 * counts[0] * counts[1]:
+            raise PayloadError(
+                f"codec bc6h: shape {shape} takes {16 * counts[0] * counts[1]} bytes, the body has {len(body)}"
+            )
+        blocks_gbj = np.require(np.frombuffer(body, np.uint64).reshape(*counts, 2), requirements="A")
+        maps_khwc = np.empty(blocks.maps_shape(shape), np.float32)
+        for groups, maps in blocks.group_slabs(shape):
+            out = device.empty(maps_khwc[maps].shape, np.float32, maps_khwc[maps])
+            source = device.upload(blocks_gbj[groups])
+            refused = device.empty(source.shape[:2], np.uint8)
+            _launch(device, "decode_bc6h_khwc", source.shape[:2], out.shape, out, refused, source)
+            fetched = device.download(out)
+            if device.download(refused).any():
+                raise PayloadError("codec bc6h: a block has a mode that is not written here, or an infinite endpoint")
+            if not device.shares_memory:
+                maps_khwc[maps] = fetched
+        return blocks.from_maps(maps_khwc, shape)
+
+
+def _launch(device: Device, kernel: str, counts: tuple[int, ...], shape: tuple[int, ...], *arrays: object) -> None:
+    group = group_size(device)
+    device.launch(
+        "codec/bc6h.cl",
+        kernel,
+        (round_up(counts[1], group), counts[0]),
+        *arrays,
+        *shape[:3],
+        defines={"CHANNELS": shape[3]},
+        local_size=(group, 1),
+    )

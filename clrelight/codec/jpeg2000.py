@@ -1,0 +1,137 @@
+"""Codec `jpeg2000`: every coefficient map as a 16-bit JPEG 2000 plane, through OpenJPEG (ISO/IEC 15444-1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec import codestream
+from clrelight.codec.padding import check_padding, least_bytes, pad_body
+from clrelight.codec.registry import Codec, register
+from clrelight.device import Device
+from clrelight.errors import InputError, PayloadError
+
+CODE_MAX = 65535
+TOLERANCE = 0.01
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+
+
+@register
+@dataclass(frozen=True)
+class Jpeg2000(Codec):
+    """Scale each map (coefficient and channel) to 16 bits and code it with the irreversible 9/7 wavelet.
+
+    Every map gets the same share of the bytes; what one leaves over goes to the next. The body lies at or within 1%
+    below the rate, unless all maps are coded to OpenJPEG's finest quantiser, or the body is below some 2 kB. A map
+    whose share buys nothing, as one that is constant, is stored as its mean alone. Needs Pillow.
+
+    Body: little-endian tables over the maps m = k channel + c: value of code 0 (float32), step (float32, 0 for a
+    constant), bytes of the stream (uint32); the quantiser steps that all streams share (payload of a QCD marker
+    segment, missing where all are constant); the packets of each stream, without the markers around them, which
+    follow from the shape; zeros up to one byte for each 1024 coefficients.
+
+    Attributes
+    ----------
+    rate : float
+        Bits per coefficient, tables included.
+    """
+
+    id: ClassVar[str] = "jpeg2000"
+    summary: ClassVar[str] = "JPEG 2000 through OpenJPEG, 16-bit planes at a given rate"
+
+    rate: float = 4.0
+
+    def __post_init__(self) -> None:
+        number = isinstance(self.rate, int | float) and not isinstance(self.rate, bool)
+        if not number or not 0.0 < self.rate < math.inf:
+            raise InputError(f"codec jpeg2000: rate must be a positive number of bits, got {self.rate!r}")
+
+    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+        """Return tables and streams; InputError if the rate does not pay for the tables, or without Pillow."""
+        k, h, w, c = coeffs_khwc.shape
+        if h * w > codestream.MAX_PIXELS:
+            raise InputError(f"codec jpeg2000: a map has at most {codestream.MAX_PIXELS} pixels, got {h} x {w}")
+        codestream.require_pillow()
+        maps_mhw = coeffs_khwc.transpose(0, 3, 1, 2).reshape(k * c, h, w)
+        tables = 12 * len(maps_mhw) + codestream.steps_size(h, w)
+        available = int(self.rate * coeffs_khwc.size / 8)
+        if available < max(tables, least_bytes(coeffs_khwc.size)):
+            least = 8.0 * max(tables, least_bytes(coeffs_khwc.size)) / coeffs_khwc.size
+            raise InputError(f"codec jpeg2000: the tables alone take {least:.4g} bits per coefficient, got {self.rate}")
+        low_m = maps_mhw.min(axis=(1, 2))
+        width_m = maps_mhw.max(axis=(1, 2)).astype(np.float64) - low_m
+        step_m = (width_m / CODE_MAX).astype(np.float32)
+        # Subnormal steps round by much, or to 0: rather a wider interval than a clipped one.
+        step_m[step_m.astype(np.float64) * CODE_MAX < width_m * (1 - 2.0**-20)] += np.finfo(
+            np.float32
+        ).smallest_subnormal
+        steps, streams = _encode_maps(maps_mhw, low_m, step_m, available - tables)
+        for m, stream in enumerate(streams):
+            if not stream and step_m[m] > 0:
+                low_m[m], step_m[m] = maps_mhw[m].mean(dtype=np.float64), 0.0
+        sizes_m = np.array([len(stream) for stream in streams], np.uint32)
+        body = low_m.tobytes() + step_m.tobytes() + sizes_m.tobytes() + steps + b"".join(streams)
+        return pad_body(body, coeffs_khwc.size), {}
+
+    @classmethod
+    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+        """Return the coefficients; PayloadError where tables or streams do not make sense."""
+        k, h, w, c = shape
+        n_map = k * c
+        if len(body) < max(12 * n_map, least_bytes(math.prod(shape))) or h * w > codestream.MAX_PIXELS:
+            raise PayloadError(f"codec jpeg2000: {len(body)} bytes cannot hold a map of shape {shape}")
+        with np.errstate(invalid="ignore"):
+            low_m, step_m = np.frombuffer(body, np.float32, 2 * n_map).reshape(2, n_map).astype(np.float64)
+        sizes_m = np.frombuffer(body, np.uint32, n_map, 8 * n_map).astype(np.int64)
+        # The last code may pass the largest float by the rounding of the step.
+        if not ((np.abs(low_m) <= FLOAT32_MAX) & (step_m >= 0) & (low_m + CODE_MAX * step_m <= 2 * FLOAT32_MAX)).all():
+            raise PayloadError("codec jpeg2000: a least value or a step is not finite, or a step is negative")
+        if ((sizes_m > 0) != (step_m > 0)).any():
+            raise PayloadError("codec jpeg2000: a map with a step has no stream, or one without a step has one")
+        streams_at = 12 * n_map + (codestream.steps_size(h, w) if sizes_m.any() else 0)
+        end = streams_at + int(sizes_m.sum())
+        check_padding(cls.id, body, end, math.prod(shape))
+        codestream.require_pillow()
+        steps = body[12 * n_map : streams_at]
+        coeffs_khwc = np.empty(shape, np.float32)
+        ends_m = streams_at + np.cumsum(sizes_m)
+        for m in range(n_map):
+            plane_hw = np.zeros((h, w), np.float64)
+            if sizes_m[m]:
+                packets = body[ends_m[m] - sizes_m[m] : ends_m[m]]
+                plane_hw += codestream.decode_plane(steps, packets, h, w)
+            plane_hw = np.minimum(low_m[m] + step_m[m] * plane_hw, FLOAT32_MAX)
+            coeffs_khwc[m // c, :, :, m % c] = plane_hw
+        return coeffs_khwc
+
+
+def _encode_maps(
+    maps_mhw: NDArray[np.float32], low_m: NDArray[np.float32], step_m: NDArray[np.float32], budget: int
+) -> tuple[bytes, list[bytes]]:
+    """Return the shared quantiser steps and a stream for each map, empty where constant or not affordable."""
+    streams = [b""] * len(maps_mhw)
+    changing = [int(m) for m in np.flatnonzero(step_m > 0)]
+    shared = b""
+
+    def improve(m: int, target: int) -> int:
+        nonlocal shared
+        codes_hw = (maps_mhw[m] - low_m[m].astype(np.float64)) / step_m[m].astype(np.float64)
+        codes_hw = np.clip(np.rint(codes_hw), 0, CODE_MAX).astype(np.uint16)
+        shared, packets = codestream.encode_plane(codes_hw, target)
+        streams[m] = packets if len(packets) > len(streams[m]) else streams[m]
+        return len(streams[m])
+
+    left = budget
+    for done, m in enumerate(changing):
+        left -= improve(m, left // (len(changing) - done))
+    # What is left over after the last map goes to whoever can use it, the largest stream first.
+    for m in sorted(changing, key=lambda m: -len(streams[m])):
+        if left <= TOLERANCE * budget:
+            break
+        before = len(streams[m])
+        left -= improve(m, before + left) - before
+    return (shared if any(streams) else b""), streams
