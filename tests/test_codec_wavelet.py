@@ -111,8 +111,10 @@ def test_decoder_sees_the_encoders_indices(device, monkeypatch):
     np.testing.assert_array_equal(first, second)
     assert len(seen[Encoder]) >= 4
     assert len(seen[Decoder]) == 8
-    for encoded, decoded in zip(seen[Encoder][-4:], seen[Decoder][:4], strict=True):
-        np.testing.assert_array_equal(encoded, decoded)
+    # The encoder tries some maps at several steps: what is decoded are its runs in order, some left out.
+    runs = iter(seen[Encoder])
+    for decoded in seen[Decoder][:4]:
+        assert any(np.array_equal(encoded, decoded) for encoded in runs)
 
 
 def decode_body(body, shape, device):

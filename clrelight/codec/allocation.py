@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -77,6 +75,21 @@ def _count(maps: TransformedMaps, statistics: Statistics, k: int, code: int) -> 
     return counter.bits
 
 
+class _Trials:
+    """One map coded at several steps after what is coded already; the first guess is mostly the one that stays."""
+
+    def __init__(self, maps: TransformedMaps, encoder: Encoder, statistics: Statistics, k: int) -> None:
+        self._maps, self._encoder, self._statistics, self._k = maps, encoder, statistics, k
+        self.outcomes: dict[int, tuple[Encoder, Statistics]] = {}
+
+    def count_bits(self, code: int) -> float:
+        """Code the map at a step, and return by how many bits the payload grows."""
+        encoder, statistics = self._encoder.copy(), self._statistics.copy()
+        self._maps.run(encoder, statistics, self._k, code)
+        self.outcomes[code] = encoder, statistics
+        return 8.0 * (encoder.byte_count - self._encoder.byte_count)
+
+
 def spend_alike(
     maps: TransformedMaps, exponents: NDArray[np.integer], asked: int, budget: int
 ) -> tuple[NDArray[np.int64], bytes]:
@@ -110,23 +123,11 @@ def spend_alike(
         spent = 8 * encoder.byte_count
         target = (budget - (1.0 - _AIM) * asked - spent) / (len(others) - done)
         tolerance = min(_MAP_TOLERANCE * asked / len(others) + _MAP_SLACK, _TOLERANCE * asked)
-        for margin in range(0, 32 * _ATTEMPTS, 32):
-            code, ratio = find_code(
-                functools.partial(_count, maps, statistics, k),
-                samples[k].bits,
-                target,
-                budget - spent - margin,
-                tolerance,
-                ratio,
-                1,
-            )
-            if code is None:
-                break
-            attempt, learnt = encoder.copy(), statistics.copy()
-            maps.run(attempt, learnt, k, code)
-            if 8 * attempt.byte_count <= budget:
-                codes[k], encoder, statistics = code, attempt, learnt
-                break
+        trials = _Trials(maps, encoder, statistics, k)
+        code, ratio = find_code(trials.count_bits, samples[k].bits, target, budget - spent, tolerance, ratio, 1)
+        if code is not None:
+            codes[k] = code
+            encoder, statistics = trials.outcomes[code]
     return codes, encoder.to_bytes()
 
 
