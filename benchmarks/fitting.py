@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmarks import exact
 from benchmarks.peers import NewtonFit
 from benchmarks.stage import Stage
-from benchmarks.workload import DEGREE, Workload
+from benchmarks.workload import Workload
 from clrelight.dataset import CoefficientMap
 from clrelight.fit.run import PreparedFit, collect_fit, prepare_fit
 from clrelight.matmul import apply_operator, pack_operator
@@ -26,9 +26,10 @@ _IMAGE_ERROR = "largest image error / peak"
 def projection_stages(work: Workload) -> Iterator[Stage]:
     """Yield the projection of samples of each type, then of two smaller degrees; inputs are on the device."""
     for dtype in ("uint8", "float16", "float32"):
-        yield _projection(work, DEGREE, dtype)
+        yield _projection(work, work.degree, dtype)
     for degree in (2, 3):
-        yield _projection(work, degree, "uint8")
+        if degree < work.degree:
+            yield _projection(work, degree, "uint8")
 
 
 def _projection(work: Workload, degree: int, dtype: str) -> Stage:
@@ -56,12 +57,12 @@ def _projection(work: Workload, degree: int, dtype: str) -> Stage:
         ),
         "largest error / largest value",
         2.0 * analysis_ri.size * work.columns,
-        PROJECTION_GOAL if dtype == "uint8" and degree == DEGREE else None,
+        PROJECTION_GOAL if dtype == "uint8" and degree == work.degree else None,
     )
 
 
 def fit_stages(work: Workload) -> Iterator[Stage]:
-    """Yield whole fits of degree 6, uint8 stack to coefficients in host memory, beside the matmul of a projection."""
+    """Yield whole fits, uint8 stack to coefficients in host memory, beside the matmul of a projection."""
     uls, ceb = _prepare(work, "uls"), _prepare(work, "ceb")
     bisection = _prepare(work, "cls", {"iterations": 32})
     newton = _prepare(work, "cls", {"solver": "newton", "iterations": NEWTON_STEPS})
@@ -76,7 +77,7 @@ def fit_stages(work: Workload) -> Iterator[Stage]:
 
 
 def _prepare(work: Workload, method: str, options: Mapping[str, object] | None = None) -> PreparedFit:
-    return prepare_fit(work.stack, method, DEGREE, options=options, device=work.device)
+    return prepare_fit(work.stack, method, work.degree, options=options, device=work.device)
 
 
 def _fit(

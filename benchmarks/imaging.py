@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.peers import squared_errors
 from benchmarks.stage import Stage
-from benchmarks.workload import DEGREE, Workload
+from benchmarks.workload import Workload
 from clrelight.basis import evaluate_basis
 from clrelight.metrics import measure_errors, psnr_of
 from clrelight.relight import relight
@@ -32,7 +32,7 @@ def _relight(work: Workload, lights: int) -> Stage:
     # Between the lights of the stack, as a user would.
     directions_i3 = work.stack.directions_i3[:lights] + work.stack.directions_i3[1 : lights + 1]
     directions_i3 = directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True)
-    basis_ik = evaluate_basis(directions_i3, DEGREE)
+    basis_ik = evaluate_basis(directions_i3, work.degree)
     exact_is = basis_ik @ coeffs_kp[:, work.checked_s]
     factors = basis_ik.astype(np.float32) if lights > 1 else basis_ik[0].astype(np.float32)
 

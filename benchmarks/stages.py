@@ -17,7 +17,7 @@ from benchmarks.fitting import fit_stages, projection_stages
 from benchmarks.imaging import imaging_stages
 from benchmarks.stage import Row, Stage, measure
 from benchmarks.timing import SETTLE_SECONDS
-from benchmarks.workload import DEGREE, Workload, make_workload
+from benchmarks.workload import Workload, make_workload
 from clrelight.cli.output import print_facts, print_table, progress_bar
 from clrelight.device import open_device
 from clrelight.errors import InputError
@@ -25,16 +25,17 @@ from clrelight.errors import InputError
 
 @dataclass(frozen=True)
 class Scale:
-    """How much to measure: side of the picture in pixels, lights, samples, and the pause before each."""
+    """How much to measure: pixels along a side, lights, degree of the fits, samples, and the pause before each."""
 
     size: int
     lights: int
+    degree: int
     rounds: int
     settle_seconds: float
 
 
-FULL = Scale(size=256, lights=256, rounds=15, settle_seconds=SETTLE_SECONDS)
-QUICK = Scale(size=24, lights=64, rounds=3, settle_seconds=0.0)
+FULL = Scale(size=256, lights=256, degree=6, rounds=15, settle_seconds=SETTLE_SECONDS)
+QUICK = Scale(size=16, lights=32, degree=2, rounds=1, settle_seconds=0.0)
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -45,7 +46,7 @@ def all_stages(work: Workload) -> Iterator[Stage]:
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--quick", is_flag=True, help="A small picture and few rounds: shows that it works, not how fast.")
+@click.option("--quick", is_flag=True, help="A small picture and one round: shows that it works, not how fast.")
 @click.option("--rounds", type=click.IntRange(min=1), help=f"Samples of each contender.  [default: {FULL.rounds}]")
 @click.option("--only", metavar="TEXT", default="", help="Only stages whose name holds TEXT.")
 @click.option("--device", metavar="NAME", help="Index, gpu, cpu, pocl or a part of a name.")
@@ -66,10 +67,10 @@ def main(
     scale = QUICK if quick else FULL
     opened = open_device(device)
     facts = describe_environment(opened)
-    work = make_workload(opened, size=scale.size, lights=scale.lights)
+    work = make_workload(opened, size=scale.size, lights=scale.lights, degree=scale.degree)
     facts["work"] = (
         f"ring scene, {scale.lights} lights, {work.columns} columns ({scale.size} × {scale.size} pixels, RGB), "
-        f"uint8, degree {DEGREE} unless a stage says otherwise"
+        f"uint8, degree {scale.degree} unless a stage says otherwise"
     )
     rows: list[Row] = []
     with progress_bar("stages") as progress:

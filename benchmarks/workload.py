@@ -14,7 +14,6 @@ from clrelight.device import Device
 from clrelight.fit import fit
 from datasets_synth.ring import render_ring
 
-DEGREE = 6
 _CHECKED_COLUMNS = 4099
 """Columns that are compared with float64: a prime, so that no tile or channel is left out."""
 
@@ -28,10 +27,13 @@ class Workload:
     device : Device
     stack : LightStack
         uint8, linear.
+    degree : int
+        Of the fits.
     """
 
     device: Device
     stack: LightStack
+    degree: int
 
     @property
     def columns(self) -> int:
@@ -45,13 +47,13 @@ class Workload:
 
     @cached_property
     def fitted(self) -> CoefficientMap:
-        """The stack's CLS fit of degree 6, as a store would hold it."""
-        return fit(self.stack, "cls", DEGREE, device=self.device)
+        """The stack's CLS fit, in host memory."""
+        return fit(self.stack, "cls", self.degree, device=self.device)
 
     @cached_property
     def basis_ik(self) -> NDArray[np.float64]:
-        """Basis functions of degree 6 at the lights."""
-        return evaluate_basis(self.stack.directions_i3, DEGREE)
+        """Basis functions of the fit at the lights."""
+        return evaluate_basis(self.stack.directions_i3, self.degree)
 
     @cached_property
     def checked_s(self) -> NDArray[np.intp]:
@@ -70,6 +72,6 @@ class Workload:
         return np.abs(self.basis_ik @ (coeffs_ks - exact_ks))
 
 
-def make_workload(device: Device, *, size: int, lights: int) -> Workload:
+def make_workload(device: Device, *, size: int, lights: int, degree: int) -> Workload:
     """Render the ring scene for a device; InputError where the packages for ray tracing are not installed."""
-    return Workload(device, render_ring(size=size, lights=lights))
+    return Workload(device, render_ring(size=size, lights=lights), degree)
