@@ -1,8 +1,8 @@
 """Code the quantiser indices of a wavelet-transformed map: prediction and contexts from what is decoded already.
 
 Subbands go from coarse to fine, the channels of each one after another, and the samples of each in four phases
-(even-even, odd-odd, even-odd, odd-even rows and columns), so that three quarters of the samples know four neighbours
-and every phase is one vectorised batch. What is coded is the difference of an index from its prediction:
+(even-even, odd-odd, then even-odd and odd-even rows and columns), so that three quarters of the samples know four
+neighbours and there are three vectorised batches. What is coded is the difference of an index from its prediction:
 
 * the index of the previous channel at the same place, times the regression slope seen so far;
 * in the LL subband also the mean of the neighbours' differences (in its first phase the sample to the left).
@@ -25,6 +25,7 @@ from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_pr
 from clrelight.errors import PayloadError
 
 _PHASES = ((0, 0), (1, 1), (0, 1), (1, 0))
+_BATCHES = ((0,), (1,), (2, 3))  # the last two phases know the first two only, so they go together
 _PREDICTED = 3  # |prediction| of 0, 1, more
 _SITES = 6  # LL, details of channel 0, details of other channels; of each the first phase, and the others
 # By site and prediction: the mean size as a part of the activity, and where the activity is 0. Only to start from.
@@ -160,30 +161,39 @@ def _code_band(
     values = np.zeros((height + 2, width + 2), np.int64 if site == 0 else np.int32)
     sizes = np.zeros((height + 2, width + 2), np.int32)
     inner = (slice(1, -1), slice(1, -1))
-    for phase, (row, column) in enumerate(_PHASES):
-        part = (slice(row, None, 2), slice(column, None, 2))
-        expected = predicted[part]
-        if expected.size == 0:
+    for phases in _BATCHES:
+        first = phases == (0,)
+        parts = []
+        for phase in phases:
+            row, column = _PHASES[phase]
+            part = (slice(row, None, 2), slice(column, None, 2))
+            expected = predicted[part]
+            if expected.size == 0:
+                continue
+            hinted = [_crop(size if coarser else size[part], expected.shape) for size, coarser in hints]
+            nearby: NDArray | None = None
+            offset: NDArray = np.zeros((), np.int64)
+            if not first:
+                count = _neighbour_count(phase, height, width)
+                nearby = 4 * _gather(sizes, phase) // count
+                offset = _gather(values, phase) // count if site == 0 else offset
+            residual = None
+            if known is not None and site == 0:
+                residual = _differentiate(known[part]) if first else known[part] - offset
+            elif known is not None:
+                residual = known[part]
+            parts.append((part, offset, expected, _activity(nearby, hinted, expected.shape), residual))
+        if not parts:
             continue
-        first = phase == 0
-        hinted = [_crop(size if coarser else size[part], expected.shape) for size, coarser in hints]
-        nearby: NDArray | None = None
-        offset: NDArray = np.zeros((), np.int64)
-        if not first:
-            count = _neighbour_count(phase, height, width)
-            nearby = 4 * _gather(sizes, phase) // count
-            offset = _gather(values, phase) // count if site == 0 else offset
-        activity = _activity(nearby, hinted, expected.shape)
-        delta = site == 0 and first
-        residual = None
-        if known is not None:
-            residual = _differentiate(known[part]) if delta else known[part] - offset if site == 0 else known[part]
-        residual = _code_signed(coder, statistics, 2 * site + (not first), activity, expected, residual)
-        coded = _integrate(residual) if delta else residual + offset if site == 0 else residual
-        if max(-int(coded.min()), int(coded.max())) > _MAX_DIFFERENCE:
-            raise PayloadError("the range-coded bytes are damaged: an index is too large")
-        values[inner][part] = coded
-        sizes[inner][part] = np.minimum(np.abs(residual), _MAX_SIZE)
+        coded_parts = _code_signed(coder, statistics, 2 * site + (not first), [entry[2:] for entry in parts])
+        for (part, offset, *_), residual in zip(parts, coded_parts, strict=True):
+            coded = residual
+            if site == 0:
+                coded = _integrate(residual) if first else residual + offset
+            if max(-int(coded.min()), int(coded.max())) > _MAX_DIFFERENCE:
+                raise PayloadError("the range-coded bytes are damaged: an index is too large")
+            values[inner][part] = coded
+            sizes[inner][part] = np.minimum(np.abs(residual), _MAX_SIZE)
     return values[inner].astype(np.int32, copy=False), sizes[inner]
 
 
@@ -245,19 +255,27 @@ def _code_signed(
     coder: Coder,
     statistics: Statistics,
     site: int,
-    activity: NDArray[np.integer],
-    expected: NDArray[np.int32],
-    residual: NDArray[np.integer] | None,
-) -> NDArray[np.integer]:
-    """Code magnitudes in the contexts of a site, a prediction and an activity, then the signs of what is not zero."""
-    expected = np.clip(expected.ravel(), -2, 2)
-    contexts = (site * _PREDICTED + np.abs(expected)) * CLASSES + classify(activity.ravel())
-    given = None if residual is None else residual.ravel()
+    parts: list[tuple[NDArray[np.int32], NDArray[np.integer], NDArray[np.integer] | None]],
+) -> list[NDArray[np.integer]]:
+    """Code the parts of a batch: magnitudes in the contexts of a site, a prediction and an activity, then signs.
+
+    Each part is (predicted, activity, residual), the residual None where it is decoded; the residuals are returned.
+    """
+    expected = np.clip(_join([part[0] for part in parts]), -2, 2)
+    activity = _join([part[1] for part in parts])
+    contexts = (site * _PREDICTED + np.abs(expected)) * CLASSES + classify(activity)
+    known = [part[2] for part in parts if part[2] is not None]
+    given = _join(known) if known else None
     coded = code_integers(coder, statistics.magnitudes, contexts, None if given is None else np.abs(given))
     nonzero = np.flatnonzero(coded)
     given_signs = None if given is None else (given[nonzero] < 0).astype(np.int32)
     negative = coder.code(statistics.signs, expected[nonzero] + 2, given_signs)
-    if residual is not None:
-        return residual
+    if known:
+        return known
     coded[nonzero[negative == 1]] *= -1
-    return coded.reshape(activity.shape)
+    ends = np.cumsum([part[0].size for part in parts])[:-1]
+    return [piece.reshape(part[0].shape) for piece, part in zip(np.split(coded, ends), parts, strict=True)]
+
+
+def _join(arrays: list[NDArray]) -> NDArray:
+    return arrays[0].ravel() if len(arrays) == 1 else np.concatenate([array.ravel() for array in arrays])
