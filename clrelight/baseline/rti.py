@@ -1,0 +1,226 @@
+"""Reflectance transformation imaging as its tools do it (RTIBuilder, relight): few basis functions, 8-bit JPEG planes.
+
+Every pixel's code values are fitted by least squares with a few functions of the light; each plane of coefficients is
+scaled to 8 bits over the central 99.5% of its values, and written as JPEG.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.dataset import LightStack
+from clrelight.errors import InputError
+from clrelight.metrics import psnr_of, summarize_errors
+
+RANGE_PERCENT = 99.5
+_PCA_SAMPLES = 16384
+
+
+def ptm_basis(directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return 1, u, v, u^2, v^2, u v of each light (n_light, 6): polynomial texture maps (Malzbender et al. 2001)."""
+    u, v = directions_i3[:, 0], directions_i3[:, 1]
+    return np.stack([np.ones_like(u), u, v, u * u, v * v, u * v], axis=1)
+
+
+def hsh_basis(directions_i3: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+    """Return the hemispherical harmonics up to a degree (n_light, (degree + 1)^2) (Gautron et al. 2004, eq. 8-9).
+
+    Legendre functions of ``2 cos(theta) - 1``, orthonormal on the upper hemisphere. Lights below it count as on it.
+    """
+    from scipy.special import lpmv
+
+    z = 2.0 * np.clip(directions_i3[:, 2], 0.0, 1.0) - 1.0
+    azimuth = np.arctan2(directions_i3[:, 1], directions_i3[:, 0])
+    columns = []
+    for l in range(degree + 1):  # noqa: E741
+        for m in range(-l, l + 1):
+            a = abs(m)
+            norm = math.sqrt((2 * l + 1) / (2.0 * math.pi) * math.factorial(l - a) / math.factorial(l + a))
+            turn = np.sqrt(2.0) * (np.cos(a * azimuth) if m > 0 else np.sin(a * azimuth)) if m else 1.0
+            columns.append(norm * lpmv(a, l, z) * turn)
+    return np.stack(columns, axis=1)
+
+
+_FIXED: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
+    "ptm": ptm_basis,
+    "hsh4": lambda directions_i3: hsh_basis(directions_i3, 1),
+    "hsh9": lambda directions_i3: hsh_basis(directions_i3, 2),
+    "hsh16": lambda directions_i3: hsh_basis(directions_i3, 3),
+}
+_PCA = {"pca9": 9, "pca18": 18, "pca27": 27}
+
+BASES = (*_FIXED, *_PCA)
+"""Names of the bases; pcaN are N principal components over lights and colours, interpolated between the lights."""
+
+
+@dataclass(frozen=True)
+class RtiQuality:
+    """What one setting costs and gives.
+
+    Attributes
+    ----------
+    basis : str
+    quality : int or None
+        Of the JPEG planes; None where planes stay float32.
+    encoded_bytes : int
+        JPEG files, scales, and tables of the basis.
+    psnr_pooled, psnr_mean : float
+        At the lights held out, of values clipped to [0, peak] in the stack's own transfer, in decibel: of the pooled
+        squared error, and the mean over images.
+    psnr_pooled_fitted : float
+        The first at the fitted lights.
+    """
+
+    basis: str
+    quality: int | None
+    encoded_bytes: int
+    psnr_pooled: float
+    psnr_mean: float
+    psnr_pooled_fitted: float
+
+
+def measure_rti(
+    stack: LightStack,
+    fitted_i: NDArray[np.intp],
+    held_out_i: NDArray[np.intp],
+    basis: str,
+    qualities: tuple[int | None, ...] = (95,),
+) -> list[RtiQuality]:
+    """Fit at some lights, compress at each quality, decode, and compare at both sets of lights.
+
+    Parameters
+    ----------
+    stack : LightStack
+        Read whole into memory as float32.
+    fitted_i, held_out_i : ndarray of int
+        Lights, as `split_lights` gives them.
+    basis : str
+        One of `BASES`.
+    qualities : tuple
+        JPEG qualities, 1 to 100, or None for planes left in float32.
+
+    Returns
+    -------
+    list of RtiQuality
+        One for each quality.
+
+    Raises
+    ------
+    InputError
+        If the basis is unknown, there are fewer lights than functions, a quality is impossible, or Pillow is absent.
+    """
+    if basis not in BASES:
+        raise InputError(f"the basis must be one of {', '.join(BASES)}, got {basis!r}")
+    for quality in qualities:
+        if quality is not None and not (isinstance(quality, int) and 1 <= quality <= 100):
+            raise InputError(f"a JPEG quality must be 1 to 100, got {quality!r}")
+    if not (len(fitted_i) and len(held_out_i)):
+        raise InputError("there must be lights to fit and lights held out")
+    height, width, channel = stack.image_shape
+    values_ip = (stack.read_rows(0, height).reshape(stack.n_light, -1) / np.float32(stack.peak)).astype(np.float32)
+    mask_hw = np.ones((height, width), bool) if stack.mask_hw is None else stack.mask_hw
+    if not mask_hw.any():
+        raise InputError("the mask leaves no pixel to measure")
+    fit = _fit_pca if basis in _PCA else _fit_fixed
+    planes_kp, relight, table_bytes = fit(values_ip, stack.directions_i3, fitted_i, channel, basis)
+    planes = [plane.reshape(height, width, -1) for plane in planes_kp]
+
+    def errors(decoded: list[NDArray[np.float32]], lights_i: NDArray[np.intp]) -> NDArray[np.float64]:
+        decoded_kp = np.stack([plane.ravel() for plane in decoded])
+        mse = []
+        for i in lights_i:
+            difference_p = np.clip(relight(decoded_kp, int(i)), 0, 1) - np.clip(values_ip[i], 0, 1)
+            mse.append(np.square(difference_p.reshape(height, width, channel)[mask_hw], dtype=np.float64).mean())
+        return np.array(mse)
+
+    found = []
+    for quality in qualities:
+        size, decoded = compress_planes(planes, quality)
+        held_out = summarize_errors(errors(decoded, held_out_i))
+        fitted = float(psnr_of(float(errors(decoded, fitted_i).mean())))
+        found.append(RtiQuality(basis, quality, size + table_bytes, held_out.psnr_pooled, held_out.psnr_mean, fitted))
+    return found
+
+
+def compress_planes(planes: list[NDArray[np.float32]], quality: int | None) -> tuple[int, list[NDArray[np.float32]]]:
+    """Return the bytes of planes (h, w, 1 or 3) as scaled JPEG files, and the planes that come back from them.
+
+    Colours are stored without subsampling. Scales are two float32 for each channel of each plane.
+    """
+    if quality is None:
+        return sum(plane.nbytes for plane in planes), planes
+    image_module = _pillow()
+    size, decoded = 0, []
+    for plane_hwc in planes:
+        outside = (100.0 - RANGE_PERCENT) / 2.0
+        low_c, high_c = np.percentile(plane_hwc, [outside, 100.0 - outside], axis=(0, 1)).astype(np.float32)
+        step_c = np.where(high_c > low_c, high_c - low_c, np.float32(1)) / np.float32(255)
+        codes_hwc = np.clip(np.rint((plane_hwc - low_c) / step_c), 0, 255).astype(np.uint8)
+        file = io.BytesIO()
+        single = codes_hwc.shape[2] == 1
+        image = image_module.fromarray(codes_hwc[:, :, 0] if single else codes_hwc)
+        image.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)
+        size += len(file.getvalue()) + low_c.nbytes + step_c.nbytes
+        with image_module.open(io.BytesIO(file.getvalue())) as read:
+            back_hwc = np.array(read).reshape(codes_hwc.shape)
+        decoded.append((low_c + back_hwc * step_c).astype(np.float32))
+    return size, decoded
+
+
+def _fit_fixed(
+    values_ip: NDArray[np.float32], directions_i3: NDArray[np.float64], fitted_i: NDArray, channel: int, basis: str
+) -> tuple[NDArray[np.float32], Callable[[NDArray[np.float32], int], NDArray[np.float32]], int]:
+    """Return planes (function, pixel channel), how to relight, and 0 bytes of tables: the functions are known."""
+    basis_ik = _FIXED[basis](directions_i3)
+    if len(fitted_i) < basis_ik.shape[1]:
+        raise InputError(f"basis {basis} needs at least {basis_ik.shape[1]} lights, got {len(fitted_i)}")
+    planes_kp = np.linalg.pinv(basis_ik[fitted_i]).astype(np.float32) @ values_ip[fitted_i]
+    return planes_kp, lambda decoded_kp, i: basis_ik[i].astype(np.float32) @ decoded_kp, 0
+
+
+def _fit_pca(
+    values_ip: NDArray[np.float32], directions_i3: NDArray[np.float64], fitted_i: NDArray, channel: int, basis: str
+) -> tuple[NDArray[np.float32], Callable[[NDArray[np.float32], int], NDArray[np.float32]], int]:
+    """Return planes (component, pixel), how to relight, and the bytes of mean and axes at 8 bits each.
+
+    Ponchio, Corsini and Scopigno 2018: principal components of each pixel's samples of all lights and colours; between
+    lights they are interpolated by radial basis functions of the projected direction (thin plates).
+    """
+    from scipy.interpolate import RBFInterpolator
+
+    n_light, n_plane = len(fitted_i), _PCA[basis]
+    if n_light * channel < n_plane or n_light < 3:
+        raise InputError(f"basis {basis} needs at least {max(3, -(-n_plane // channel))} lights, got {n_light}")
+    samples_pd = values_ip[fitted_i].reshape(n_light, -1, channel).transpose(1, 0, 2).reshape(-1, n_light * channel)
+    mean_d = samples_pd.mean(axis=0, dtype=np.float64)
+    some_pd = samples_pd[:: -(-len(samples_pd) // _PCA_SAMPLES)] - mean_d
+    axes_kd = np.linalg.eigh(some_pd.T @ some_pd)[1].T[::-1][:n_plane]
+    tables_kd = np.stack([_to_8_bits(row) for row in (mean_d, *axes_kd)])
+    planes_kp = (np.linalg.pinv(tables_kd[1:]).T @ (samples_pd - tables_kd[0]).T).astype(np.float32)
+    at_lights = RBFInterpolator(directions_i3[fitted_i, :2], tables_kd.T.reshape(n_light, -1))(directions_i3[:, :2])
+    tables_ick = at_lights.reshape(len(directions_i3), channel, 1 + n_plane).astype(np.float32)
+
+    def relight(decoded_kp: NDArray[np.float32], i: int) -> NDArray[np.float32]:
+        return (tables_ick[i, :, 1:] @ decoded_kp + tables_ick[i, :, :1]).T.ravel()
+
+    return planes_kp, relight, tables_kd.size + 8 * len(tables_kd)
+
+
+def _to_8_bits(row_d: NDArray[np.float64]) -> NDArray[np.float64]:
+    low, step = row_d.min(), max(np.ptp(row_d), 1e-12) / 255.0
+    return low + np.rint((row_d - low) / step) * step
+
+
+def _pillow() -> Any:
+    try:
+        from PIL import Image
+    except ImportError:
+        raise InputError("JPEG planes need Pillow: pip install 'clrelight[codecs]'") from None
+    return Image
