@@ -35,7 +35,7 @@ def print_table(headers: Sequence[str], rows: Sequence[Sequence[str]], expendabl
             names = [name for name, _ in columns]
             dropped.append(next((name for name in expendable if name in names), names[-1]))
             columns = [column for column in columns if column[0] != dropped[-1]]
-        below += [f"not shown for lack of room: {', '.join(dropped)}"] if dropped else []
+        below += [f"not shown for lack of room: {'; '.join(dropped)}"] if dropped else []
         lines = _lines(columns, wrap=True)
     for line in [*lines, *below]:
         click.echo(line.rstrip())
