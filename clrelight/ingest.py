@@ -18,7 +18,9 @@ from clrelight.conventions import TRANSFERS, default_peak
 from clrelight.errors import InputError
 from clrelight.images import BAND_BYTES, ImageHeader, read_bands, read_header
 from clrelight.lights import (
+    INTENSITIES_FILE,
     MASK_FILE,
+    NAMES_FILE,
     LightTable,
     count_duplicates,
     find_lights,
@@ -172,9 +174,9 @@ def ingest_folder(
         Accept lights with z < 0.
     divide_intensities : bool
         Divide the images of a DiLiGenT folder by its ``light_intensities.txt``. The stack then holds
-        ``code / peak * mean / intensity`` with the mean over all lights and channels, so that 1.0 is white under
-        a light of mean intensity, and the stack's peak is ``mean / smallest intensity``: the largest value a
-        pixel can have, so that clipping at the peak loses nothing. Its type is float16 where the files are
+        ``code / peak * mean / intensity`` with the mean over all lights and channels, so that 1.0, the stack's
+        peak, is white under a light of mean intensity. White under a dimmer light comes out above 1; such values
+        stay in the stack, and are clipped only where images are compared. Its type is float16 where the files are
         uint8 (11 bits keep 8), else float32. `subset` does not change these numbers.
     memory_bytes : int
         Bound on decoded image data held at a time, without the decoders' own buffers.
@@ -189,7 +191,7 @@ def ingest_folder(
         Naming the file, line or light that is wrong.
     """
     # Imported late: the store is needed only when all else is known to be right.
-    from clrelight.store import create_stack  # type: ignore[import-not-found]
+    from clrelight.store import check_output, create_stack
 
     folder = Path(folder)
     if transfer not in TRANSFERS:
@@ -205,6 +207,8 @@ def ingest_folder(
     values = _choose_values(table, headers[0], chosen, transfer, peak, divide_intensities)
     mask_path = Path(mask) if mask is not None else table.mask
     mask_hw = _read_mask(mask_path, headers[0], window, memory_bytes) if mask_path is not None else None
+    tables = [table.source, *(table.source.parent / name for name in (NAMES_FILE, INTENSITIES_FILE))]
+    check_output(out_path, [*table.images, *tables, *([mask_path] if mask_path is not None else [])])
     source = _Source(headers, window, values)
     plan = _plan_memory(source, memory_bytes)
 
@@ -290,7 +294,7 @@ def _choose_values(
     # Codes are integers, so the smallest value but 0 is that of code 1.
     in_half = factors_ic.min() >= _HALF_SMALLEST and factors_ic.max() * 255 <= _HALF_LARGEST
     dtype = np.dtype(np.float16 if header.dtype == np.uint8 and in_half else np.float32)
-    return _Values(dtype, float(relative.max()), factors_ic[chosen].astype(np.float32))
+    return _Values(dtype, 1.0, factors_ic[chosen].astype(np.float32))
 
 
 def _read_mask(path: Path, header: ImageHeader, window: _Window, memory_bytes: int) -> NDArray[np.bool_]:
@@ -392,7 +396,7 @@ def _check_radiance(band_hwc: NDArray, path: Path, row: int, column: int) -> Non
 
 def _notes(table: LightTable, folder: Path, mask_path: Path | None, values: _Values) -> Iterator[str]:
     if values.factors_ic is not None:
-        yield f"divided by the light intensities; peak {values.peak:.4g} is white under the dimmest light"
+        yield f"divided by the light intensities; {values.peak:g} is white under a light of mean intensity"
     elif table.intensities_ic is not None:
         yield "not divided by the light intensities"
     if mask_path is not None:

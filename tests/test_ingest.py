@@ -12,6 +12,7 @@ from clrelight import ingest
 from clrelight.errors import InputError
 from clrelight.images import write_image
 from clrelight.ingest import ingest_folder
+from clrelight.store import check_output
 
 RNG = np.random.default_rng(11)
 DIRECTIONS = np.array([[0, 0, 1], [0.6, 0, 0.8], [0, -0.6, 0.8], [0, 0.8, 0.6], [-0.8, 0, 0.6]])
@@ -47,7 +48,9 @@ def written(monkeypatch):
         assert np.all(recorder.filled == 1)
         last.images, last.settings = recorder.values, SimpleNamespace(path=path, chunk_lights=chunk_lights, **settings)
 
-    monkeypatch.setitem(sys.modules, "clrelight.store", SimpleNamespace(create_stack=create_stack))
+    monkeypatch.setitem(
+        sys.modules, "clrelight.store", SimpleNamespace(create_stack=create_stack, check_output=check_output)
+    )
     return last
 
 
@@ -147,7 +150,8 @@ def test_light_intensities_are_divided_out(tmp_path, written, dtype, extension, 
     expected = images / code_peak * intensities.mean() / intensities[:, None, None]
     assert written.images.dtype == stored
     np.testing.assert_allclose(written.images.astype(float), expected, rtol=precision)
-    np.testing.assert_allclose(summary.peak, intensities.mean() / intensities.min())
+    assert (summary.peak, written.settings.peak) == (1.0, 1.0)
+    assert written.images.max() > 1  # white under a dim light is not clipped
     np.testing.assert_array_equal(written.settings.mask_hw, np.eye(13, 9) > 0)
 
 
@@ -155,10 +159,10 @@ def test_division_is_the_same_for_a_subset_and_can_be_left_out(tmp_path, written
     images, intensities = random_images(), RNG.uniform(0.3, 3.0, (5, 3))
     folder = make_diligent(tmp_path / "cat", images, intensities)
     ingest_folder(folder, tmp_path / "o.h5")
-    whole, peak = written.images, written.settings.peak
+    whole = written.images
     ingest_folder(folder, tmp_path / "o.h5", subset="3,1")
     np.testing.assert_array_equal(written.images, whole[[3, 1]])
-    assert written.settings.peak == peak
+    assert written.settings.peak == 1
     ingest_folder(folder, tmp_path / "o.h5", divide_intensities=False)
     np.testing.assert_array_equal(written.images, images)
     assert written.settings.peak == 255
@@ -354,6 +358,16 @@ def test_other_bad_input(tmp_path, written):
     assert not written.began
 
 
+@pytest.mark.parametrize("name", ["im 2.png", "dirs.lp", "mask.png"])
+def test_result_does_not_replace_what_is_read(tmp_path, written, name):
+    folder = make_folder(tmp_path / "a", random_images())
+    write_image(folder / "mask.png", np.ones((13, 9), np.uint8))
+    (tmp_path / "link.h5").hardlink_to(folder / name)
+    with pytest.raises(InputError, match=rf"that is the input .*{name}"):
+        ingest_folder(folder, tmp_path / "link.h5", mask=folder / "mask.png")
+    assert not written.began
+
+
 def test_error_in_progress_stops_the_decoders(tmp_path, written):
     folder = make_folder(tmp_path / "a", random_images())
 
@@ -392,8 +406,7 @@ def test_diligent(real_data, tmp_path, written, name):
     for i in (0, 50, 95):
         expected = pillow(folder / f"{i + 1:03d}.png") / 255 * intensities.mean() / intensities[i]
         np.testing.assert_allclose(written.images[i].astype(float), expected, rtol=2.0**-11)
-    assert written.images.max() <= summary.peak
-    assert summary.n_light == 96
+    assert (summary.n_light, summary.peak) == (96, 1.0)
 
 
 def test_psbox_cat(real_data, tmp_path, written):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import click
 
 from clrelight import __version__
-from clrelight.cli import experiments, files, fitting, images, machines
+from clrelight.cli import coding, experiments, files, fitting, images, machines, quality
 from clrelight.errors import InputError, KernelBuildError
 
 INTERRUPTED = 130
+
+# Of click 8.2; before, a group without a command printed its help and raised Exit.
+_NO_COMMAND = getattr(click.exceptions, "NoArgsIsHelpError", ())
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -26,7 +30,7 @@ def cli() -> None:
     """
 
 
-for module in (machines, files, fitting, images, experiments):
+for module in (machines, files, fitting, coding, images, quality, experiments):
     for command in module.COMMANDS:
         cli.add_command(command)
 
@@ -37,29 +41,42 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run the command line and return the exit code."""
+    """Run the command line and return the exit code; what is no user's fault goes on as the exception that it is."""
     try:
-        cli.main(arguments, prog_name="clrelight", standalone_mode=False)
+        # Not cli.main, which ends the program by itself at a broken pipe.
+        with cli.make_context("clrelight", list(sys.argv[1:] if arguments is None else arguments)) as context:
+            cli.invoke(context)
+        sys.stdout.flush()
+    except click.exceptions.Exit as end:
+        return end.exit_code
     except click.UsageError as error:
+        if error.ctx and isinstance(error, _NO_COMMAND):
+            click.echo(error.ctx.get_help())
+            return 0
         where = error.ctx.command_path if error.ctx else "clrelight"
-        return _fail(f"{where}: {error.format_message()} (see {where} --help)")
+        return _fail(f"{where}: {error.format_message().rstrip('.')} (see {where} --help)")
     except click.ClickException as error:
         return _fail(f"clrelight: {error.format_message()}")
     except (click.Abort, KeyboardInterrupt):
-        return _fail("clrelight: interrupted; what was being written is discarded, older files are as they were", 130)
+        return _fail("clrelight: interrupted; files that were not finished are discarded", INTERRUPTED)
     except InputError as error:
         return _fail(f"clrelight: {error}")
     except BrokenPipeError:
-        # The reader of a pipe has gone: nothing is left to say, and nobody to say it to.
-        sys.stderr.close()
-        return 0
+        return _leave_pipe()
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         return _fail(f"clrelight: {place}{error.strerror or error}")
     except MemoryError as error:
-        return _fail(f"clrelight: out of memory ({error}); try a smaller --memory")
+        return _fail(f"clrelight: out of memory ({error}); ask for less at once (--memory, --size, --degree)")
     except KernelBuildError as error:
         return _fail(f"clrelight: {error}", 1)
+    return 0
+
+
+def _leave_pipe() -> int:
+    """The reader of a pipe has gone: nothing is left to say, and nobody to say it to."""
+    # What is still buffered would be tried again at the interpreter's end, and complained about.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clrelight.cli.options import Names, Numbers, device_option, given, json_option
-from clrelight.cli.output import print_facts, print_json, print_table, progress_bar
+from clrelight.cli.options import Names, Numbers, device_option, given, holdout_option, json_option, whole_number
+from clrelight.cli.output import print_facts, print_json, print_notes
+from clrelight.cli.progress import progress_bar
+from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,11 +25,11 @@ if TYPE_CHECKING:
 @click.option("--degrees", type=Numbers(int, "4,6"), help="SH degrees; default 6.")
 @click.option("--codecs", type=Names(), help="Codecs; default none,half,s3tc,uniform,wavelet.")
 @click.option("--rates", type=Numbers(float, "0.5,1,2"), help="Wavelet rates in bits per coefficient.")
-@click.option("--holdout", type=int, metavar="K", help="Keep every K-th light out of the fits and measure there too.")
-@click.option("--size", type=int, help="Ring: width and height; default 256.")
-@click.option("--lights", type=int, help="Ring: number of lights; default 256.")
+@holdout_option("the fits")
+@click.option("--size", type=whole_number(8, 1 << 16), help="Ring: width and height; default 256.")
+@click.option("--lights", type=whole_number(1, 1 << 20), help="Ring: number of lights; default 256.")
 @click.option("--pattern", help="Ring: uniform, grid or scattered.")
-@click.option("--seed", type=int, help="Ring: seed; default 0.")
+@click.option("--seed", type=whole_number(0), help="Ring: seed; default 0.")
 @click.option("--force", is_flag=True, help="Start anew although the results file exists.")
 @device_option
 @json_option
@@ -49,7 +51,8 @@ def bench(
 ) -> None:
     """Measure a grid of methods, codecs and rates: sizes, PSNR and seconds.
 
-    The results file is written after every row; the same command goes on where it stopped.
+    The results file is written after every row; the same command goes on where it stopped. A fit or a codec that
+    refuses leaves a row with a note instead of numbers.
 
     \b
     Example:
@@ -60,10 +63,12 @@ def bench(
     from clrelight.device import open_device
     from clrelight.experiment import run_experiment
     from clrelight.report import summary_rows
+    from clrelight.store import check_output
 
     ring = given(size=size, lights=lights, pattern=pattern, seed=seed)
     grid = given(methods=methods, degrees=degrees, codecs=codecs, rates=rates, holdout=holdout)
     experiment = _experiment(what, grid, ring)
+    check_output(out, [what])
     with progress_bar("bench") as bar:
         results = run_experiment(
             experiment,
@@ -75,7 +80,8 @@ def bench(
     if as_json:
         print_json({"file": out, "rows": _rows(results)})
         return
-    print_table(*summary_rows(results))
+    print_notes(_notes(results))
+    print_table(*summary_rows(results), expendable=("encode (s)", "fit (s)", "kB"))
     print_facts({"results": out, "next": f"clrelight report {out} --out report"})
 
 
@@ -86,7 +92,7 @@ def _experiment(what: str, grid: dict, ring: dict) -> Experiment:
         return paper_experiment(RING, ring=ring, **grid)
     if ring:
         raise InputError(f"--{next(iter(ring))} is an option of the ring scene, not of {what}")
-    if Path(what).suffix == ".toml":
+    if Path(what).suffix.lower() == ".toml":
         if grid:
             raise InputError(f"--{next(iter(grid))}: {what} says itself what to measure")
         return load_experiment(what)
@@ -96,6 +102,19 @@ def _experiment(what: str, grid: dict, ring: dict) -> Experiment:
 def _rows(results: Results) -> list[dict]:
     names = results.table.dtype.names or ()
     return [{name: row[name] for name in names} for row in results.table]
+
+
+def _notes(results: Results) -> list[str]:
+    """Return the notes of the rows, each once for all the codecs that have it."""
+    codecs: dict[tuple[str, ...], list[str]] = {}
+    for row in results.table:
+        scene, method, codec, note = (row[name].decode() for name in ("scene", "method", "codec", "note"))
+        if note:
+            codecs.setdefault((scene, method, str(row["degree"]), note), []).append(codec)
+    return [
+        f"{scene}, {method} degree {degree}, {', '.join(dict.fromkeys(names))}: {note}"
+        for (scene, method, degree, note), names in codecs.items()
+    ]
 
 
 @click.command()

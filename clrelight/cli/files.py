@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict
 from typing import Any
 
 import click
 
-from clrelight.cli.options import Numbers, json_option, memory_option
-from clrelight.cli.output import print_facts, print_json, print_notes, progress_bar
+from clrelight.cli.options import Numbers, json_option, memory_option, whole_number
+from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.progress import progress_bar
 
 
 @click.command()
@@ -46,10 +48,12 @@ def ingest(folder: str, out: str, memory: int, as_json: bool, **options: Any) ->
     """
     from clrelight.ingest import ingest_folder
 
+    since = time.perf_counter()
     with progress_bar("reading images") as bar:
         summary = ingest_folder(folder, out, memory_bytes=memory, progress=bar, **options)
+    seconds = {"ingest": time.perf_counter() - since}
     if as_json:
-        print_json({"file": out, **asdict(summary)})
+        print_json({"file": out, **asdict(summary), "seconds": seconds})
         return
     print_notes(summary.notes)
     height, width, channel = summary.image_shape
@@ -72,8 +76,10 @@ def synth() -> None:
 
 @synth.command()
 @click.argument("out", type=click.Path())
-@click.option("--size", type=int, default=256, show_default=True, help="Width and height in pixels.")
-@click.option("--lights", type=int, default=256, show_default=True, help="Number of lights.")
+@click.option(
+    "--size", type=whole_number(8, 1 << 16), default=256, show_default=True, help="Width and height in pixels."
+)
+@click.option("--lights", type=whole_number(1, 1 << 20), default=256, show_default=True, help="Number of lights.")
 @click.option(
     "--pattern",
     type=click.Choice(["uniform", "grid", "scattered"]),
@@ -81,7 +87,9 @@ def synth() -> None:
     show_default=True,
     help="Where the lights are (the paper's figure 2).",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the texture and of scattered lights.")
+@click.option(
+    "--seed", type=whole_number(0), default=0, show_default=True, help="Of the texture and of scattered lights."
+)
 @click.option(
     "--dtype",
     type=click.Choice(["uint8", "float16", "float32"]),
@@ -97,17 +105,22 @@ def ring(out: str, size: int, lights: int, pattern: str, seed: int, dtype: str, 
     Example:
       clrelight synth ring ring.h5 --size 256 --lights 256 --pattern uniform --seed 0
     """
-    from clrelight.store import write_stack
+    from clrelight.store import check_output, write_stack
     from datasets_synth.ring import render_ring
 
+    check_output(out)
+    since = time.perf_counter()
     with progress_bar("rendering") as bar:
         stack = render_ring(size=size, lights=lights, pattern=pattern, seed=seed, dtype=dtype, progress=bar)
+    seconds = {"render": time.perf_counter() - since}
+    since = time.perf_counter()
     write_stack(out, stack)
+    seconds["write"] = time.perf_counter() - since
     facts = {"file": out, "lights": stack.n_light, "size": size, "pattern": pattern, "seed": seed, "dtype": dtype}
     if as_json:
-        print_json(facts)
+        print_json({**facts, "seconds": seconds})
     else:
-        print_facts(facts)
+        print_facts({**facts, "time": seconds_line(seconds)})
 
 
 @click.command()

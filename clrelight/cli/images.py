@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,14 +10,18 @@ from typing import TYPE_CHECKING
 import click
 
 from clrelight.cli.options import Numbers, device_option, json_option
-from clrelight.cli.output import print_facts, print_json, print_notes, progress_bar, seconds_line
+from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.progress import progress_bar
+from clrelight.cli.quality import load_coefficients
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-_FLOAT_FORMATS = (".exr", ".hdr", ".pfm", ".tif", ".tiff")
+_FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
+_MAX_STOPS = 64.0
+_NUMBER_FIELD = re.compile(r"%0?[0-9]?d")
 
 
 @click.command()
@@ -50,18 +55,23 @@ def relight(
       clrelight relight fit.h5 relit.png --light 0.5,0.2,0.8
       clrelight relight enc.h5 frame%03d.exr --lights turntable.lp
     """
-    from clrelight import relight as relighting
-    from clrelight.cli.fitting import load_coefficients
     from clrelight.device import open_device
     from clrelight.images import write_image
+    from clrelight.relight import relight as relight_view
+    from clrelight.relight import to_display
+    from clrelight.store import check_output
 
+    if not abs(exposure) <= _MAX_STOPS:
+        raise InputError(f"exposure must be a number of stops from -{_MAX_STOPS:g} to {_MAX_STOPS:g}, got {exposure}")
+    if transfer and image.lower().endswith(_FLOAT_FORMATS):
+        raise InputError(f"--transfer is for 8-bit files, but {image} holds linear radiance: leave it out")
     directions_i3 = _directions(light, lights)
     names = _names(image, len(directions_i3))
+    for name in names:
+        check_output(name, [fitted, lights] if lights else [fitted])
     opened = open_device(device)
     seconds: dict[str, float] = {}
-    since = time.perf_counter()
-    coefficients = load_coefficients(fitted, opened)
-    seconds["read"] = time.perf_counter() - since
+    coefficients = load_coefficients(fitted, opened, seconds)
     notes = [
         f"light {i} is below the horizon, where a hemispherical fit knows nothing"
         for i in range(len(directions_i3))
@@ -71,14 +81,14 @@ def relight(
     with progress_bar("relighting") as bar:
         for index, name in enumerate(names):
             since = time.perf_counter()
-            radiance = relighting.relight(coefficients, directions_i3[index : index + 1], device=opened)[0]
+            radiance = relight_view(coefficients, directions_i3[index : index + 1], device=opened)[0]
             radiance *= 2.0**exposure
             seconds["relight"] += time.perf_counter() - since
             since = time.perf_counter()
             if name.lower().endswith(_FLOAT_FORMATS):
                 write_image(name, radiance)
             else:
-                write_image(name, relighting.to_display(radiance, transfer or coefficients.transfer))
+                write_image(name, to_display(radiance, transfer or coefficients.transfer))
             seconds["write"] += time.perf_counter() - since
             bar(index + 1, len(names))
     if as_json:
@@ -101,22 +111,24 @@ def _directions(light: tuple[tuple[float, float, float], ...], lights: str | Non
         directions_i3 = read_lp(Path(lights))[1]
     else:
         directions_i3 = read_directions(Path(lights))
-    norms = np.linalg.norm(directions_i3, axis=1)
-    if not (np.isfinite(norms) & (norms > 0)).all():
-        raise InputError("a light direction must be finite and not of length zero")
-    return directions_i3 / norms[:, None]
+    # Scaled by the largest component first, whose square could be beyond float64's range.
+    largest = np.max(np.abs(directions_i3), axis=1, keepdims=True)
+    bad = np.flatnonzero(~(np.isfinite(largest[:, 0]) & (largest[:, 0] > 0)))
+    if bad.size:
+        raise InputError(
+            f"light {bad[0]} has the direction {directions_i3[bad[0]]}, expected finite numbers that are not all zero"
+        )
+    directions_i3 = directions_i3 / largest
+    return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True)
 
 
 def _names(image: str, count: int) -> list[str]:
-    if count == 1 and "%" not in image:
-        return [image]
-    try:
-        names = [image % index for index in range(count)]
-    except (TypeError, ValueError):
-        names = []
-    if len(set(names)) != count:
+    field = _NUMBER_FIELD.search(image)
+    if field:
+        return [image[: field.start()] + field[0] % index + image[field.end() :] for index in range(count)]
+    if count > 1:
         raise InputError(f"{count} images need a number field in their name, such as relit%03d.png, got {image!r}")
-    return names
+    return [image]
 
 
 COMMANDS = (relight,)

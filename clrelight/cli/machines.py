@@ -7,7 +7,8 @@ from dataclasses import asdict
 import click
 
 from clrelight.cli.options import json_option
-from clrelight.cli.output import print_json, print_table
+from clrelight.cli.output import print_json
+from clrelight.cli.tables import print_table
 
 
 @click.command()
@@ -40,7 +41,9 @@ def devices(as_json: bool) -> None:
         ]
         for info in infos
     ]
-    print_table(["index", "kind", "name", "version", "driver", "float64", "memory"], rows)
+    print_table(
+        ["index", "kind", "name", "version", "driver", "float64", "memory"], rows, expendable=("driver", "memory")
+    )
     click.echo("* taken when neither --device nor CLRELIGHT_DEVICE names one")
 
 

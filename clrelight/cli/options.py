@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import click
-import numpy as np
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 1 << 10, "mi": 1 << 20, "gi": 1 << 30}
+_LARGEST = (1 << 31) - 1
 
 
 class ByteCount(click.ParamType):
@@ -26,9 +27,9 @@ class ByteCount(click.ParamType):
         match = re.fullmatch(r"\s*([0-9.]+(?:e[0-9]+)?)\s*(k|m|g|ki|mi|gi|)b?\s*", str(value).lower())
         try:
             count = int(float(match[1]) * _UNITS[match[2]]) if match else 0
-        except ValueError:
+        except (ValueError, OverflowError):
             count = 0
-        if count < 1:
+        if not 1 <= count < 1 << 63:
             self.fail(f"{value!r} is not a number of bytes such as 1GiB, 512M or 2000000", param, ctx)
         return count
 
@@ -63,23 +64,46 @@ class Numbers(click.ParamType):
             numbers = tuple(self.kind(part) for part in str(value).split(","))
         except ValueError:
             numbers = ()
-        if not numbers or not np.all(np.isfinite(numbers)) or (self.count and len(numbers) != self.count):
-            self.fail(
-                f"{value!r} is not {'a list' if not self.count else self.count} of numbers such as {self.example}"
-            )
+        if not numbers or (self.count and len(numbers) != self.count) or not all(map(_is_sensible, numbers)):
+            wanted = f"{self.count} numbers" if self.count else "one or more numbers"
+            if self.kind is int:
+                wanted = wanted.replace("numbers", "whole numbers")
+            self.fail(f"expected {wanted} separated by commas, such as {self.example}, got {value!r}", param, ctx)
         return numbers
 
 
+def _is_sensible(number: float) -> bool:
+    return abs(number) <= _LARGEST if isinstance(number, int) else math.isfinite(number)
+
+
 class Names(click.ParamType):
-    """Names separated by commas."""
+    """Names separated by commas, none of them twice."""
 
     name = "a,b,..."
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
         """Return the names as a tuple."""
-        return (
-            value if isinstance(value, tuple) else tuple(part.strip() for part in str(value).split(",") if part.strip())
-        )
+        if isinstance(value, tuple):
+            return value
+        names = tuple(part.strip() for part in str(value).split(",") if part.strip())
+        if not names:
+            self.fail(f"expected one or more names separated by commas, got {value!r}", param, ctx)
+        return names
+
+
+def whole_number(least: int, most: int = _LARGEST) -> click.IntRange:
+    """Return the type of an option that is a whole number within bounds."""
+    return click.IntRange(least, most)
+
+
+def holdout_option(what: str) -> Callable[[Command], Command]:
+    """Add ``--holdout``."""
+    return click.option(
+        "--holdout",
+        type=whole_number(2),
+        metavar="K",
+        help=f"Keep every K-th light out of {what} and measure there too.",
+    )
 
 
 def device_option(command: Command) -> Command:

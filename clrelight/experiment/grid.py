@@ -4,22 +4,33 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, fields
 from typing import Any
 
+from clrelight.basis import MAX_DEGREE
 from clrelight.codec import Codec, codec_class
 from clrelight.errors import InputError
 from clrelight.fit import FitMethod, method_class
+from clrelight.fit.plan import SAMPLINGS, WEIGHTINGS
 from clrelight.results import NO_CODEC
 
 RING = "ring"
 PAPER_METHODS = ("uls", "sloan", "cls", "ceb")
 PAPER_RATES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Bits per coefficient of the wavelet curve, figure 15."""
+PICTURE_RATE = 4.0
+"""Of the wavelet rows, the rate whose pictures are kept (figures 4c, 8c, 12c)."""
+
+
+TYPE_NAMES = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    list: "a list",
+    dict: "a table",
+}
 
 
 @dataclass(frozen=True)
@@ -41,7 +52,12 @@ class CodecSetting:
     @property
     def rate(self) -> float:
         """Bits per coefficient asked for, NaN where the codec is not asked for any."""
-        return float(self.config.get("rate", math.nan))
+        return float(self.config.get("rate", self.config.get("bits", math.nan)))
+
+    @property
+    def is_pictured(self) -> bool:
+        """Whether the results keep its pictures: of a codec that takes any rate, only at `PICTURE_RATE`."""
+        return self.config.get("rate", PICTURE_RATE) == PICTURE_RATE
 
     @property
     def picture_name(self) -> str:
@@ -77,10 +93,34 @@ class Experiment:
     sampling: str = "hemisphere"
     ring: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name in ("scenes", "methods", "degrees", "codecs"):
+            values = getattr(self, name)
+            if not values:
+                raise InputError(f"an experiment needs {name}, got none")
+            twice = next((value for value in values if values.count(value) > 1), None)
+            if twice is not None:
+                raise InputError(f"{name} holds {_label(twice)} twice")
+        for degree in self.degrees:
+            if not 0 <= degree <= MAX_DEGREE:
+                raise InputError(f"degrees must be 0 to {MAX_DEGREE}, got {degree}")
+        if self.holdout is not None and self.holdout < 2:
+            raise InputError(f"holdout must be at least 2 (every K-th light is kept out), got {self.holdout}")
+        for name, known in (("weights", WEIGHTINGS), ("sampling", SAMPLINGS)):
+            if getattr(self, name) not in known:
+                raise InputError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
+
     @property
     def row_count(self) -> int:
         """Rows of the finished table."""
         return len(self.scenes) * len(self.methods) * len(self.degrees) * len(self.codecs)
+
+
+def _label(value: Any) -> str:
+    if isinstance(value, FitMethod | CodecSetting):
+        options = value.to_config() if isinstance(value, FitMethod) else value.config
+        return f"{value.id} {options}" if options else value.id
+    return repr(value)
 
 
 def paper_experiment(
@@ -89,22 +129,27 @@ def paper_experiment(
     methods: tuple[str, ...] = PAPER_METHODS,
     degrees: tuple[int, ...] = (6,),
     codecs: tuple[str, ...] = (NO_CODEC, "half", "s3tc", "uniform", "wavelet"),
-    rates: tuple[float, ...] = PAPER_RATES,
+    rates: tuple[float, ...] | None = None,
     holdout: int | None = None,
     ring: Mapping[str, Any] | None = None,
 ) -> Experiment:
-    """Return the paper's experiment (table I and III, figures 7 and 15) on one scene."""
+    """Return the paper's experiment (table I and III, figures 7 and 15) on one scene.
+
+    `rates` are those of the wavelet codec; `PAPER_RATES` without.
+    """
+    if rates is not None and "wavelet" not in codecs:
+        raise InputError(f"rates are of the codec wavelet, which is not among the codecs {', '.join(codecs)}")
     settings: list[CodecSetting] = []
     for name in codecs:
-        settings += make_settings(name, {"rate": list(rates)} if name == "wavelet" else {})
-    return Experiment(
-        (scene,),
-        tuple(method_class(name)() for name in methods),
-        degrees,
-        tuple(settings),
-        holdout,
-        ring=dict(ring or {}),
-    )
+        settings += make_settings(name, {"rate": list(rates or PAPER_RATES)} if name == "wavelet" else {})
+    made = [method for name in methods for method in make_methods(name, {})]
+    return Experiment((scene,), tuple(made), degrees, tuple(settings), holdout, ring=dict(ring or {}))
+
+
+def make_methods(method_id: str, config: Mapping[str, Any]) -> list[FitMethod]:
+    """Return one method for each combination of the options that are lists."""
+    kind = method_class(method_id)
+    return [kind.from_config(_with_types(kind, options)) for options in _combinations(config)]
 
 
 def make_settings(codec_id: str, config: Mapping[str, Any]) -> list[CodecSetting]:
@@ -114,54 +159,22 @@ def make_settings(codec_id: str, config: Mapping[str, Any]) -> list[CodecSetting
             raise InputError(f"codec {NO_CODEC!r} has no options, got {', '.join(config)}")
         return [CodecSetting()]
     kind = codec_class(codec_id)
+    return [CodecSetting(kind.from_config(_with_types(kind, options))) for options in _combinations(config)]
+
+
+def _combinations(config: Mapping[str, Any]) -> list[dict[str, Any]]:
     axes = [[(key, v) for v in (value if isinstance(value, list) else [value])] for key, value in config.items()]
-    return [CodecSetting(kind.from_config(dict(combination))) for combination in itertools.product(*axes)]
+    return [dict(combination) for combination in itertools.product(*axes)]
 
 
-_TOML_KEYS = ("scenes", "methods", "degrees", "holdout", "weights", "sampling", "ring", "method", "codec")
-
-
-def load_experiment(path: str | os.PathLike[str]) -> Experiment:
-    """Read an experiment from TOML (docs/experiments.md); InputError names what is not right."""
-    file = Path(path)
-    try:
-        given = tomllib.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"no such file: {file}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{file} is not valid TOML: {error}") from None
-    for key in given:
-        if key not in _TOML_KEYS:
-            raise InputError(f"{file}: unknown key {key!r}; known are {', '.join(_TOML_KEYS)}")
-    options = _typed(file, given, "method", dict, {})
-    methods = []
-    for name in _typed(file, given, "methods", list, list(PAPER_METHODS)):
-        methods.append(method_class(name).from_config(options.get(name, {})))
-    settings: list[CodecSetting] = []
-    for entry in _typed(file, given, "codec", list, [{"id": NO_CODEC}]):
-        if not isinstance(entry, dict) or not isinstance(entry.get("id"), str):
-            raise InputError(f"{file}: every [[codec]] needs an id")
-        settings += make_settings(entry["id"], {k: v for k, v in entry.items() if k != "id"})
-    scenes = [
-        scene if scene == RING else str(file.parent / scene) for scene in _typed(file, given, "scenes", list, [RING])
-    ]
-    degrees = _typed(file, given, "degrees", list, [6])
-    if not scenes or not methods or not settings or not degrees or not all(type(d) is int for d in degrees):
-        raise InputError(f"{file}: scenes, methods, degrees (whole numbers) and codecs must not be empty")
-    return Experiment(
-        tuple(scenes),
-        tuple(methods),
-        tuple(degrees),
-        tuple(settings),
-        _typed(file, given, "holdout", int, None),
-        _typed(file, given, "weights", str, "uniform"),
-        _typed(file, given, "sampling", str, "hemisphere"),
-        _typed(file, given, "ring", dict, {}),
-    )
-
-
-def _typed(file: Path, given: Mapping[str, Any], key: str, kind: type, default: Any) -> Any:
-    value = given.get(key, default)
-    if key in given and (not isinstance(value, kind) or isinstance(value, bool)):
-        raise InputError(f"{file}: {key} must be a {kind.__name__}, got {value!r}")
-    return value
+def _with_types(kind: type, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options as the types of their defaults, so that 1 and 1.0 make one row; InputError if they are not."""
+    defaults = {each.name: each.default for each in fields(kind)}
+    typed = dict(options)
+    for key, value in options.items():
+        wanted = type(defaults.get(key, value))
+        if wanted is float and type(value) is int and abs(value) < 1 << 53:
+            typed[key] = float(value)
+        elif type(value) is not wanted:
+            raise InputError(f"{kind.id}: {key} must be {TYPE_NAMES[wanted]}, got {value!r}")  # type: ignore[attr-defined]
+    return typed

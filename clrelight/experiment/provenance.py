@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import subprocess
 from pathlib import Path
 
 
+@functools.cache
 def software_versions() -> str:
     """Return the versions that matter for a number, in one line."""
     names = ("clrelight", "pyopencl", "pocl-binary-distribution", "numpy", "scipy", "h5py", "constriction")
@@ -19,6 +21,7 @@ def software_versions() -> str:
     return ", ".join(found)
 
 
+@functools.cache
 def source_commit() -> str:
     """Return the commit of the checkout this runs from, with ``+`` if changed; empty for an installed package."""
     root = Path(__file__).resolve().parents[2]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -88,6 +89,33 @@ def rows_by_key(rows: Iterable[np.void]) -> dict[tuple[str, int, Setting], np.vo
     for row in rows:
         found.setdefault((text(row["method"]), int(row["degree"]), setting_of(row)), row)
     return found
+
+
+def differing_options(rows: Sequence[np.void]) -> list[str]:
+    """Return per row the options in which it differs from others of its scene and method, or scene and codec.
+
+    So ``iterations=8`` where a method was fitted with several numbers of iterations, and mostly nothing: a rate asked
+    for is no such option, it has its own column.
+    """
+    found: list[list[str]] = [[] for _ in rows]
+    for name, field in (("method", "fit_config"), ("codec", "codec_config")):
+        configs = [_config(row[field]) for row in rows]
+        kinds = [(text(row["scene"]), text(row[name])) for row in rows]
+        for kind in set(kinds):
+            members = [i for i, each in enumerate(kinds) if each == kind]
+            for key in sorted({key for i in members for key in configs[i]} - {"rate", "bits"}):
+                if len({repr(configs[i].get(key)) for i in members}) > 1:
+                    for i in members:
+                        found[i].append(f"{key}={configs[i].get(key)}")
+    return [", ".join(words) for words in found]
+
+
+def _config(value: bytes) -> dict[str, object]:
+    try:
+        config = json.loads(value)
+    except (ValueError, RecursionError):  # cut off at the field's length, or of another program
+        return {}
+    return config if isinstance(config, dict) else {}
 
 
 def parse_picture_key(key: str) -> PictureKey | None:

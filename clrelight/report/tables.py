@@ -8,7 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from clrelight.report import paper
-from clrelight.report.rows import Setting, method_label, rows_by_key, scene_names, scene_rows, setting_of, text
+from clrelight.report.rows import (
+    Setting,
+    differing_options,
+    method_label,
+    rows_by_key,
+    scene_names,
+    scene_rows,
+    setting_of,
+    text,
+)
 from clrelight.results import NO_CODEC, Results
 
 Cell = str | int | float
@@ -161,6 +170,7 @@ ALL_COLUMNS = (
     Column("method", "method"),
     Column("degree", "degree"),
     Column("codec", "codec"),
+    Column("options", "options"),
     Column("rate", "rate asked", 2),
     Column("bits_per_coefficient", "bits/coefficient", 3),
     Column("entropy_bits", "entropy bits", 3),
@@ -177,9 +187,21 @@ ALL_COLUMNS = (
 )
 
 
+def _table_of(caption: str, columns: tuple[Column, ...], rows: list[np.void]) -> Table:
+    """Make a table of results rows; the column of options is there only where rows differ in any."""
+    options = differing_options(rows)
+    cells = [
+        tuple(words if column.key == "options" else _cell(row, column.key) for column in columns)
+        for row, words in zip(rows, options, strict=True)
+    ]
+    table = Table(caption, columns, tuple(cells))
+    return table if any(options) else table.without("options")
+
+
 def _cell(row: np.void, key: str) -> Cell:
     if key == "kilobytes":
-        return float(row["encoded_bytes"]) / 1000.0
+        # A row that could not be measured has a note and no size.
+        return float(row["encoded_bytes"]) / 1000.0 if np.isfinite(row["bits_per_coefficient"]) else math.nan
     if key == "setting":
         return setting_of(row).label
     value = row[key].item()
@@ -190,11 +212,8 @@ def all_rows(results: Results, scene: str | None = None) -> Table:
     """Return every row of one scene, or of all: sizes, PSNRs and seconds. A kB is 1000 bytes."""
     scenes = scene_names(results) if scene is None else [scene]
     rows = [row for name in scenes for row in scene_rows(results, name)]
-    return Table(
-        f"All rows{'' if scene is None else ' of ' + scene}: sizes with every side table, PSNR in dB, seconds",
-        ALL_COLUMNS,
-        tuple(tuple(_cell(row, column.key) for column in ALL_COLUMNS) for row in rows),
-    )
+    of = "" if scene is None else f" of {scene}"
+    return _table_of(f"All rows{of}: sizes with every side table, PSNR in dB, seconds", ALL_COLUMNS, rows)
 
 
 SUMMARY_COLUMNS = (
@@ -202,7 +221,8 @@ SUMMARY_COLUMNS = (
     Column("method", "method"),
     Column("degree", "degree"),
     Column("setting", "codec"),
-    Column("bits_per_coefficient", "bits/coeff", 3),
+    Column("options", "options"),
+    Column("bits_per_coefficient", "bits per coeff.", 3),
     Column("kilobytes", "kB", 1),
     Column("psnr_mean", "PSNR mean (dB)", 2),
     Column("psnr_pooled_holdout", "held out, pooled (dB)", 2),
@@ -214,11 +234,7 @@ SUMMARY_COLUMNS = (
 def summary(results: Results) -> Table:
     """Return the few columns of every row that fit a terminal; those about held-out lights only if there are any."""
     rows = [row for name in scene_names(results) for row in scene_rows(results, name)]
-    table = Table(
-        "Summary",
-        SUMMARY_COLUMNS,
-        tuple(tuple(_cell(row, column.key) for column in SUMMARY_COLUMNS) for row in rows),
-    )
+    table = _table_of("Summary", SUMMARY_COLUMNS, rows)
     unmeasured = all(_is_nan(value) for value in table.values("psnr_pooled_holdout"))
     return table.without("psnr_pooled_holdout") if unmeasured else table
 

@@ -1,5 +1,6 @@
 """The files of clrelight: HDF5, written whole or not at all, and read with suspicion."""
 
+from clrelight.store.durable import check_output
 from clrelight.store.encodings import FitRecord, read_encoded, write_encoded
 from clrelight.store.fits import FitSink, create_fit, open_fit, read_fit, write_fit
 from clrelight.store.stacks import create_stack, open_stack, write_stack
@@ -13,6 +14,7 @@ __all__ = [
     "FitSink",
     "Sink",
     "StoredArray",
+    "check_output",
     "create_fit",
     "create_stack",
     "describe",

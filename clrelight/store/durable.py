@@ -6,7 +6,7 @@ import errno
 import fcntl
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,6 +86,26 @@ def naming(path: str | os.PathLike) -> Iterator[None]:
     except OSError as error:
         reason = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else error.strerror or str(error)
         raise InputError(f"cannot write {os.fsdecode(path)}: {reason}") from error
+
+
+def check_output(path: str | os.PathLike, inputs: Iterable[str | os.PathLike] = ()) -> None:
+    """Raise InputError if `path` cannot be written as it looks now, or is one of the `inputs`, by whatever name.
+
+    For asking before long work: so that it is not done in vain, and no input is replaced by its own result.
+    """
+    target = Path(os.fsdecode(path))
+    with naming(target):
+        _check_target(target)
+    for source in inputs:
+        if _is_same_file(target, source):
+            raise InputError(f"cannot write {target}: that is the input {os.fsdecode(source)}, choose another name")
+
+
+def _is_same_file(target: Path, source: str | os.PathLike) -> bool:
+    try:
+        return os.path.samefile(target, source)
+    except (OSError, ValueError):  # one of them is not there, or is no name at all
+        return False
 
 
 def _check_target(target: Path) -> None:

@@ -57,6 +57,10 @@ class Sink:
         self._target[key] = values_array
         self._missing -= values_array.size
 
+    def __getitem__(self, key: Any) -> NDArray:
+        """Read back what was filled, before the file is finished."""
+        return self._target[key]
+
     def check_filled(self) -> None:
         """Raise ValueError if fewer elements were written than there are."""
         if self._missing > 0:

@@ -1,0 +1,135 @@
+"""``clrelight encode`` and ``decode``."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clrelight.cli.options import device_option, given, json_option
+from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.progress import progress_bar
+from clrelight.cli.quality import measure, psnr_lines
+
+if TYPE_CHECKING:
+    from clrelight.codec import Encoded
+
+
+@click.command()
+@click.argument("fit_file", metavar="FIT", type=click.Path())
+@click.argument("out", type=click.Path())
+@click.option("--codec", default="s3tc", show_default=True, help="half, s3tc, uniform or wavelet.")
+@click.option("--bits", type=int, help="Bits per code (uniform); default 8.")
+@click.option("--rate", type=float, help="Bits per coefficient (wavelet); default 4.")
+@click.option("--allocation", help="How wavelet rates are shared: map (each alike) or global (one step for all).")
+@click.option("--levels", type=int, help="Levels of the wavelet transform; default 3.")
+@click.option("--clamp", is_flag=True, default=None, help="Clamp what half cannot hold instead of refusing it (half).")
+@click.option("--stack", type=click.Path(), help="Measure PSNR of the decoded result against this stack.")
+@device_option
+@json_option
+def encode(
+    fit_file: str, out: str, codec: str, stack: str | None, device: str | None, as_json: bool, **options: Any
+) -> None:
+    """Compress the coefficients of a fit.
+
+    \b
+    Example:
+      clrelight encode fit.h5 enc.h5 --codec wavelet --rate 1 --stack stack.h5
+    """
+    from clrelight import codec as codecs
+    from clrelight.device import open_device
+    from clrelight.store import check_output, open_stack, read_fit, write_encoded
+
+    chosen = codecs.codec_class(codec).from_config(given(**options))
+    check_output(out, [fit_file] if stack is None else [fit_file, stack])
+    opened = open_device(device)
+    seconds: dict[str, float] = {}
+    since = time.perf_counter()
+    coefficients = read_fit(fit_file)
+    seconds["read"] = time.perf_counter() - since
+    with progress_bar(f"encoding {codec}"):
+        since = time.perf_counter()
+        encoded = codecs.encode(coefficients.coeffs_khwc, chosen, opened)
+        seconds["encode"] = time.perf_counter() - since
+    facts = {"file": out, **_size_facts(encoded), "config": dict(encoded.config), "device": opened.info.label}
+    if stack is not None:
+        with open_stack(stack) as source:
+            with progress_bar("decoding"):
+                since = time.perf_counter()
+                # From the bytes alone, as `decode` will do it.
+                decoded = replace(coefficients, coeffs_khwc=codecs.decode(encoded.to_bytes(), opened))
+                seconds["decode"] = time.perf_counter() - since
+            since = time.perf_counter()
+            facts["psnr"] = measure(decoded, source, opened)
+            seconds["measure"] = time.perf_counter() - since
+    since = time.perf_counter()
+    write_encoded(out, encoded, coefficients)
+    seconds["write"] = time.perf_counter() - since
+    facts["seconds"] = seconds
+    if as_json:
+        print_json(facts)
+        return
+    clamped = int(encoded.info.get("clamped", 0))
+    print_notes([f"{clamped} coefficients were clamped"] if clamped else [])
+    print_facts(
+        {"encoded": out, **_size_lines(encoded), **psnr_lines(facts.get("psnr")), "time": seconds_line(seconds)}
+    )
+
+
+@click.command()
+@click.argument("encoded_file", metavar="ENC", type=click.Path())
+@click.argument("out", type=click.Path())
+@device_option
+@json_option
+def decode(encoded_file: str, out: str, device: str | None, as_json: bool) -> None:
+    """Turn an encoded file back into a fit.
+
+    \b
+    Example:
+      clrelight decode enc.h5 decoded.h5
+    """
+    from clrelight import codec as codecs
+    from clrelight.device import open_device
+    from clrelight.store import check_output, read_encoded, write_fit
+
+    check_output(out, [encoded_file])
+    opened = open_device(device)
+    seconds: dict[str, float] = {}
+    since = time.perf_counter()
+    encoded, source = read_encoded(encoded_file)
+    seconds["read"] = time.perf_counter() - since
+    with progress_bar(f"decoding {encoded.codec}"):
+        since = time.perf_counter()
+        coefficients = source.to_map(codecs.decode(encoded, opened))
+        seconds["decode"] = time.perf_counter() - since
+    since = time.perf_counter()
+    write_fit(out, coefficients)
+    seconds["write"] = time.perf_counter() - since
+    if as_json:
+        print_json({"file": out, **_size_facts(encoded), "seconds": seconds, "device": opened.info.label})
+        return
+    print_facts({"fit": out, **_size_lines(encoded), "time": seconds_line(seconds)})
+
+
+def _size_facts(encoded: Encoded) -> dict[str, Any]:
+    return {
+        "codec": encoded.codec,
+        "encoded_bytes": encoded.encoded_bytes,
+        "bits_per_coefficient": encoded.bits_per_coefficient,
+        **encoded.info,
+    }
+
+
+def _size_lines(encoded: Encoded) -> dict[str, str]:
+    lines = {
+        "codec": encoded.codec,
+        "size": f"{encoded.encoded_bytes} bytes, {encoded.bits_per_coefficient:.4g} bit per coefficient",
+    }
+    if "entropy_bits" in encoded.info:
+        lines["entropy"] = f"{encoded.info['entropy_bits']:.4g} bit per coefficient (estimate)"
+    return lines
+
+
+COMMANDS = (encode, decode)

@@ -1,0 +1,112 @@
+"""``clrelight psnr``, and what other commands need to measure quality."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clrelight.cli.options import device_option, json_option
+from clrelight.cli.output import decibel, print_facts, print_json, seconds_line
+from clrelight.cli.progress import progress_bar
+from clrelight.errors import InputError
+
+if TYPE_CHECKING:
+    from clrelight.dataset import CoefficientMap, LightStack
+    from clrelight.device import Device
+
+
+@click.command()
+@click.argument("fitted", metavar="FIT_OR_ENC", type=click.Path())
+@click.argument("stack", type=click.Path())
+@device_option
+@json_option
+def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
+    """Measure PSNR of a fit or an encoded file against a stack.
+
+    Lights that the fit has not seen are measured apart.
+
+    \b
+    Example:
+      clrelight psnr enc.h5 stack.h5
+    """
+    from clrelight.device import open_device
+    from clrelight.store import open_stack
+
+    opened = open_device(device)
+    seconds: dict[str, float] = {}
+    with open_stack(stack) as source:
+        coefficients = load_coefficients(fitted, opened, seconds)
+        since = time.perf_counter()
+        quality = measure(coefficients, source, opened)
+        seconds["measure"] = time.perf_counter() - since
+    if as_json:
+        print_json({"file": fitted, "psnr": quality, "seconds": seconds, "device": opened.info.label})
+        return
+    print_facts({**psnr_lines(quality), "time": seconds_line(seconds)})
+
+
+def load_coefficients(path: str, device: Device, seconds: dict[str, float]) -> CoefficientMap:
+    """Return the coefficients of a fit file, or of an encoded file after decoding; `seconds` gets what it took."""
+    import numpy as np
+
+    from clrelight.codec import decode
+    from clrelight.store import file_schema, read_encoded, read_fit
+
+    since = time.perf_counter()
+    if file_schema(path).startswith("encoded/"):
+        encoded, source = read_encoded(path)
+        seconds["read"] = time.perf_counter() - since
+        with progress_bar("decoding"):
+            since = time.perf_counter()
+            coefficients = source.to_map(decode(encoded, device))
+            seconds["decode"] = time.perf_counter() - since
+    else:
+        coefficients = read_fit(path)
+        seconds["read"] = time.perf_counter() - since
+    for k, plane_hwc in enumerate(coefficients.coeffs_khwc):
+        if not np.isfinite(plane_hwc).all():
+            row, column, channel = (int(v) for v in np.argwhere(~np.isfinite(plane_hwc))[0])
+            raise InputError(
+                f"{path}: coefficient {k} at row {row}, column {column}, channel {channel} is "
+                f"{plane_hwc[row, column, channel]}, expected a finite number"
+            )
+    return coefficients
+
+
+def measure(
+    coefficients: CoefficientMap, stack: LightStack, device: Device, holdout: int | None = None
+) -> dict[str, float]:
+    """Return PSNRs at the lights that the coefficients were fitted to and, apart, at those that they have not seen."""
+    import numpy as np
+
+    from clrelight.dataset import split_lights
+    from clrelight.metrics import measure_errors, summarize_errors
+
+    if holdout is None:
+        closest = np.max(stack.directions_i3 @ coefficients.directions_i3.T, axis=1)
+        fitted, held = np.flatnonzero(closest > 1 - 1e-12), np.flatnonzero(closest <= 1 - 1e-12)
+    else:
+        fitted, held = split_lights(stack.n_light, holdout)
+    with progress_bar("measuring") as bar:
+        mse_i = measure_errors(coefficients, stack, device=device, progress=bar)
+    quality: dict[str, float] = {}
+    for name, lights in (("fitted", fitted), ("holdout", held)):
+        if len(lights):
+            measured = summarize_errors(mse_i[lights])
+            quality[f"mean_{name}"], quality[f"pooled_{name}"] = measured.psnr_mean, measured.psnr_pooled
+    return quality
+
+
+def psnr_lines(quality: dict[str, Any] | None) -> dict[str, str]:
+    """Return PSNRs as people read them."""
+    lines = {}
+    for name, title in (("fitted", "PSNR"), ("holdout", "PSNR, held out")):
+        if quality and f"mean_{name}" in quality:
+            mean, pooled = quality[f"mean_{name}"], quality[f"pooled_{name}"]
+            lines[title] = f"{decibel(mean)} mean over lights, {decibel(pooled)} pooled"
+    return lines
+
+
+COMMANDS = (psnr,)

@@ -1,0 +1,225 @@
+"""One scene's rows of an experiment: what identifies each, and measuring it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec import Codec, decode, encode
+from clrelight.dataset import CoefficientMap, LightStack, split_lights
+from clrelight.device import Device
+from clrelight.errors import InputError
+from clrelight.experiment.grid import CodecSetting, Experiment
+from clrelight.experiment.provenance import software_versions, source_commit
+from clrelight.experiment.scenes import shrink_picture, survey_stack
+from clrelight.fit import FitMethod
+from clrelight.fit.run import FitReport, collect_fit, prepare_fit
+from clrelight.metrics import measure_errors, summarize_errors
+from clrelight.relight import relight, to_display
+from clrelight.results import ROW_DTYPE, Results
+
+_CORNER = 32
+"""Width and height of the maps on which kernels are built before they are timed."""
+
+_IDENTITY = (
+    "scene",
+    "method",
+    "degree",
+    "fit_config",
+    "codec",
+    "codec_config",
+    "n_light",
+    "n_holdout",
+    "height",
+    "width",
+    "channel",
+    "seed",
+)
+
+
+def row_key(row: np.void) -> tuple:
+    """Return what a row was asked for: rows that share it are one measurement."""
+    return tuple(row[name] for name in _IDENTITY)
+
+
+class _RefusalError(InputError):
+    """A method cannot fit this degree to these lights: a result, not the end of the experiment."""
+
+
+class Bench:
+    """One scene of an experiment, with the last fit kept while its codecs are measured."""
+
+    def __init__(self, stack: LightStack, experiment: Experiment, device: Device, seed: int = 0) -> None:
+        self.seed = seed
+        self.stack, self.experiment, self.device = stack, experiment, device
+        self.fitted, self.held = split_lights(stack.n_light, experiment.holdout)
+        self.fit_stack = stack if experiment.holdout is None else stack.select(self.fitted)
+        self.survey = survey_stack(stack)
+        self._fit: tuple[tuple, CoefficientMap, float] | None = None
+        self._warm: set[Codec] = set()
+
+    def check_earlier(self, results: Results, out: str | os.PathLike[str]) -> None:
+        """Raise InputError if rows of this name were measured on other images: a report would mix them."""
+        for row in results.table:
+            if row["scene"] == _fixed(self.stack.name, ROW_DTYPE["scene"]) and (
+                f'"stack":"{self.survey.fingerprint}"'.encode() not in row["fit_config"]
+            ):
+                raise InputError(
+                    f"{out} holds rows of another stack that is named {self.stack.name!r} too: choose another --out, "
+                    "or start anew with --force"
+                )
+
+    def identity(self, method: FitMethod, degree: int, setting: CodecSetting) -> np.void:
+        """Return the row with all that is known before measuring."""
+        experiment = self.experiment
+        height, width, channel = self.stack.image_shape
+        fit_config = {
+            **method.to_config(),
+            "weights": experiment.weights,
+            "sampling": experiment.sampling,
+            "stack": self.survey.fingerprint,
+        }
+        values = {
+            "scene": self.stack.name,
+            "method": method.id,
+            "degree": degree,
+            "fit_config": _json(fit_config),
+            "codec": setting.id,
+            "codec_config": _json(setting.config),
+            "rate": setting.rate,
+            "n_light": len(self.fitted),
+            "n_holdout": len(self.held),
+            "n_coeff": (degree + 1) ** 2,
+            "height": height,
+            "width": width,
+            "channel": channel,
+            "seed": self.seed,
+            "device": self.device.info.label,
+            "versions": software_versions(),
+            "commit": source_commit(),
+        }
+        row = np.zeros(1, ROW_DTYPE)
+        for name, kind in ROW_DTYPE.fields.items() if ROW_DTYPE.fields else ():
+            if name in values:
+                row[0][name] = _fixed(values[name], kind[0])
+        return row[0]
+
+    def measure(self, results: Results, row: np.void, method: FitMethod, degree: int, setting: CodecSetting) -> Results:
+        """Fit if need be, encode, decode, compare; return the results with this row and its pictures."""
+        try:
+            coefficients, row["seconds_fit"] = self._coefficients(method, degree)
+        except _RefusalError as refusal:
+            row["mean_energy"] = row["seconds_fit"] = math.nan
+            return _append(results, _without_quality(row, str(refusal)))
+        row["mean_energy"] = _mean_energy(coefficients.coeffs_khwc)
+        row["entropy_bits"] = math.nan
+        row["bits_per_coefficient"], row["encoded_bytes"] = 32.0, coefficients.coeffs_khwc.nbytes
+        row["seconds_encode"] = row["seconds_decode"] = 0.0
+        if setting.codec is not None:
+            self._warm_up(setting.codec, coefficients.coeffs_khwc)
+            start = time.perf_counter()
+            try:
+                encoded = encode(coefficients.coeffs_khwc, setting.codec, self.device)
+            except InputError as error:
+                return _append(results, _without_quality(row, str(error)))
+            row["seconds_encode"] = time.perf_counter() - start
+            start = time.perf_counter()
+            # From the bytes alone, so that nothing the encoder knows can leak into the measurement.
+            decoded_khwc = decode(encoded.to_bytes(), self.device)
+            row["seconds_decode"] = time.perf_counter() - start
+            row["bits_per_coefficient"], row["encoded_bytes"] = encoded.bits_per_coefficient, encoded.encoded_bytes
+            row["entropy_bits"] = encoded.info.get("entropy_bits", math.nan)
+            coefficients = replace(coefficients, coeffs_khwc=decoded_khwc)
+        start = time.perf_counter()
+        mse_i = measure_errors(coefficients, self.stack, device=self.device)
+        row["seconds_measure"] = time.perf_counter() - start
+        at_fitted = summarize_errors(mse_i[self.fitted])
+        row["psnr_mean"], row["psnr_pooled"] = at_fitted.psnr_mean, at_fitted.psnr_pooled
+        row["psnr_mean_holdout"] = row["psnr_pooled_holdout"] = math.nan
+        if len(self.held):
+            at_held = summarize_errors(mse_i[self.held])
+            row["psnr_mean_holdout"], row["psnr_pooled_holdout"] = at_held.psnr_mean, at_held.psnr_pooled
+        pictures, profiles = self._illustrate(results, coefficients, method, degree, setting)
+        return replace(_append(results, row), pictures=pictures, profiles=profiles)
+
+    def _coefficients(self, method: FitMethod, degree: int) -> tuple[CoefficientMap, float]:
+        key = (method, degree)
+        if self._fit is None or self._fit[0] != key:
+            self._fit = None  # let the old map go before the new one is made
+            weights, sampling = self.experiment.weights, self.experiment.sampling
+            try:
+                prepared = prepare_fit(
+                    self.fit_stack, method, degree, weights=weights, sampling=sampling, device=self.device
+                )
+            except InputError as error:
+                raise _RefusalError(str(error)) from error
+            # A kernel is built when it is first launched, which is no part of the time of a fit.
+            first_row = replace(self.fit_stack, images_ihwc=self.fit_stack.images_ihwc[:, :1], mask_hw=None)
+            collect_fit(replace(prepared, stack=first_row, report=FitReport()))
+            coefficients = collect_fit(prepared)
+            self._fit = (key, coefficients, sum(prepared.report.seconds.values()))
+        return self._fit[1], self._fit[2]
+
+    def _warm_up(self, codec: Codec, coeffs_khwc: NDArray[np.float32]) -> None:
+        """Build a codec's kernels on a corner of the maps, once for all its rows, apart from the times of any."""
+        if codec not in self._warm:
+            self._warm.add(codec)
+            with suppress(InputError):  # what it refuses here it may take as a whole, or refuses there
+                corner_khwc = np.ascontiguousarray(coeffs_khwc[:, :_CORNER, :_CORNER])
+                decode(encode(corner_khwc, codec, self.device).to_bytes(), self.device)
+
+    def _illustrate(
+        self, results: Results, coefficients: CoefficientMap, method: FitMethod, degree: int, setting: CodecSetting
+    ) -> tuple[dict[str, NDArray[np.uint8]], dict[str, NDArray[np.float64]]]:
+        pictures, profiles = dict(results.pictures), dict(results.profiles)
+        name, survey = f"{self.stack.name}/{method.id}/{degree}", self.survey
+        # Of rows that share a key the first one counts, here as in the report.
+        if setting.codec is None and name not in profiles:
+            column = coefficients.coeffs_khwc.reshape(coefficients.n_coeff, -1)[:, survey.column]
+            profiles[name] = column.astype(np.float64)
+        key = f"{name}/{setting.picture_name}"
+        if key not in pictures and setting.is_pictured:
+            towards = self.stack.directions_i3[survey.light : survey.light + 1]
+            image = relight(coefficients, towards, device=self.device)[0]
+            pictures[f"{self.stack.name}/reference"] = survey.picture_hwc
+            pictures[key] = shrink_picture(to_display(image, self.stack.transfer))
+        return pictures, profiles
+
+
+def _append(results: Results, row: np.void) -> Results:
+    return replace(results, table=np.concatenate([results.table, np.array([row], ROW_DTYPE)]))
+
+
+def _without_quality(row: np.void, reason: str) -> np.void:
+    """Return the row of a fit or codec that refused: a result too, with the reason as its note."""
+    unknown = ("bits_per_coefficient", "entropy_bits", "seconds_encode", "seconds_decode", "seconds_measure")
+    for name in (*unknown, "psnr_mean", "psnr_pooled", "psnr_mean_holdout", "psnr_pooled_holdout"):
+        row[name] = math.nan
+    row["encoded_bytes"] = 0
+    row["note"] = _fixed(reason, ROW_DTYPE["note"])
+    return row
+
+
+def _mean_energy(coeffs_khwc: NDArray[np.float32]) -> float:
+    planes = (np.vdot(plane.astype(np.float64), plane.astype(np.float64)) for plane in coeffs_khwc)
+    return float(sum(planes)) / float(np.prod(coeffs_khwc.shape[1:]))
+
+
+def _json(config: Mapping[str, Any]) -> str:
+    return json.dumps(config, sort_keys=True, separators=(",", ":"))
+
+
+def _fixed(value: Any, dtype: np.dtype) -> Any:
+    if dtype.kind != "S":
+        return value
+    encoded = str(value).encode("utf-8")
+    return encoded[: dtype.itemsize].decode("utf-8", "ignore").encode("utf-8")

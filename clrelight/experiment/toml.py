@@ -1,0 +1,93 @@
+"""Experiments written as TOML."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from clrelight.errors import InputError
+from clrelight.experiment.grid import (
+    PAPER_METHODS,
+    RING,
+    TYPE_NAMES,
+    CodecSetting,
+    Experiment,
+    make_methods,
+    make_settings,
+)
+from clrelight.fit import method_class
+from clrelight.results import NO_CODEC
+
+_RING_KEYS = {"size": int, "lights": int, "pattern": str, "seed": int, "dtype": str}
+_TOML_KEYS = ("scenes", "methods", "degrees", "holdout", "weights", "sampling", "ring", "method", "codec")
+
+
+def load_experiment(path: str | os.PathLike[str]) -> Experiment:
+    """Read an experiment from TOML (docs/experiments.md); InputError names what is not right."""
+    file = Path(path)
+    try:
+        given = tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"there is no file {file}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{file} is not valid TOML: {error}") from None
+    try:
+        return _experiment_of(given, file)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+
+
+def _experiment_of(given: Mapping[str, Any], file: Path) -> Experiment:
+    for key in given:
+        if key not in _TOML_KEYS:
+            raise InputError(f"unknown key {key!r}; known are {', '.join(_TOML_KEYS)}")
+    names = _list_of(str, given, "methods", list(PAPER_METHODS))
+    options = _typed(dict, given, "method", {})
+    for name in options:
+        method_class(name)
+        if name not in names:
+            raise InputError(f"[method.{name}] has options of a method that is not among the methods")
+    methods = [method for name in names for method in make_methods(name, _typed(dict, options, name, {}))]
+    settings: list[CodecSetting] = []
+    for entry in _list_of(dict, given, "codec", [{"id": NO_CODEC}]):
+        if not isinstance(entry.get("id"), str):
+            raise InputError("every [[codec]] needs an id")
+        settings += make_settings(entry["id"], {k: v for k, v in entry.items() if k != "id"})
+    scenes = _list_of(str, given, "scenes", [RING])
+    ring = _typed(dict, given, "ring", {})
+    for key, value in ring.items():
+        if key not in _RING_KEYS:
+            raise InputError(f"ring has no option {key!r}; it has: {', '.join(_RING_KEYS)}")
+        _typed(_RING_KEYS[key], ring, key, value)
+    if ring and RING not in scenes:
+        raise InputError(f"[ring] has options of a scene that is not among the scenes {', '.join(scenes)}")
+    return Experiment(
+        tuple(scene if scene == RING else str(file.parent / scene) for scene in scenes),
+        tuple(methods),
+        tuple(_list_of(int, given, "degrees", [6])),
+        tuple(settings),
+        _typed(int, given, "holdout", None),
+        _typed(str, given, "weights", "uniform"),
+        _typed(str, given, "sampling", "hemisphere"),
+        ring,
+    )
+
+
+def _typed(kind: type, given: Mapping[str, Any], key: str, default: Any) -> Any:
+    value = given.get(key, default)
+    if key in given and type(value) is not kind:
+        raise InputError(f"{key} must be {TYPE_NAMES[kind]}, got {value!r}")
+    # No number of an experiment is this large, and NumPy takes none that is larger.
+    if kind is int and value is not None and abs(value) >= 1 << 31:
+        raise InputError(f"{key} {value} is too large")
+    return value
+
+
+def _list_of(kind: type, given: Mapping[str, Any], key: str, default: list) -> list:
+    values = _typed(list, given, key, default)
+    for value in values:
+        _typed(kind, {key: value}, key, None)
+    return values
