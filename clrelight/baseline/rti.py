@@ -39,7 +39,7 @@ def hsh_basis(directions_i3: NDArray[np.float64], degree: int) -> NDArray[np.flo
     z = 2.0 * np.clip(directions_i3[:, 2], 0.0, 1.0) - 1.0
     azimuth = np.arctan2(directions_i3[:, 1], directions_i3[:, 0])
     columns = []
-    for l in range(degree + 1):  # noqa: E741
+    for l in range(degree + 1):
         for m in range(-l, l + 1):
             a = abs(m)
             norm = math.sqrt((2 * l + 1) / (2.0 * math.pi) * math.factorial(l - a) / math.factorial(l + a))
