@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from clrelight.basis import evaluate_basis
-from clrelight.codec import codec_class, decode, encode
+from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.codec.klt import Klt
 from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.registry import Encoded
@@ -85,9 +85,22 @@ def test_relighting_the_planes_equals_relighting_the_coefficients(device):
     coeffs = smooth_map(6, 20, 31, 3)
     encoded = encode(coeffs, Klt(step=0.02), device)
     directions = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.36, 0.48, 0.8]])
-    images = Klt.decode_factored(encoded.body, encoded.shape, device).relight(directions, device)
+    images = Klt.decode_view(encoded.body, encoded.shape, device).relight(directions, device)
     direct = np.einsum("ik,khwc->ihwc", evaluate_basis(directions, 6), decode(encoded, device).astype(np.float64))
     assert np.abs(images - direct).max() < 1e-5 * np.abs(direct).max()
+
+
+def test_relighting_whitened_maps_equals_relighting_the_coefficients(device):
+    coeffs = smooth_map(6, 20, 31, 3)
+    encoded = encode(coeffs, codec_class("whitened").from_config({"codec": "half"}), device)
+    directions = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.36, 0.48, 0.8]])
+    view = decode_view(encoded, device)
+    direct = np.einsum("ik,khwc->ihwc", evaluate_basis(directions, 6), decode(encoded, device).astype(np.float64))
+    assert np.abs(view.relight(directions, device) - direct).max() < 1e-5 * np.abs(direct).max()
+
+
+def test_a_codec_in_the_plain_basis_has_no_view(device):
+    assert decode_view(encode(smooth_map(1, 4, 4, 3), codec_class("half")(), device), device) is None
 
 
 def test_an_empty_map_and_a_constant_one(device):

@@ -8,52 +8,97 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.options import device_option, given, json_option
+from clrelight.cli.options import ByteCount, device_option, given, json_option
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import measure, psnr_lines
+from clrelight.errors import InputError
 
 if TYPE_CHECKING:
-    from clrelight.codec import Encoded
+    from clrelight.codec import Codec, Encoded
 
 
 @click.command()
 @click.argument("fit_file", metavar="FIT", type=click.Path())
 @click.argument("out", type=click.Path())
-@click.option("--codec", default="s3tc", show_default=True, help="half, s3tc, uniform or wavelet.")
+@click.option("--codec", help="half, s3tc, bc6h, uniform, wavelet, jpeg2000, vq, cpca or klt; default s3tc, or klt.")
+@click.option(
+    "--basis",
+    type=click.Choice(["sh", "whitened", "klt"]),
+    default="sh",
+    show_default=True,
+    help="Coordinates that are coded: as fitted; in the metric of the image; its principal axes (codec klt).",
+)
+@click.option("--bytes", "byte_budget", type=ByteCount(), metavar="BYTES", help="Use no more (klt, wavelet, jpeg2000).")
+@click.option("--target-psnr", type=float, metavar="DB", help="Fewest bytes for this pooled PSNR; needs --stack.")
 @click.option("--bits", type=int, help="Bits per code (uniform); default 8.")
 @click.option("--rate", type=float, help="Bits per coefficient (wavelet); default 4.")
 @click.option("--allocation", help="How wavelet rates are shared: map (each alike) or global (one step for all).")
 @click.option("--levels", type=int, help="Levels of the wavelet transform; default 3.")
+@click.option("--step", type=float, help="Quantiser step (klt).")
+@click.option("--clusters", type=int, help="Clusters (cpca).")
+@click.option("--components", type=int, help="Components of each cluster (cpca).")
+@click.option("--block", type=int, help="Side of the blocks (vq); 0 codes pixels.")
 @click.option("--clamp", is_flag=True, default=None, help="Clamp what half cannot hold instead of refusing it (half).")
 @click.option("--stack", type=click.Path(), help="Measure PSNR of the decoded result against this stack.")
 @device_option
 @json_option
 def encode(
-    fit_file: str, out: str, codec: str, stack: str | None, device: str | None, as_json: bool, **options: Any
+    fit_file: str,
+    out: str,
+    codec: str | None,
+    basis: str,
+    byte_budget: int | None,
+    target_psnr: float | None,
+    stack: str | None,
+    device: str | None,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """Compress the coefficients of a fit.
 
     \b
     Example:
       clrelight encode fit.h5 enc.h5 --codec wavelet --rate 1 --stack stack.h5
+      clrelight encode fit.h5 enc.h5 --bytes 20k
+      clrelight encode fit.h5 enc.h5 --target-psnr 31 --stack stack.h5
     """
+    import numpy as np
+
     from clrelight import codec as codecs
     from clrelight.device import open_device
+    from clrelight.experiment.target import encode_to_quality
     from clrelight.store import check_output, open_stack, read_fit, write_encoded
 
-    chosen = codecs.codec_class(codec).from_config(given(**options))
+    if target_psnr is not None and (stack is None or byte_budget is not None or given(**options)):
+        raise InputError("--target-psnr needs --stack to measure against, and no other size or option beside it")
+    wanted = given(**options)
+    codec = codec or ("klt" if basis == "klt" or byte_budget or target_psnr is not None else "s3tc")
+    if target_psnr is None and byte_budget is None:
+        _choose(codec, basis, wanted)  # says what is wrong before the fit is read
     check_output(out, [fit_file] if stack is None else [fit_file, stack])
     opened = open_device(device)
     seconds: dict[str, float] = {}
     since = time.perf_counter()
     coefficients = read_fit(fit_file)
     seconds["read"] = time.perf_counter() - since
-    with progress_bar(f"encoding {codec}"):
-        since = time.perf_counter()
-        encoded = codecs.encode(coefficients.coeffs_khwc, chosen, opened)
-        seconds["encode"] = time.perf_counter() - since
+    notes: list[str] = []
+    since = time.perf_counter()
+    if target_psnr is not None and stack is not None:
+        with open_stack(stack) as source:
+            encoded, trials, why = encode_to_quality(coefficients, source, target_psnr, codec=codec, device=opened)
+        notes += [f"tried {t.byte_count} bytes: {t.psnr:.2f} dB" for t in trials]
+        notes.append(f"took {encoded.encoded_bytes} bytes: {why}")
+    else:
+        if byte_budget is not None:
+            size = float(np.prod(coefficients.coeffs_khwc.shape, dtype=np.int64))
+            key, value = ("byte_budget", byte_budget) if codec == "klt" else ("rate", 8.0 * byte_budget / size)
+            wanted[key] = value
+        with progress_bar(f"encoding {codec}"):
+            encoded = codecs.encode(coefficients.coeffs_khwc, _choose(codec, basis, wanted), opened)
+    seconds["encode"] = time.perf_counter() - since
     facts = {"file": out, **_size_facts(encoded), "config": dict(encoded.config), "device": opened.info.label}
+    facts["notes"] = notes
     if stack is not None:
         with open_stack(stack) as source:
             with progress_bar("decoding"):
@@ -72,7 +117,7 @@ def encode(
         print_json(facts)
         return
     clamped = int(encoded.info.get("clamped", 0))
-    print_notes([f"{clamped} coefficients were clamped"] if clamped else [])
+    print_notes(notes + ([f"{clamped} coefficients were clamped"] if clamped else []))
     print_facts(
         {"encoded": out, **_size_lines(encoded), **psnr_lines(facts.get("psnr")), "time": seconds_line(seconds)}
     )
@@ -111,6 +156,17 @@ def decode(encoded_file: str, out: str, device: str | None, as_json: bool) -> No
         print_json({"file": out, **_size_facts(encoded), "seconds": seconds, "device": opened.info.label})
         return
     print_facts({"fit": out, **_size_lines(encoded), "time": seconds_line(seconds)})
+
+
+def _choose(codec: str, basis: str, options: dict[str, Any]) -> Codec:
+    """Return the codec in a basis; InputError where the two do not go together."""
+    from clrelight.codec import codec_class
+
+    if basis == "whitened":
+        return codec_class("whitened").from_config({"codec": codec, "options": options})
+    if basis == "klt" and codec not in ("klt", "wavelet"):
+        raise InputError(f"basis klt has its own wavelet coder (--codec klt); for {codec} take --basis whitened")
+    return codec_class("klt" if basis == "klt" else codec).from_config(options)
 
 
 def _size_facts(encoded: Encoded) -> dict[str, Any]:

@@ -16,8 +16,12 @@ from clrelight.cli.quality import load_coefficients
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
     from numpy.typing import NDArray
+
+    from clrelight.device import Device
 
 _FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
 _MAX_STOPS = 64.0
@@ -55,9 +59,10 @@ def relight(
       clrelight relight fit.h5 relit.png --light 0.5,0.2,0.8
       clrelight relight enc.h5 frame%03d.exr --lights turntable.lp
     """
+    import numpy as np
+
     from clrelight.device import open_device
     from clrelight.images import write_image
-    from clrelight.relight import relight as relight_view
     from clrelight.relight import to_display
     from clrelight.store import check_output
 
@@ -71,7 +76,7 @@ def relight(
         check_output(name, [fitted, lights] if lights else [fitted])
     opened = open_device(device)
     seconds: dict[str, float] = {}
-    coefficients = load_coefficients(fitted, opened, seconds)
+    light_view, own_transfer = _load_view(fitted, opened, seconds)
     notes = [
         f"light {i} is below the horizon, where a hemispherical fit knows nothing"
         for i in range(len(directions_i3))
@@ -81,14 +86,13 @@ def relight(
     with progress_bar("relighting") as bar:
         for index, name in enumerate(names):
             since = time.perf_counter()
-            radiance = relight_view(coefficients, directions_i3[index : index + 1], device=opened)[0]
-            radiance *= 2.0**exposure
+            radiance = light_view(directions_i3[index : index + 1])[0] * np.float32(2.0**exposure)
             seconds["relight"] += time.perf_counter() - since
             since = time.perf_counter()
             if name.lower().endswith(_FLOAT_FORMATS):
                 write_image(name, radiance)
             else:
-                write_image(name, to_display(radiance, transfer or coefficients.transfer))
+                write_image(name, to_display(radiance, transfer or own_transfer))
             seconds["write"] += time.perf_counter() - since
             bar(index + 1, len(names))
     if as_json:
@@ -96,6 +100,30 @@ def relight(
         return
     print_notes(notes)
     print_facts({"image": ", ".join(names[:3]) + (" ..." if len(names) > 3 else ""), "time": seconds_line(seconds)})
+
+
+def _load_view(
+    path: str, device: Device, seconds: dict[str, float]
+) -> tuple[Callable[[NDArray[np.float64]], NDArray[np.float32]], str]:
+    """Return what makes images of directions, and the stack's transfer.
+
+    An encoding with a basis of its own relights there: only the light vector is transformed.
+    """
+    from clrelight.codec import decode_view
+    from clrelight.relight import relight as relight_coefficients
+    from clrelight.store import file_schema, read_encoded
+
+    if file_schema(path).startswith("encoded/"):
+        since = time.perf_counter()
+        encoded, source = read_encoded(path)
+        view = decode_view(encoded, device)
+        seconds["decode"] = time.perf_counter() - since
+        if view is not None:
+            return (lambda directions_i3: view.relight(directions_i3, device)), source.transfer
+    coefficients = load_coefficients(path, device, seconds)
+    return (
+        lambda directions_i3: relight_coefficients(coefficients, directions_i3, device=device)
+    ), coefficients.transfer
 
 
 def _directions(light: tuple[tuple[float, float, float], ...], lights: str | None) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ from clrelight.codec.factored import Factored
 from clrelight.codec.half import Half
 from clrelight.codec.jpeg2000 import Jpeg2000
 from clrelight.codec.klt import Klt
-from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, encode, register
+from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, decode_view, encode, register
 from clrelight.codec.s3tc import S3tc
 from clrelight.codec.uniform import Uniform
 from clrelight.codec.vq import Vq
@@ -30,6 +30,7 @@ __all__ = [
     "codec_class",
     "codec_ids",
     "decode",
+    "decode_view",
     "encode",
     "register",
 ]

@@ -51,3 +51,32 @@ class Factored:
         out = device.empty((len(operator_mj), self.planes_jp.shape[1]), np.float32)
         apply_operator(device, pack_operator(device, operator_mj), device.upload(self.planes_jp), out)
         return device.download(out)
+
+
+@dataclass(frozen=True)
+class WhitenedMaps:
+    """Coefficients ``c = inverse z`` of maps in another basis, the same for all channels.
+
+    Attributes
+    ----------
+    maps_jhwc : ndarray, shape (n_component, height, width, channel), float32
+    inverse_kj : ndarray, shape (n_coeff, n_component), float64
+    """
+
+    maps_jhwc: NDArray[np.float32]
+    inverse_kj: NDArray[np.float64]
+
+    def to_coeffs(self, device: Device) -> NDArray[np.float32]:
+        """Return the (n_coeff, height, width, channel) float32 coefficients."""
+        return self._apply(self.inverse_kj, device)
+
+    def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
+        """Return images (n_light, height, width, channel), float32; the light vector is transformed, not the pixels."""
+        basis_ik = evaluate_basis(directions_i3, degree_of(len(self.inverse_kj)))
+        return self._apply(basis_ik @ self.inverse_kj, device)
+
+    def _apply(self, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
+        source = device.upload(self.maps_jhwc.reshape(len(self.maps_jhwc), -1))
+        out = device.empty((len(operator_mj), source.shape[1]), np.float32)
+        apply_operator(device, pack_operator(device, operator_mj), source, out)
+        return device.download(out).reshape(len(operator_mj), *self.maps_jhwc.shape[1:])

@@ -101,10 +101,10 @@ class Klt(Codec):
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """See `Codec`."""
-        return cls.decode_factored(body, shape, device).to_coeffs(device)
+        return cls.decode_view(body, shape, device).to_coeffs(device)
 
     @classmethod
-    def decode_factored(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> Factored:
+    def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> Factored:
         """Return the planes and the matrix that make coefficients, or images, of them."""
         n_coeff, height, width, channel = shape
         metric = hemisphere_metric(n_coeff)

@@ -8,7 +8,7 @@ import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +108,18 @@ def check_shape(shape: tuple[int, ...]) -> None:
     degree_of(shape[0])
 
 
+class View(Protocol):
+    """A decoded map in a basis of its own."""
+
+    def to_coeffs(self, device: Device) -> NDArray[np.float32]:
+        """Return the (n_coeff, height, width, channel) coefficients."""
+        ...
+
+    def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
+        """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""
+        ...
+
+
 class Codec(ABC):
     """A way to turn a coefficient map into bytes and back. Subclasses are frozen dataclasses with an `id`.
 
@@ -125,6 +137,11 @@ class Codec(ABC):
     @abstractmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """Return the coefficients from the bytes alone; PayloadError if they do not make sense."""
+
+    @classmethod
+    def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> View | None:
+        """Return what relights without becoming coefficients first; None where coefficients are all there is."""
+        return None
 
     def to_config(self) -> dict[str, Any]:
         """Return the options as a JSON object; `from_config` takes it back."""
@@ -220,3 +237,9 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
     if coeffs.shape != encoded.shape or coeffs.dtype != np.float32:
         raise PayloadError(f"codec {encoded.codec} gave {coeffs.dtype} {coeffs.shape} for {encoded.shape}")
     return coeffs
+
+
+def decode_view(payload: Encoded | bytes, device: Device) -> View | None:
+    """Return what relights an encoded map in its own basis, at no cost per coefficient; None for the plain basis."""
+    encoded = payload if isinstance(payload, Encoded) else Encoded.from_bytes(payload)
+    return codec_class(encoded.codec).decode_view(encoded.body, encoded.shape, device)

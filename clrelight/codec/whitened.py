@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.factored import WhitenedMaps
 from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.registry import Codec, codec_class, register
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
-from clrelight.matmul import apply_operator, pack_operator
 
 
 @register
@@ -47,21 +47,21 @@ class Whitened(Codec):
 
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
         """See `Codec`; what the inner codec reports is passed on."""
+        # The same product, with the matrix that leads into the metric.
         forward = hemisphere_metric(len(coeffs_khwc), "singular").forward_jk
         inner = codec_class(self.codec).from_config(self.options)
-        body, info = inner.encode_body(_transform(forward, coeffs_khwc, device), device)
+        body, info = inner.encode_body(WhitenedMaps(coeffs_khwc, forward).to_coeffs(device), device)
         name = self.codec.encode("ascii")
         return bytes([len(name)]) + name + body, info
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """See `Codec`."""
-        whitened = cls.decode_whitened(body, shape, device)
-        return _transform(hemisphere_metric(shape[0], "singular").inverse_kj, whitened, device)
+        return cls.decode_view(body, shape, device).to_coeffs(device)
 
     @classmethod
-    def decode_whitened(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
-        """Return the whitened maps (n_component, height, width, channel), which relight as they are."""
+    def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> WhitenedMaps:
+        """Return the whitened maps, which relight as they are."""
         if not body or len(body) < 1 + body[0]:
             raise PayloadError("a whitened body starts with the name of its codec, this one is too short")
         try:
@@ -70,15 +70,9 @@ class Whitened(Codec):
             raise PayloadError("a whitened body names a codec that is not known") from None
         if inner.id in _NOT_INSIDE:
             raise PayloadError(f"a whitened body cannot hold codec {inner.id}")
-        component = len(hemisphere_metric(shape[0], "singular").forward_jk)
-        return inner.decode_body(body[1 + body[0] :], (component, *shape[1:]), device)
+        inverse_kj = hemisphere_metric(shape[0], "singular").inverse_kj
+        maps = inner.decode_body(body[1 + body[0] :], (inverse_kj.shape[1], *shape[1:]), device)
+        return WhitenedMaps(maps, inverse_kj)
 
 
 _NOT_INSIDE = ("whitened", "klt")
-
-
-def _transform(matrix: NDArray[np.float64], maps_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
-    source = device.upload(np.ascontiguousarray(maps_khwc).reshape(len(maps_khwc), -1))
-    out = device.empty((len(matrix), source.shape[1]), np.float32)
-    apply_operator(device, pack_operator(device, matrix), source, out)
-    return device.download(out).reshape(len(matrix), *maps_khwc.shape[1:])
