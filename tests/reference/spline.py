@@ -4,7 +4,7 @@ import numpy as np
 
 
 def penalty(degree, epsilon=1e-2):
-    return np.diag([epsilon + (l * (l + 1.0)) ** 2 for l in range(degree + 1) for _ in range(2 * l + 1)])  # noqa: E741
+    return np.diag([epsilon + (n * (n + 1.0)) ** 2 for n in range(degree + 1) for _ in range(2 * n + 1)])
 
 
 def operator(basis_ik, penalty_kk, lam, weights_i):
