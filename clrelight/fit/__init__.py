@@ -3,12 +3,14 @@
 from clrelight.fit import linear  # noqa: F401, I001 - the order of registration is the order of tables
 from clrelight.fit import cls, ceb, spline  # noqa: F401
 from clrelight.fit.registry import FitMethod, method_class, method_ids, register
-from clrelight.fit.run import FitReport, FittedTile, fit, fit_tiles, prepare_fit
+from clrelight.fit.run import FitReport, FittedTile, PreparedFit, collect_fit, fit, fit_tiles, prepare_fit
 
 __all__ = [
     "FitMethod",
     "FitReport",
     "FittedTile",
+    "PreparedFit",
+    "collect_fit",
     "fit",
     "fit_tiles",
     "method_class",

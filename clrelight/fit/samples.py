@@ -93,7 +93,7 @@ def _pick_pixels(stack: LightStack, wanted: int) -> dict[int, NDArray[np.intp]]:
         total = sum(len(pixels) for pixels in picked.values())
         if total <= wanted:
             break
-    if total < wanted // 2:
+    if 2 * total < wanted:
         # A mask of thin or small pieces falls between the lattice's points: take its pixels in reading order.
         flat = np.flatnonzero(mask_hw)[np.linspace(0, inside - 1, min(inside, wanted)).astype(np.intp)]
         rows, pixels = np.unravel_index(flat, mask_hw.shape)
