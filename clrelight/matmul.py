@@ -133,6 +133,9 @@ def apply_operator(
     """
     curve = curve or SampleCurve()
     tile = tile_defines(device)
+    if source_ip.shape[0] <= _DEPTH:
+        # Relighting has few rows: a tile that fits a nearer cache.
+        tile["CHUNK"] = _DEPTH
     columns = out_mq.shape[1]
     if operator.shape != (out_mq.shape[0], source_ip.shape[0]):
         raise ValueError(f"operator {operator.shape} does not map {source_ip.shape[0]} rows to {out_mq.shape[0]}")

@@ -42,8 +42,9 @@ __kernel void apply_operator_mq(__global float *restrict out_mq,
         for (int v = 0; v < TILE_VECTORS; v += 2) {
             vecf low_sum = 0.0f, high_sum = 0.0f;
             for (int start = 0; start < rows; start += DEPTH) {
+                const int end = LESSER(start + DEPTH, rows);
                 vecf low = 0.0f, high = 0.0f;
-                for (int i = start; i < min(start + DEPTH, rows); i++) {
+                for (int i = start; i < end; i++) {
                     const vecf a = tile[i * TILE_VECTORS + v], b = tile[i * TILE_VECTORS + v + 1];
                     const float weight = weight_i[i0 + i];
                     low = weight * a * a + low;

@@ -193,11 +193,15 @@ def collect_fit(
     rank_hwc = np.empty(stack.image_shape, np.int32) if method.has_rank else None
     for tile in fit_tiles(prepared, memory_bytes=memory_bytes):
         rows = slice(tile.first, tile.end)
-        coeffs_khwc[:, rows] = tile.coeffs_khwc
-        if lambda_hwc is not None and tile.lambda_hwc is not None:
-            lambda_hwc[rows] = tile.lambda_hwc
-        if rank_hwc is not None and tile.rank_hwc is not None:
-            rank_hwc[rows] = tile.rank_hwc
+        if rows == slice(0, stack.image_shape[0]):
+            # One tile is the whole map: no second copy.
+            coeffs_khwc, lambda_hwc, rank_hwc = tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc
+        else:
+            coeffs_khwc[:, rows] = tile.coeffs_khwc
+            if lambda_hwc is not None and tile.lambda_hwc is not None:
+                lambda_hwc[rows] = tile.lambda_hwc
+            if rank_hwc is not None and tile.rank_hwc is not None:
+                rank_hwc[rows] = tile.rank_hwc
         if progress is not None:
             progress(tile.end, stack.image_shape[0])
     return CoefficientMap(

@@ -77,12 +77,12 @@ __kernel void shrink_by_bisection_rq(__global float *restrict z_rq, __global flo
     if (!all(held)) {
         for (int k = 0; k < iterations; k++) {
             const lanes_mask feasible = squared_norm(b, singular_r, lambda) <= energy;
-            high = select(high, lambda, feasible);
-            low = select(lambda, low, feasible);
+            high = feasible ? lambda : high;
+            low = feasible ? low : lambda;
             bracketed |= feasible;
-            const lanes up = fmin(lambda * STEP, high), down = high / STEP;
+            const lanes up = LESSER(lambda * STEP, high), down = high / STEP;
             const lanes middle = sqrt(low) * sqrt(high);
-            lambda = select(select(up, middle, bracketed), down, low == 0.0f);
+            lambda = low == 0.0f ? down : bracketed ? middle : up;
         }
     }
     lambda = select(high, (lanes)0.0f, held);

@@ -19,6 +19,7 @@
 #endif
 
 #define MAX_STEPS 60
+#define DEPTH 64 /* lights whose samples are held at a time */
 
 __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict lambda_q,
                         __global const SAMPLE_T *restrict source_ip, __global const int *restrict chosen_f,
@@ -31,16 +32,36 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
     double8 b[N_COMPONENT];
     double8 energy = 0.0;
     for (int r = 0; r < N_COMPONENT; r++) b[r] = 0.0;
-    for (int i = 0; i < size_i; i++) {
-        __global const SAMPLE_T *row = source_ip + (long)i * size_p;
-        const float8 value = (float8)(
-            load_sample(row, c[0], curve_v, scale), load_sample(row, c[1], curve_v, scale),
-            load_sample(row, c[2], curve_v, scale), load_sample(row, c[3], curve_v, scale),
-            load_sample(row, c[4], curve_v, scale), load_sample(row, c[5], curve_v, scale),
-            load_sample(row, c[6], curve_v, scale), load_sample(row, c[7], curve_v, scale));
-        const double8 sample = convert_double8(value);
-        energy = weight_i[i] * sample * sample + energy;
-        for (int r = 0; r < N_COMPONENT; r++) b[r] = analysis_ir[(long)i * N_COMPONENT + r] * sample + b[r];
+    for (int i0 = 0; i0 < size_i; i0 += DEPTH) {
+        const int depth = size_i - i0 < DEPTH ? size_i - i0 : DEPTH;
+        double8 sample[DEPTH];
+        for (int i = 0; i < depth; i++) {
+            __global const SAMPLE_T *row = source_ip + (long)(i0 + i) * size_p;
+            sample[i] = (double8)(
+                load_sample(row, c[0], curve_v, scale), load_sample(row, c[1], curve_v, scale),
+                load_sample(row, c[2], curve_v, scale), load_sample(row, c[3], curve_v, scale),
+                load_sample(row, c[4], curve_v, scale), load_sample(row, c[5], curve_v, scale),
+                load_sample(row, c[6], curve_v, scale), load_sample(row, c[7], curve_v, scale));
+            energy = weight_i[i0 + i] * sample[i] * sample[i] + energy;
+        }
+        __global const double *analysis = analysis_ir + (long)i0 * N_COMPONENT;
+        int r = 0;
+        for (; r + 4 <= N_COMPONENT; r += 4) {
+            double8 b0 = b[r], b1 = b[r + 1], b2 = b[r + 2], b3 = b[r + 3];
+            for (int i = 0; i < depth; i++) {
+                __global const double *factors = analysis + (long)i * N_COMPONENT + r;
+                b0 = factors[0] * sample[i] + b0;
+                b1 = factors[1] * sample[i] + b1;
+                b2 = factors[2] * sample[i] + b2;
+                b3 = factors[3] * sample[i] + b3;
+            }
+            b[r] = b0;
+            b[r + 1] = b1;
+            b[r + 2] = b2;
+            b[r + 3] = b3;
+        }
+        for (; r < N_COMPONENT; r++)
+            for (int i = 0; i < depth; i++) b[r] = analysis[(long)i * N_COMPONENT + r] * sample[i] + b[r];
     }
     double8 norm = 0.0;
     for (int r = 0; r < N_COMPONENT; r++) {
@@ -49,8 +70,12 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
     }
     const double8 inverse_root = 1.0 / sqrt(energy);
     double8 lambda = fmax(sqrt(norm) * inverse_root - singular_r[0] * singular_r[0], 0.0);
-    for (int r = 0; r < N_COMPONENT; r++)
-        lambda = fmax(lambda, fabs(b[r]) * inverse_root - singular_r[r] * singular_r[r]);
+    for (int r = 0; r < N_COMPONENT; r++) {
+        /* No fabs and fmax: PoCL leaves them calls. */
+        const double8 size = (b[r] < 0.0 ? -b[r] : b[r]) * inverse_root;
+        const double8 least = size - singular_r[r] * singular_r[r];
+        lambda = least > lambda ? least : lambda;
+    }
     for (int k = 0; k < MAX_STEPS; k++) {
         double8 f = 0.0, slope = 0.0;
         for (int r = 0; r < N_COMPONENT; r++) {
