@@ -26,7 +26,7 @@
  *
  * Work-item (b, g).
  */
-#include "codec/lanes.clh"
+#include "common/lanes.clh"
 
 #if !defined(CHANNELS) || (CHANNELS != 1 && CHANNELS != 3)
 #error "CHANNELS must be defined: 3, or 1 for texels of three planes"

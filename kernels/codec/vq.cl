@@ -10,7 +10,7 @@
  * A work-item takes BLOCK vectors of LANES neighbouring p, and goes through the codebook by ROWS codewords at once, so
  * that each value loaded is used several times.
  */
-#include "codec/lanes.clh"
+#include "common/lanes.clh"
 
 #if LANES == 8
 typedef float8 real;
