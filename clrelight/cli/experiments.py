@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @click.option("--methods", type=Names(), help="Fits, such as uls,cls; default: the paper's four.")
 @click.option("--degrees", type=Numbers(int, "4,6"), help="SH degrees; default 6.")
 @click.option("--codecs", type=Names(), help="Codecs; default none,half,s3tc,uniform,wavelet.")
-@click.option("--rates", type=Numbers(float, "0.5,1,2"), help="Wavelet rates in bits per coefficient.")
+@click.option("--rates", type=Numbers(float, "0.5,1,2"), help="Bits per coefficient of codecs that take a rate.")
 @holdout_option("the fits")
 @click.option("--size", type=whole_number(8, 1 << 16), help="Ring: width and height; default 256.")
 @click.option("--lights", type=whole_number(1, 1 << 20), help="Ring: number of lights; default 256.")

@@ -65,7 +65,7 @@ class Bench:
         self.fit_stack = stack if experiment.holdout is None else stack.select(self.fitted)
         self.survey = survey_stack(stack)
         self._fit: tuple[tuple, CoefficientMap, float] | None = None
-        self._warm: set[Codec] = set()
+        self._warm: list[Codec] = []
 
     def check_earlier(self, results: Results, out: str | os.PathLike[str]) -> None:
         """Raise InputError if rows of this name were measured on other images: a report would mix them."""
@@ -172,7 +172,7 @@ class Bench:
     def _warm_up(self, codec: Codec, coeffs_khwc: NDArray[np.float32]) -> None:
         """Build a codec's kernels on a corner of the maps, once for all its rows, apart from the times of any."""
         if codec not in self._warm:
-            self._warm.add(codec)
+            self._warm.append(codec)
             with suppress(InputError):  # what it refuses here it may take as a whole, or refuses there
                 corner_khwc = np.ascontiguousarray(coeffs_khwc[:, :_CORNER, :_CORNER])
                 decode(encode(corner_khwc, codec, self.device).to_bytes(), self.device)

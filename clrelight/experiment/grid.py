@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 from clrelight.basis import MAX_DEGREE
 from clrelight.codec import Codec, codec_class
@@ -23,13 +24,14 @@ PICTURE_RATE = 4.0
 """Of the wavelet rows, the rate whose pictures are kept (figures 4c, 8c, 12c)."""
 
 
-TYPE_NAMES = {
+TYPE_NAMES: dict[type, str] = {
     bool: "true or false",
     int: "a whole number",
     float: "a number",
     str: "text",
     list: "a list",
     dict: "a table",
+    Mapping: "a table",
 }
 
 
@@ -52,12 +54,13 @@ class CodecSetting:
     @property
     def rate(self) -> float:
         """Bits per coefficient asked for, NaN where the codec is not asked for any."""
-        return float(self.config.get("rate", self.config.get("bits", math.nan)))
+        asked = self.config.get("bits" if self.id == "uniform" else "rate")
+        return math.nan if asked is None else float(asked)
 
     @property
     def is_pictured(self) -> bool:
-        """Whether the results keep its pictures: of a codec that takes any rate, only at `PICTURE_RATE`."""
-        return self.config.get("rate", PICTURE_RATE) == PICTURE_RATE
+        """Whether the results keep its pictures: of the paper's curve of wavelet rates, those at `PICTURE_RATE`."""
+        return self.id != "wavelet" or self.rate == PICTURE_RATE
 
     @property
     def picture_name(self) -> str:
@@ -135,13 +138,15 @@ def paper_experiment(
 ) -> Experiment:
     """Return the paper's experiment (table I and III, figures 7 and 15) on one scene.
 
-    `rates` are those of the wavelet codec; `PAPER_RATES` without.
+    `rates` are those of every codec that takes one; without, `PAPER_RATES` of wavelet and the others' own default.
     """
-    if rates is not None and "wavelet" not in codecs:
-        raise InputError(f"rates are of the codec wavelet, which is not among the codecs {', '.join(codecs)}")
+    rated = [name for name in codecs if name != NO_CODEC and "rate" in get_type_hints(codec_class(name))]
+    if rates is not None and not rated:
+        raise InputError(f"rates are for codecs that take one, such as wavelet, not for {', '.join(codecs)}")
     settings: list[CodecSetting] = []
     for name in codecs:
-        settings += make_settings(name, {"rate": list(rates or PAPER_RATES)} if name == "wavelet" else {})
+        chosen = rates or (PAPER_RATES if name == "wavelet" else None)
+        settings += make_settings(name, {"rate": list(chosen)} if chosen and name in rated else {})
     made = [method for name in methods for method in make_methods(name, {})]
     return Experiment((scene,), tuple(made), degrees, tuple(settings), holdout, ring=dict(ring or {}))
 
@@ -168,13 +173,17 @@ def _combinations(config: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _with_types(kind: type, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options as the types of their defaults, so that 1 and 1.0 make one row; InputError if they are not."""
-    defaults = {each.name: each.default for each in fields(kind)}
+    """Return the options as their declared types, so that 1 and 1.0 make one row; InputError if they are not."""
+    hints = get_type_hints(kind)
     typed = dict(options)
     for key, value in options.items():
-        wanted = type(defaults.get(key, value))
-        if wanted is float and type(value) is int and abs(value) < 1 << 53:
+        if key not in hints:
+            continue  # named by from_config, with the options that there are
+        parts = get_args(hints[key]) if isinstance(hints[key], UnionType) else (hints[key],)
+        allowed = {get_origin(part) or part for part in parts}
+        if float in allowed and type(value) is int and abs(value) < 1 << 53:
             typed[key] = float(value)
-        elif type(value) is not wanted:
-            raise InputError(f"{kind.id}: {key} must be {TYPE_NAMES[wanted]}, got {value!r}")  # type: ignore[attr-defined]
+        elif not any(isinstance(value, each) for each in allowed) or (type(value) is bool and bool not in allowed):
+            wanted = " or ".join(name for each, name in TYPE_NAMES.items() if each in allowed)
+            raise InputError(f"{kind.id}: {key} must be {wanted}, got {value!r}")  # type: ignore[attr-defined]
     return typed

@@ -103,8 +103,9 @@ def differing_options(rows: Sequence[np.void]) -> list[str]:
         kinds = [(text(row["scene"]), text(row[name])) for row in rows]
         for kind in set(kinds):
             members = [i for i, each in enumerate(kinds) if each == kind]
-            for key in sorted({key for i in members for key in configs[i]} - {"rate", "bits"}):
-                if len({repr(configs[i].get(key)) for i in members}) > 1:
+            for key in sorted({key for i in members for key in configs[i]}):
+                is_rate = all(configs[i].get(key) in (None, rows[i]["rate"]) for i in members)
+                if not is_rate and len({repr(configs[i].get(key)) for i in members}) > 1:
                     for i in members:
                         found[i].append(f"{key}={configs[i].get(key)}")
     return [", ".join(words) for words in found]
