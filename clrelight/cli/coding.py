@@ -8,11 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-<<<<<<< HEAD
 from clrelight.cli.options import ByteCount, device_option, given, json_option
-=======
-from clrelight.cli.options import device_option, given, json_option, whole_number
->>>>>>> cli
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import measure, psnr_lines
@@ -20,17 +16,14 @@ from clrelight.errors import InputError
 
 if TYPE_CHECKING:
     from clrelight.codec import Codec, Encoded
-<<<<<<< HEAD
-=======
+
 
 _MAX_DECIBELS = 1000.0
->>>>>>> cli
 
 
 @click.command()
 @click.argument("fit_file", metavar="FIT", type=click.Path())
 @click.argument("out", type=click.Path())
-<<<<<<< HEAD
 @click.option("--codec", help="half, s3tc, bc6h, uniform, wavelet, jpeg2000, vq, cpca or klt; default s3tc, or klt.")
 @click.option(
     "--basis",
@@ -41,24 +34,7 @@ _MAX_DECIBELS = 1000.0
 )
 @click.option("--bytes", "byte_budget", type=ByteCount(), metavar="BYTES", help="Use no more (klt, wavelet, jpeg2000).")
 @click.option("--target-psnr", type=float, metavar="DB", help="Fewest bytes for this pooled PSNR; needs --stack.")
-@click.option("--bits", type=int, help="Bits per code (uniform); default 8.")
-@click.option("--rate", type=float, help="Bits per coefficient (wavelet); default 4.")
-@click.option("--allocation", help="How wavelet rates are shared: map (each alike) or global (one step for all).")
-@click.option("--levels", type=int, help="Levels of the wavelet transform; default 3.")
-@click.option("--step", type=float, help="Quantiser step (klt).")
-@click.option("--clusters", type=int, help="Clusters (cpca).")
-@click.option("--components", type=int, help="Components of each cluster (cpca).")
-@click.option("--block", type=int, help="Side of the blocks (vq); 0 codes pixels.")
-@click.option("--clamp", is_flag=True, default=None, help="Clamp what half cannot hold instead of refusing it (half).")
-=======
-@click.option(
-    "--codec",
-    default="s3tc",
-    show_default=True,
-    help="half, s3tc, bc6h, uniform, wavelet, jpeg2000, klt, cpca, vq or whitened.",
-)
 @click.option("--rate", type=float, help="Bits per coefficient (wavelet, jpeg2000: default 4; klt: default 0.1).")
-@click.option("--byte-budget", type=whole_number(1), help="Bytes not to be passed, instead of a rate (klt).")
 @click.option("--step", type=float, help="Quantiser step, instead of a rate (klt).")
 @click.option("--bits", type=int, help="Bits per code (uniform, cpca), log2 of the codebook (vq); default 8.")
 @click.option("--allocation", help="How wavelet rates are shared: map (each alike) or global (one step for all).")
@@ -67,27 +43,17 @@ _MAX_DECIBELS = 1000.0
 @click.option("--components", type=int, help="Axes of a cluster (cpca); default 8.")
 @click.option("--block", type=int, help="Side of the coded blocks, 0 for pixels (vq); default 0.")
 @click.option("--clamp", is_flag=True, default=None, help="Clamp what a half float cannot hold (half, bc6h).")
-@click.option("--inner", metavar="CODEC", help="The codec that codes whitened maps, with its options (whitened).")
-@click.option("--target-psnr", type=float, metavar="DB", help="As few bytes as this quality takes (klt, wavelet).")
->>>>>>> cli
 @click.option("--stack", type=click.Path(), help="Measure PSNR of the decoded result against this stack.")
 @device_option
 @json_option
 def encode(
     fit_file: str,
     out: str,
-<<<<<<< HEAD
     codec: str | None,
     basis: str,
     byte_budget: int | None,
     target_psnr: float | None,
     stack: str | None,
-=======
-    codec: str,
-    stack: str | None,
-    inner: str | None,
-    target_psnr: float | None,
->>>>>>> cli
     device: str | None,
     as_json: bool,
     **options: Any,
@@ -99,12 +65,8 @@ def encode(
     \b
     Example:
       clrelight encode fit.h5 enc.h5 --codec wavelet --rate 1 --stack stack.h5
-<<<<<<< HEAD
       clrelight encode fit.h5 enc.h5 --bytes 20k
       clrelight encode fit.h5 enc.h5 --target-psnr 31 --stack stack.h5
-=======
-      clrelight encode fit.h5 enc.h5 --codec klt --target-psnr 30 --stack stack.h5
->>>>>>> cli
     """
     import numpy as np
 
@@ -113,27 +75,20 @@ def encode(
     from clrelight.experiment.target import encode_to_quality
     from clrelight.store import check_output, open_stack, read_fit, write_encoded
 
-<<<<<<< HEAD
+    if target_psnr is not None and not abs(target_psnr) <= _MAX_DECIBELS:
+        raise InputError(f"--target-psnr must be a number of decibels, got {target_psnr}")
     if target_psnr is not None and (stack is None or byte_budget is not None or given(**options)):
         raise InputError("--target-psnr needs --stack to measure against, and no other size or option beside it")
     wanted = given(**options)
     codec = codec or ("klt" if basis == "klt" or byte_budget or target_psnr is not None else "s3tc")
     if target_psnr is None and byte_budget is None:
         _choose(codec, basis, wanted)  # says what is wrong before the fit is read
-=======
-    chosen = _make_codec(codec, inner, given(**options))
-    if target_psnr is not None and not abs(target_psnr) <= _MAX_DECIBELS:
-        raise InputError(f"--target-psnr must be a number of decibels, got {target_psnr}")
-    if target_psnr is not None and (stack is None or given(**options) or inner):
-        raise InputError("--target-psnr is measured on --stack FILE, and chooses the options of the codec itself")
->>>>>>> cli
     check_output(out, [fit_file] if stack is None else [fit_file, stack])
     opened = open_device(device)
     seconds: dict[str, float] = {}
     since = time.perf_counter()
     coefficients = read_fit(fit_file)
     seconds["read"] = time.perf_counter() - since
-<<<<<<< HEAD
     notes: list[str] = []
     since = time.perf_counter()
     if target_psnr is not None and stack is not None:
@@ -151,22 +106,6 @@ def encode(
     seconds["encode"] = time.perf_counter() - since
     facts = {"file": out, **_size_facts(encoded), "config": dict(encoded.config), "device": opened.info.label}
     facts["notes"] = notes
-=======
-    notes = []
-    with progress_bar(f"encoding {codec}"):
-        since = time.perf_counter()
-        if target_psnr is None or stack is None:
-            encoded = codecs.encode(coefficients.coeffs_khwc, chosen, opened)
-        else:
-            with open_stack(stack) as source:
-                encoded, trials, why = encode_to_quality(coefficients, source, target_psnr, codec=codec, device=opened)
-            notes.append(f"{len(trials)} trials: {why}")
-        seconds["encode"] = time.perf_counter() - since
-    clamped = int(encoded.info.get("clamped", 0))
-    notes += [f"{clamped} coefficients were clamped"] if clamped else []
-    facts: dict[str, Any] = {"file": out, **_size_facts(encoded), "config": dict(encoded.config)}
-    facts |= {"notes": notes, "device": opened.info.label}
->>>>>>> cli
     if stack is not None:
         with open_stack(stack) as source:
             with progress_bar("decoding"):
@@ -184,12 +123,8 @@ def encode(
     if as_json:
         print_json(facts)
         return
-<<<<<<< HEAD
     clamped = int(encoded.info.get("clamped", 0))
     print_notes(notes + ([f"{clamped} coefficients were clamped"] if clamped else []))
-=======
-    print_notes(notes)
->>>>>>> cli
     print_facts(
         {"encoded": out, **_size_lines(encoded), **psnr_lines(facts.get("psnr")), "time": seconds_line(seconds)}
     )
@@ -230,7 +165,6 @@ def decode(encoded_file: str, out: str, device: str | None, as_json: bool) -> No
     print_facts({"fit": out, **_size_lines(encoded), "time": seconds_line(seconds)})
 
 
-<<<<<<< HEAD
 def _choose(codec: str, basis: str, options: dict[str, Any]) -> Codec:
     """Return the codec in a basis; InputError where the two do not go together."""
     from clrelight.codec import codec_class
@@ -240,16 +174,6 @@ def _choose(codec: str, basis: str, options: dict[str, Any]) -> Codec:
     if basis == "klt" and codec not in ("klt", "wavelet"):
         raise InputError(f"basis klt has its own wavelet coder (--codec klt); for {codec} take --basis whitened")
     return codec_class("klt" if basis == "klt" else codec).from_config(options)
-=======
-def _make_codec(codec_id: str, inner: str | None, options: dict[str, Any]) -> Codec:
-    from clrelight.codec import codec_class
-
-    if inner is None:
-        return codec_class(codec_id).from_config(options)
-    if codec_id != "whitened":
-        raise InputError(f"--inner belongs to the codec whitened, not to {codec_id}")
-    return codec_class(codec_id).from_config({"codec": inner, "options": options})
->>>>>>> cli
 
 
 def _size_facts(encoded: Encoded) -> dict[str, Any]:
