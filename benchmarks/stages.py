@@ -18,7 +18,9 @@ from benchmarks.imaging import imaging_stages
 from benchmarks.stage import Row, Stage, measure
 from benchmarks.timing import SETTLE_SECONDS
 from benchmarks.workload import Workload, make_workload
-from clrelight.cli.output import print_facts, print_table, progress_bar
+from clrelight.cli.output import print_facts
+from clrelight.cli.progress import progress_bar
+from clrelight.cli.tables import print_table
 from clrelight.device import open_device
 from clrelight.errors import InputError
 
