@@ -60,21 +60,21 @@ def to_markdown(rows: Sequence[Row], facts: Mapping[str, str]) -> str:
     return "\n".join(lines)
 
 
-def check_markdown(path: Path) -> None:
+def check_markdown(path: Path, begin: str = BEGIN, end: str = END) -> None:
     """Raise InputError unless a file has the two markers, once each and in order."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file; it must exist and hold the lines {BEGIN} and {END}")
+        raise InputError(f"{path}: no such file; it must exist and hold the lines {begin} and {end}")
     text = path.read_text(encoding="utf-8")
-    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
-        raise InputError(f"{path}: expected the lines {BEGIN} and {END}, once each and in this order")
+    if text.count(begin) != 1 or text.count(end) != 1 or text.index(begin) > text.index(end):
+        raise InputError(f"{path}: expected the lines {begin} and {end}, once each and in this order")
 
 
-def replace_block(path: Path, block: str) -> None:
+def replace_block(path: Path, block: str, begin: str = BEGIN, end: str = END) -> None:
     """Replace what stands between the markers of a file; InputError where it has none."""
-    check_markdown(path)
+    check_markdown(path, begin, end)
     text = path.read_text(encoding="utf-8")
-    before, after = text[: text.index(BEGIN)], text[text.index(END) :]
-    path.write_text(f"{before}{BEGIN}\n{block}\n{after}", encoding="utf-8")
+    before, after = text[: text.index(begin)], text[text.index(end) :]
+    path.write_text(f"{before}{begin}\n{block}\n{after}", encoding="utf-8")
 
 
 def to_json(rows: Sequence[Row], facts: Mapping[str, str]) -> str:
