@@ -18,7 +18,9 @@ from benchmarks.imaging import imaging_stages
 from benchmarks.stage import Row, Stage, measure
 from benchmarks.timing import SETTLE_SECONDS
 from benchmarks.workload import Workload, make_workload
-from clrelight.cli.output import print_facts, print_table, progress_bar
+from clrelight.cli.output import print_facts
+from clrelight.cli.progress import progress_bar
+from clrelight.cli.tables import print_table
 from clrelight.device import open_device
 from clrelight.errors import InputError
 
@@ -81,7 +83,8 @@ def main(
     if not rows:
         raise InputError(f"no stage has {only!r} in its name")
     print_facts(facts)
-    print_table(tables.HEADERS, [tables.cells(row) for row in rows])
+    click.echo()
+    print_table(tables.HEADERS, [tables.cells(row) for row in rows], expendable=tables.EXPENDABLE)
     if json_file is not None:
         json_file.write_text(tables.to_json(rows, facts), encoding="utf-8")
     if markdown_file is not None:
