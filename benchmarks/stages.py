@@ -83,7 +83,8 @@ def main(
     if not rows:
         raise InputError(f"no stage has {only!r} in its name")
     print_facts(facts)
-    print_table(tables.HEADERS, [tables.cells(row) for row in rows])
+    click.echo()
+    print_table(tables.HEADERS, [tables.cells(row) for row in rows], expendable=tables.EXPENDABLE)
     if json_file is not None:
         json_file.write_text(tables.to_json(rows, facts), encoding="utf-8")
     if markdown_file is not None:

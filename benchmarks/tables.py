@@ -26,6 +26,8 @@ HEADERS = (
     "peer's",
     "error is the",
 )
+EXPENDABLE = ("first s", "peer ms", "peer's")
+"""What a narrow terminal may leave out, first to last."""
 _NONE = "–"
 
 
