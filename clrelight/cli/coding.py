@@ -77,9 +77,14 @@ def encode(
 
     if target_psnr is not None and not abs(target_psnr) <= _MAX_DECIBELS:
         raise InputError(f"--target-psnr must be a number of decibels, got {target_psnr}")
-    if target_psnr is not None and (stack is None or byte_budget is not None or given(**options)):
-        raise InputError("--target-psnr needs --stack to measure against, and no other size or option beside it")
     wanted = given(**options)
+    if target_psnr is not None:
+        if stack is None or byte_budget is not None or wanted or basis == "whitened":
+            raise InputError("--target-psnr needs --stack to measure against, and no other size or option beside it")
+        if not abs(target_psnr) < float("inf"):
+            raise InputError(f"--target-psnr must be a number of decibels, got {target_psnr}")
+    if byte_budget is not None and ("rate" in wanted or "step" in wanted):
+        raise InputError("--bytes says the size already, leave out --rate and --step")
     codec = codec or ("klt" if basis == "klt" or byte_budget or target_psnr is not None else "s3tc")
     if target_psnr is None and byte_budget is None:
         _choose(codec, basis, wanted)  # says what is wrong before the fit is read

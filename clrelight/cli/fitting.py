@@ -68,9 +68,10 @@ def fit(
     with open_stack(stack) as source:
         fitted, held = split_lights(source.n_light, holdout)
         chosen = source if holdout is None else source.select(fitted)
-        prepared = prepare_fit(
-            chosen, method, degree, options=given(**options), weights=weights, sampling=sampling, device=opened
-        )
+        with progress_bar("choosing a model" if "auto" in (method, degree) else "preparing"):
+            prepared = prepare_fit(
+                chosen, method, degree, options=given(**options), weights=weights, sampling=sampling, device=opened
+            )
         report, kind, n_coeff = prepared.report, prepared.method, (prepared.degree + 1) ** 2
         facts: dict[str, Any] = {
             "file": out,
