@@ -39,6 +39,7 @@ _VERSION = 1
 _HEAD = struct.Struct("<BBhfHbb")
 _LEVELS = 5
 _ROUNDING = 0.2
+_GROUP = 8  # planes that are coded together: more are faster, fewer know more of each other
 _DROPPED = 0.15
 """An axis along which pixels deviate less than this part of a step is not coded."""
 _MEAN_STEPS = 4  # the mean is quantised this much finer than the planes: its error is in every pixel
@@ -204,7 +205,7 @@ class _Source:
         planes_hwj = solve_planes(self._whitened, axes).reshape(1, height, width, count)
         planes = forward_transform(np.ascontiguousarray(planes_hwj), np.ones(1, np.float32), _LEVELS, self._device)
         index = quantise_map(planes, 0, planes_hwj.shape, step, _ROUNDING, self._device)
-        code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index)
+        code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index, _GROUP)
         return axes, _measure_biases(index, self._device.download(planes)[:, :, :width], step)
 
 
@@ -235,7 +236,7 @@ def _decode_planes(
     decoder: Decoder, shape: tuple[int, int, int], levels: int, step: float, biases: list[int], device: Device
 ) -> NDArray[np.float32]:
     count, height, width = shape
-    index = code_indices(decoder, Statistics(), list_subbands(height, width, levels), shape, None)
+    index = code_indices(decoder, Statistics(), list_subbands(height, width, levels), shape, None, _GROUP)
     as_map = (1, height, width, count)
     planes = empty_planes(as_map, device)
     dequantise_map(planes, 0, index, step, (biases[0] * _BIAS_UNIT, biases[1] * _BIAS_UNIT), device)
