@@ -16,7 +16,6 @@ ROUNDING = 0.4  # a dead zone of 1.2 steps: best at 0.1 to 1 bit, and 0.02 dB fr
 ABSENT = 65535  # step code of a map that is zero
 _AIM, _TOLERANCE = 0.996, 0.003  # of the bytes asked: near the middle of what is allowed, and how near is enough
 _MAP_TOLERANCE, _MAP_SLACK = 0.015, 12.0  # of one map's share, and bits; the next maps make up for it
-_ATTEMPTS = 6  # to stay below the bytes asked, though words are coarser than the bits counted
 BIAS_SCALE = 256.0
 
 
@@ -177,13 +176,17 @@ def spend_by_one_step(
         codes = codes_of(code)
         return sum(sample.bits(int(codes[k])) for k, sample in samples.items() if codes[k] != ABSENT)
 
-    for margin in range(0, 32 * _ATTEMPTS, 32):
-        target = budget - (1.0 - _AIM) * asked
+    # The range coder needs some more than the bits counted, mostly where contexts are many and symbols few.
+    margin = 0
+    while margin < budget:
+        target = budget - (1.0 - _AIM) * asked - margin
         code, _ = find_code(count, guess, target, budget - margin, _TOLERANCE * asked, 0.8, 0)
         if code is None:
             break
         encoder = Encoder()
         run(encoder, code)
-        if 8 * encoder.byte_count <= budget:
+        excess = 8 * encoder.byte_count - budget
+        if excess <= 0:
             return codes_of(code), encoder.to_bytes()
+        margin = max(2 * margin, excess + 32)
     return np.full(len(exponents), ABSENT, np.int64), b""
