@@ -168,6 +168,9 @@ def make_settings(codec_id: str, config: Mapping[str, Any]) -> list[CodecSetting
 
 
 def _combinations(config: Mapping[str, Any]) -> list[dict[str, Any]]:
+    for key, value in config.items():
+        if value == []:
+            raise InputError(f"{key} needs at least one value, got an empty list")
     axes = [[(key, v) for v in (value if isinstance(value, list) else [value])] for key, value in config.items()]
     return [dict(combination) for combination in itertools.product(*axes)]
 
