@@ -5,7 +5,7 @@ from scipy.ndimage import gaussian_filter
 import clrelight.codec.allocation
 import clrelight.codec.wavelet
 from clrelight.codec import Encoded, Wavelet, decode, encode
-from clrelight.codec.entropy import Decoder, Encoder
+from clrelight.codec.entropy import Decoder, Encoder, ModelSet
 from clrelight.errors import InputError, PayloadError
 
 
@@ -86,12 +86,12 @@ def test_one_step_for_all_maps(device):
     assert np.mean((coeffs - decoded) ** 2) < np.mean((coeffs - fair) ** 2)
 
 
-@pytest.mark.parametrize("rate", [0.02, 0.05, 0.1])
-def test_one_step_for_all_uses_the_bytes_of_low_rates(device, rate):
-    # Many maps and few symbols: the range coder takes visibly more than the bits counted.
-    coeffs = make_maps((49, 96, 96, 3))
-    encoded = encode(coeffs, Wavelet(rate=rate, allocation="global"), device)
-    assert 0.97 * rate <= encoded.bits_per_coefficient <= rate
+def test_one_step_for_all_survives_a_coder_that_needs_more_than_was_counted(device, monkeypatch):
+    # Happens where contexts are many and symbols few; here every count is 2% short.
+    count_bits = ModelSet.count_bits
+    monkeypatch.setattr(ModelSet, "count_bits", lambda *arguments: 0.98 * count_bits(*arguments))
+    encoded = encode(make_maps((9, 64, 64, 3)), Wavelet(rate=0.5, allocation="global"), device)
+    assert 0.94 * 0.5 <= encoded.bits_per_coefficient <= 0.5
 
 
 def test_context_coding_beats_zero_order_entropy(device):
