@@ -253,7 +253,7 @@ def test_bar_shows_also_while_a_step_has_nothing_to_say(monkeypatch):
 
 def test_bench_on_a_terminal_of_80_columns(tmp_path):
     succeed("synth", "ring", tmp_path / "r.h5", "--size", 16, "--lights", 36)
-    words = "bench r.h5 --holdout 5 --degrees 3 --codecs none,half,uniform,wavelet --rates 0.5,4 --methods uls,cls"
+    words = "bench r.h5 --holdout 5 --degrees 3 --codecs none,half,uniform,wavelet --rates 0.5 --methods uls,cls"
     code, written = in_terminal([*words.split(), "--out", "o.h5"], tmp_path, 80)
     assert code == 0
     shown = screen(written)
@@ -263,7 +263,7 @@ def test_bench_on_a_terminal_of_80_columns(tmp_path):
     for row in read_results(tmp_path / "o.h5").table:
         assert f"{row['psnr_mean']:.2f}" in text
         assert f"{row['psnr_pooled_holdout']:.2f}" in text
-    assert len([line for line in shown if "wavelet" in line]) == 4
+    assert len([line for line in shown if "wavelet" in line]) == 2
 
 
 HEADERS = ["scene", "method", "PSNR mean (dB)", "kB", "fit (s)"]
