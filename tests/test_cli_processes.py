@@ -236,18 +236,23 @@ def test_bar_on_a_terminal_leaves_nothing(tmp_path):
 def test_bar_shows_also_while_a_step_has_nothing_to_say(monkeypatch):
     ours, theirs = pty.openpty()
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(progress, "_PATIENCE_SECONDS", 0.01)
     with os.fdopen(theirs, "w") as terminal:
         monkeypatch.setattr(sys, "stderr", terminal)
-        with progress.progress_bar("thinking"):
-            time.sleep(0.3)
-        assert "thinking" in os.read(ours, 65536).decode()
-        monkeypatch.setattr(progress, "_PATIENCE_SECONDS", 10)
-        with progress.progress_bar("thinking") as bar:
-            bar(1, 2)
-        terminal.write("end")
-        terminal.flush()
-        assert os.read(ours, 65536).decode().endswith("end")
+
+        def shown(patience, seconds):
+            monkeypatch.setattr(progress, "_PATIENCE_SECONDS", patience)
+            with progress.progress_bar("thinking") as bar:
+                bar(1, 2)
+                time.sleep(seconds)
+            terminal.write("<end>")
+            terminal.flush()
+            written = ""
+            while not written.endswith("<end>"):
+                written += os.read(ours, 65536).decode()
+            return written
+
+        assert "thinking" in shown(0.01, 0.5)
+        assert shown(10, 0.0) == "<end>"
     os.close(ours)
 
 
