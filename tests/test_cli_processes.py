@@ -15,6 +15,7 @@ import time
 import h5py
 import numpy as np
 import pytest
+import rich.progress  # noqa: F401 - so that it does not load while a bar is timed
 
 from clrelight.cli import progress
 from clrelight.cli.app import cli, run
@@ -167,7 +168,7 @@ def test_reader_of_a_pipe_may_go(tmp_path):
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-IMPATIENT = "from clrelight.cli import main, progress; progress._PATIENCE_SECONDS = 0.01; main()"
+IMPATIENT = "import rich.progress; from clrelight.cli import main, progress; progress._PATIENCE_SECONDS = 0.01; main()"
 
 
 def in_terminal(words, folder, columns):
