@@ -13,7 +13,7 @@ from tests.reference.psnr import mean_squared_errors, psnr
 
 STACKS = {
     "loewenkopf": ("loewenkopf", ["--transfer", "srgb"], (240, 43, 64, 3)),
-    "cat": ("diligent/catPNG", [], (96, None, None, 3)),
+    "cat": ("diligent/catPNG", ["--crop", "200,150,90,80"], (96, 80, 90, 3)),
     "psbox_cat": ("psbox_cat", ["--crop", "100,150,120,90"], (12, 90, 120, 1)),
     "univr_dome": ("univr_dome", ["--transfer", "srgb", "--crop", "100,100,100,80"], (49, 80, 100, 3)),
 }
@@ -52,7 +52,7 @@ def test_stack_fit_psnr_relight(stack, tmp_path, name):
     path = stack(name)
     shape = STACKS[name][2]
     images, directions = radiance(path), arrays(path)["directions"]
-    assert [known in (None, held) for known, held in zip(shape, images.shape, strict=True)] == [True] * 4
+    assert images.shape == shape
     degree = 2
     fit, picture = tmp_path / "fit.h5", tmp_path / "a.exr"
     told = succeed("fit", path, fit, "--method", "uls", "--degree", degree, "--json").json
@@ -82,7 +82,7 @@ def test_diligent_peak_is_the_white_of_a_mean_light(stack, real_data):
     held = arrays(path)
     assert (attributes(path)["peak"], held["images"].dtype) == (1.0, np.float16)
     first = oiio.ImageBuf(str(real_data / "stacks" / "diligent" / "catPNG" / "001.png"))
-    codes = np.asarray(first.get_pixels(oiio.FLOAT), np.float64)
+    codes = np.asarray(first.get_pixels(oiio.FLOAT), np.float64)[150:230, 200:290]
     expected = codes * intensities.mean() / intensities[0]
     np.testing.assert_allclose(held["images"][0].astype(np.float64), expected, rtol=2.0**-11)
     assert held["mask"].any()
