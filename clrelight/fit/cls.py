@@ -29,6 +29,8 @@ where the bound holds. Newton ends below, so there they are the least."""
 _HOST_STEPS = 100
 """At most so many Newton steps of `ConstrainedLeastSquares.find_gains`; some 10 are usual."""
 _HOST_TOLERANCE = 1e-6
+_SMALLEST_PRODUCT = 1e-30
+"""Products of two sigma^2 above this are far from float32's smallest, 1e-38, with room for rounding."""
 
 
 @register
@@ -87,7 +89,7 @@ class ConstrainedLeastSquares(FitMethod):
             columns.singular_r,
             self.iterations,
             *z_rq.shape,
-            defines={"N_COMPONENT": z_rq.shape[0]},
+            defines={"N_COMPONENT": z_rq.shape[0], "PAIRED": int(plan.singular_r.min() ** 4 > _SMALLEST_PRODUCT)},
         )
         if self.iterations >= _CONVERGED_AFTER[self.solver] and device.info.float64:
             self._refine(device, plan, columns, maps, device.download(doubt_q)[: columns.source_ip.shape[1]])

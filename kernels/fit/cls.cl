@@ -21,16 +21,31 @@
  */
 #include "common/columns.clh"
 
+#ifndef PAIRED
+#error "PAIRED must be defined: 1 where the product of two sigma^2 is a normal number, else 0"
+#endif
+
 #define STEP 16.0f
 
 static lanes squared_norm(const lanes *b, __global const float *restrict singular_r, const lanes lambda)
 {
-    lanes f = 0.0f;
-    for (int r = 0; r < N_COMPONENT; r++) {
+    lanes f = 0.0f, g = 0.0f;
+    int r = 0;
+#if PAIRED
+    /* One division and two sums for two components: divisions, then waiting for one sum, take most of the time. */
+    for (; r + 2 <= N_COMPONENT; r += 2) {
+        const lanes x = singular_r[r] * singular_r[r] + lambda, y = singular_r[r + 1] * singular_r[r + 1] + lambda;
+        const lanes inverse = 1.0f / (x * y);
+        const lanes t = b[r] * (y * inverse), u = b[r + 1] * (x * inverse);
+        f = t * t + f;
+        g = u * u + g;
+    }
+#endif
+    for (; r < N_COMPONENT; r++) {
         const lanes t = b[r] / (singular_r[r] * singular_r[r] + lambda);
         f = t * t + f;
     }
-    return f;
+    return f + g;
 }
 
 static lanes load_scaled(lanes *b, __global const float *restrict z_rq, __global const float *restrict singular_r,

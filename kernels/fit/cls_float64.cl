@@ -1,7 +1,7 @@
 /* Constrained least squares in float64 for chosen columns: projection, Newton for lambda, shrinking (see cls.cl).
  *
  *   z_rq         (R, Q) float         out, at the chosen columns: t(lambda)
- *   lambda_q     (Q) float            out, at the chosen columns: lambda
+ *   lambda_q     (Q) float            in and out, at the chosen columns: lambda
  *   source_ip    (n_light, P) SAMPLE_T
  *   chosen_f     (F) int              columns, F a multiple of 8; repeated ones are legal
  *   analysis_ir  (n_light, R) double  samples to components
@@ -76,6 +76,10 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
         const double8 least = size - singular_r[r] * singular_r[r];
         lambda = least > lambda ? least : lambda;
     }
+    /* What the first pass found is nearer; Newton also converges from above. */
+    double8 found;
+    for (int lane = 0; lane < 8; lane++) ((double *)&found)[lane] = 0.999 * lambda_q[c[lane]];
+    lambda = found > lambda ? found : lambda;
     for (int k = 0; k < MAX_STEPS; k++) {
         double8 f = 0.0, slope = 0.0;
         for (int r = 0; r < N_COMPONENT; r++) {
