@@ -10,6 +10,7 @@ from clrelight.codec.klt import Klt
 from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.registry import Encoded
 from clrelight.errors import InputError, PayloadError
+from tests.mutations import check_large_claims, check_mutations
 
 
 def smooth_map(degree, height, width, channel, seed=0, rank=6):
@@ -176,3 +177,15 @@ def test_whitened_gives_the_coefficients_back(device, inner):
 def test_whitened_cannot_hold_itself():
     with pytest.raises(InputError, match="choose another"):
         codec_class("whitened").from_config({"codec": "klt"})
+
+
+def test_few_bytes_cannot_claim_gigabytes(device):
+    body = encode(np.zeros((9, 8, 8, 3), np.float32), Klt(step=0.01), device).body
+    check_large_claims(device, Klt, [body, b"", bytes(40)])
+    wavelet = codec_class("wavelet")
+    check_large_claims(device, wavelet, [encode(np.zeros((9, 8, 8, 3), np.float32), wavelet(), device).body])
+
+
+def test_mutations_with_fitting_checksums(device):
+    assert check_mutations(device, Klt(step=0.05), (9, 9, 10, 3), 300, 40) < 300
+    assert check_mutations(device, codec_class("whitened")(), (9, 9, 10, 3), 300, 40) > 0

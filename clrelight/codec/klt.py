@@ -30,7 +30,7 @@ from clrelight.codec.principal import (
     solve_planes,
     whiten,
 )
-from clrelight.codec.registry import Codec, register
+from clrelight.codec.registry import Codec, check_claim, register
 from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -95,9 +95,12 @@ class Klt(Codec):
         source = _Source(coeffs_khwc, device)
         if self.step is not None:
             body, planes = source.encode(self.step)
-            return body, {"step": float(self.step), "planes": float(planes)}
-        budget = self.byte_budget if self.byte_budget is not None else (self.rate or 0.0) * coeffs_khwc.size / 8.0
-        return source.encode_within(int(budget))
+            info = {"step": float(self.step), "planes": float(planes)}
+        else:
+            budget = self.byte_budget if self.byte_budget is not None else (self.rate or 0.0) * coeffs_khwc.size / 8.0
+            body, info = source.encode_within(int(budget))
+        check_claim(coeffs_khwc.shape, body)
+        return body, info
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
@@ -107,6 +110,7 @@ class Klt(Codec):
     @classmethod
     def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> Factored:
         """Return the planes and the matrix that make coefficients, or images, of them."""
+        check_claim(shape, body)
         n_coeff, height, width, channel = shape
         metric = hemisphere_metric(n_coeff)
         component = len(metric.forward_jk)

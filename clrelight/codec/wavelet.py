@@ -21,7 +21,7 @@ from clrelight.codec.allocation import (
 from clrelight.codec.entropy import Decoder
 from clrelight.codec.lifting import dequantise_map, empty_planes, forward_transform, inverse_transform, list_subbands
 from clrelight.codec.rate import step_of
-from clrelight.codec.registry import Codec, register
+from clrelight.codec.registry import Codec, check_claim, register
 from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -89,11 +89,13 @@ class Wavelet(Codec):
         codes, payload = spend(maps, exponents, 8 * available, budget)
         biases, entropy = maps.measure(codes)
         body = _Tables(self.levels, biases, exponents, codes).to_bytes() + payload
+        check_claim(shape, body)
         return body, {"entropy_bits": entropy / coeffs_khwc.size}
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """See `Codec`."""
+        check_claim(shape, body)
         tables, payload = _Tables.from_bytes(body, shape[0])
         _, height, width, channels = shape
         bands = list_subbands(height, width, tables.levels)
