@@ -189,3 +189,12 @@ def test_few_bytes_cannot_claim_gigabytes(device):
 def test_mutations_with_fitting_checksums(device):
     assert check_mutations(device, Klt(step=0.05), (9, 9, 10, 3), 300, 40) < 300
     assert check_mutations(device, codec_class("whitened")(), (9, 9, 10, 3), 300, 40) > 0
+
+
+@pytest.mark.parametrize("codec", ["klt", "whitened"])
+def test_degrees_beyond_the_metric_are_refused_both_ways(device, codec):
+    coeffs = np.zeros((42 * 42, 2, 2, 1), np.float32)
+    with pytest.raises(InputError, match="degrees up to 40"):
+        encode(coeffs, codec_class(codec)(), device)
+    with pytest.raises(PayloadError, match="degrees up to 40"):
+        codec_class(codec).decode_body(b"\x04half" + bytes(60), coeffs.shape, device)

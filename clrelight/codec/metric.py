@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 
 from clrelight.basis import evaluate_basis
 from clrelight.conventions import degree_of
+from clrelight.errors import PayloadError
+
+MAX_METRIC_DEGREE = 40
+"""Largest degree of whitened coding: its matrices grow with the fourth power."""
 
 _KEPT = 1e-7
 """Components whose share of an image is below this are not kept: no float32 coefficient shows them."""
@@ -42,6 +46,8 @@ def hemisphere_metric(n_coeff: int, axes: str = "smooth") -> Metric:
     Components are listed like basis functions: the j-th of order m stands where ``l = |m| + j`` would.
     """
     degree = degree_of(n_coeff)
+    if degree > MAX_METRIC_DEGREE:
+        raise PayloadError(f"klt and whitened hold degrees up to {MAX_METRIC_DEGREE}, got {degree}")
     nodes, weights = np.polynomial.legendre.leggauss(degree + 2)
     z = (nodes + 1.0) / 2.0
     meridian = np.stack([np.sqrt(1.0 - z * z), np.zeros_like(z), z], axis=-1)
