@@ -142,6 +142,8 @@ class Klt(Codec):
             vectors_jd.reshape(-1, channel, component),
             optimize=True,
         )
+        if not np.abs(operator_kcj).max() <= np.finfo(np.float32).max or not np.isfinite(planes_jp).all():
+            raise PayloadError("a klt body holds values beyond float32's range")
         return Factored(planes_jp, operator_kcj, height, width)
 
 

@@ -248,6 +248,9 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
     coeffs = codec.decode_body(encoded.body, encoded.shape, device)
     if coeffs.shape != encoded.shape or coeffs.dtype != np.float32:
         raise PayloadError(f"codec {encoded.codec} gave {coeffs.dtype} {coeffs.shape} for {encoded.shape}")
+    # Finite is what was encoded; min and max see every NaN and infinity.
+    if not np.isfinite(coeffs.min()) or not np.isfinite(coeffs.max()):
+        raise PayloadError(f"the payload decodes to values that are not finite: codec {encoded.codec} did not write it")
     return coeffs
 
 
