@@ -16,6 +16,7 @@ SAMPLE_DTYPES = ("uint8", "uint16", "float16", "float32")
 """The types that images may have; kernels read each of them without conversion on the host."""
 
 _UNIT_TOLERANCE = 1e-6
+_SAME_LIGHT = 1.0 - 1e-12  # of the cosine between two directions
 
 
 @dataclass(frozen=True)
@@ -219,3 +220,9 @@ def split_lights(n_light: int, holdout: int | None) -> tuple[NDArray[np.intp], N
     if not held.any():
         raise InputError(f"holdout {holdout} keeps no light out of {n_light}; use at most {n_light}")
     return index[~held], index[held]
+
+
+def split_by_fit(stack: LightStack, coefficients: CoefficientMap) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the lights of a stack that a fit has seen, and those it has not."""
+    seen = np.max(stack.directions_i3 @ coefficients.directions_i3.T, axis=1) > _SAME_LIGHT
+    return np.flatnonzero(seen), np.flatnonzero(~seen)

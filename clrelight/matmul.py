@@ -161,3 +161,10 @@ def apply_operator(
             "CURVE": curve.mode(source_ip.dtype),
         },
     )
+
+
+def multiply_columns(device: Device, operator_mi: NDArray, source_ip: NDArray) -> NDArray[np.float32]:
+    """Return ``operator source`` as float32, from host memory to host memory; see `apply_operator`."""
+    out_mp = device.empty((len(operator_mi), source_ip.shape[1]), np.float32)
+    apply_operator(device, pack_operator(device, operator_mi), device.upload(source_ip), out_mp)
+    return device.download(out_mp)

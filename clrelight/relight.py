@@ -10,7 +10,7 @@ from clrelight.conventions import linear_to_srgb
 from clrelight.dataset import CoefficientMap, check_directions
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
-from clrelight.matmul import apply_operator, pack_operator
+from clrelight.matmul import multiply_columns
 
 
 def relight(
@@ -36,10 +36,8 @@ def relight(
     if not len(directions_i3):
         raise InputError("relighting needs at least 1 light, got none")
     coeffs_kp = np.ascontiguousarray(coefficients.coeffs_khwc[:]).reshape(coefficients.n_coeff, -1)
-    images_ip = device.empty((len(directions_i3), coeffs_kp.shape[1]), np.float32)
-    basis = pack_operator(device, evaluate_basis(directions_i3, coefficients.degree))
-    apply_operator(device, basis, device.upload(coeffs_kp), images_ip)
-    return device.download(images_ip).reshape(len(directions_i3), *coefficients.image_shape)
+    images_ip = multiply_columns(device, evaluate_basis(directions_i3, coefficients.degree), coeffs_kp)
+    return images_ip.reshape(len(directions_i3), *coefficients.image_shape)
 
 
 def to_display(radiance: NDArray, transfer: str) -> NDArray[np.uint8]:

@@ -79,14 +79,11 @@ def measure(
     coefficients: CoefficientMap, stack: LightStack, device: Device, holdout: int | None = None
 ) -> dict[str, float]:
     """Return PSNRs at the lights that the coefficients were fitted to and, apart, at those that they have not seen."""
-    import numpy as np
-
-    from clrelight.dataset import split_lights
+    from clrelight.dataset import split_by_fit, split_lights
     from clrelight.metrics import measure_errors, summarize_errors
 
     if holdout is None:
-        closest = np.max(stack.directions_i3 @ coefficients.directions_i3.T, axis=1)
-        fitted, held = np.flatnonzero(closest > 1 - 1e-12), np.flatnonzero(closest <= 1 - 1e-12)
+        fitted, held = split_by_fit(stack, coefficients)
     else:
         fitted, held = split_lights(stack.n_light, holdout)
     with progress_bar("measuring") as bar:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clrelight.basis import evaluate_basis
 from clrelight.conventions import degree_of
 from clrelight.device import Device
-from clrelight.matmul import apply_operator, pack_operator
+from clrelight.matmul import multiply_columns
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Factored:
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
         n_coeff, channel, _ = self.operator_kcj.shape
-        rows = self._apply(self.operator_kcj.reshape(n_coeff * channel, -1), device)
+        rows = multiply_columns(device, self.operator_kcj.reshape(n_coeff * channel, -1), self.planes_jp)
         return np.ascontiguousarray(rows.reshape(n_coeff, channel, self.height, self.width).transpose(0, 2, 3, 1))
 
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
@@ -44,13 +44,9 @@ class Factored:
         n_coeff, channel, _ = self.operator_kcj.shape
         basis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))
         operator = np.einsum("ik,kcj->icj", basis_ik, self.operator_kcj).reshape(len(basis_ik) * channel, -1)
-        images = self._apply(operator, device).reshape(len(basis_ik), channel, self.height, self.width)
+        images = multiply_columns(device, operator, self.planes_jp)
+        images = images.reshape(len(basis_ik), channel, self.height, self.width)
         return np.ascontiguousarray(images.transpose(0, 2, 3, 1))
-
-    def _apply(self, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
-        out = device.empty((len(operator_mj), self.planes_jp.shape[1]), np.float32)
-        apply_operator(device, pack_operator(device, operator_mj), device.upload(self.planes_jp), out)
-        return device.download(out)
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,5 @@ class WhitenedMaps:
         return self._apply(basis_ik @ self.inverse_kj, device)
 
     def _apply(self, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
-        source = device.upload(self.maps_jhwc.reshape(len(self.maps_jhwc), -1))
-        out = device.empty((len(operator_mj), source.shape[1]), np.float32)
-        apply_operator(device, pack_operator(device, operator_mj), source, out)
-        return device.download(out).reshape(len(operator_mj), *self.maps_jhwc.shape[1:])
+        source_jp = self.maps_jhwc.reshape(len(self.maps_jhwc), -1)
+        return multiply_columns(device, operator_mj, source_jp).reshape(len(operator_mj), *self.maps_jhwc.shape[1:])

@@ -12,7 +12,7 @@ from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
 from clrelight.device import Device
 from clrelight.errors import PayloadError
-from clrelight.matmul import apply_operator, pack_operator
+from clrelight.matmul import multiply_columns
 
 ROTATION_UNIT = 127
 """The rotation of the channels is sent as whole numbers of this unit."""
@@ -68,10 +68,9 @@ def whiten(coeffs_khwc: NDArray[np.float32], exponent: int, device: Device) -> W
     """
     n_coeff, height, width, channel = coeffs_khwc.shape
     forward_jk = hemisphere_metric(n_coeff).forward_jk
-    source = device.upload(np.ascontiguousarray(coeffs_khwc).reshape(n_coeff, -1))
-    whitened = device.empty((len(forward_jk), source.shape[1]), np.float32)
-    apply_operator(device, pack_operator(device, np.ldexp(forward_jk, -exponent)), source, whitened)
-    z_jpc = device.download(whitened).reshape(len(forward_jk), height * width, channel)
+    coeffs_kp = np.ascontiguousarray(coeffs_khwc).reshape(n_coeff, -1)
+    z_jp = multiply_columns(device, np.ldexp(forward_jk, -exponent), coeffs_kp)
+    z_jpc = z_jp.reshape(len(forward_jk), height * width, channel)
     sampled = z_jpc[:, :: _stride(height * width)].reshape(-1, channel).astype(np.float64)
     _, axes = np.linalg.eigh(sampled.T @ sampled)
     rotation_cc = np.rint(ROTATION_UNIT * axes[:, ::-1].T).astype(np.int8)

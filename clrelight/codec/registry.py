@@ -7,12 +7,13 @@ import struct
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.configurable import Configurable
 from clrelight.conventions import degree_of
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -123,13 +124,13 @@ class View(Protocol):
         ...
 
 
-class Codec(ABC):
+class Codec(Configurable, ABC):
     """A way to turn a coefficient map into bytes and back. Subclasses are frozen dataclasses with an `id`.
 
     Their fields are the options (JSON values), checked in ``__post_init__`` with InputError.
     """
 
-    id: ClassVar[str]
+    kind: ClassVar[str] = "codec"
     summary: ClassVar[str]
 
     @abstractmethod
@@ -145,19 +146,6 @@ class Codec(ABC):
     def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> View | None:
         """Return what relights without becoming coefficients first; None where coefficients are all there is."""
         return None
-
-    def to_config(self) -> dict[str, Any]:
-        """Return the options as a JSON object; `from_config` takes it back."""
-        return asdict(self)  # type: ignore[call-overload]
-
-    @classmethod
-    def from_config(cls, config: Mapping[str, Any]) -> Self:
-        """Make the codec from its options; InputError names one that it does not have."""
-        known = [f.name for f in fields(cls)]  # type: ignore[arg-type]
-        for key in config:
-            if key not in known:
-                raise InputError(f"codec {cls.id} has no option {key!r}; it has: {', '.join(known) or 'none'}")
-        return cls(**config)
 
 
 def check_claim(shape: tuple[int, int, int, int], body: bytes) -> None:

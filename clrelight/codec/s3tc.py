@@ -8,8 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.blocks import as_maps, block_counts, from_maps, group_slabs, maps_shape
 from clrelight.codec.registry import Codec, register
-from clrelight.codec.slabs import group_size, round_up, slabs
+from clrelight.codec.slabs import group_size, round_up
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 
@@ -36,9 +37,10 @@ class S3tc(Codec):
 
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
         """Return the blocks of all groups."""
-        maps_khwc = _as_maps(coeffs_khwc)
-        blocks_gjb = np.empty(_block_shape(maps_khwc.shape), np.uint32)
-        for groups, maps in _parts(maps_khwc.shape):
+        maps_khwc = as_maps(coeffs_khwc)
+        groups_in_all, blocks = block_counts(coeffs_khwc.shape)
+        blocks_gjb = np.empty((groups_in_all, WORDS, blocks), np.uint32)
+        for groups, maps in group_slabs(coeffs_khwc.shape):
             out = device.empty(blocks_gjb[groups].shape, np.uint32, blocks_gjb[groups])
             source = device.upload(maps_khwc[maps])
             _launch(device, "encode_s3tc_gjb", out, source, source.shape)
@@ -50,51 +52,26 @@ class S3tc(Codec):
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """Return the coefficients; PayloadError on a wrong length or an endpoint that is not finite."""
-        k, h, w, c = shape
-        planar = shape if c == 3 else (k * c, h, w, 1)
-        block_shape = _block_shape(planar)
-        expected = 4 * block_shape[0] * WORDS * block_shape[2]
+        groups_in_all, blocks = block_counts(shape)
+        expected = 4 * groups_in_all * WORDS * blocks
         if len(body) != expected:
             raise PayloadError(f"codec s3tc: shape {shape} takes {expected} bytes, the body has {len(body)}")
-        blocks_gjb = np.require(np.frombuffer(body, np.uint32).reshape(block_shape), requirements="A")
+        blocks_gjb = np.require(np.frombuffer(body, np.uint32).reshape(groups_in_all, WORDS, blocks), requirements="A")
         # All ones in the exponent of a float32: infinity or NaN.
         if ((blocks_gjb[:, :6] & 0x7F800000) == 0x7F800000).any():
             raise PayloadError("codec s3tc: the body holds an endpoint that is not finite")
-        maps_khwc = np.empty(planar, np.float32)
-        for groups, maps in _parts(planar):
+        maps_khwc = np.empty(maps_shape(shape), np.float32)
+        for groups, maps in group_slabs(shape):
             out = device.empty(maps_khwc[maps].shape, np.float32, maps_khwc[maps])
             _launch(device, "decode_s3tc_khwc", out, device.upload(blocks_gjb[groups]), out.shape)
             fetched = device.download(out)
             if not device.shares_memory:
                 maps_khwc[maps] = fetched
-        if c == 3:
-            return maps_khwc
-        return np.ascontiguousarray(maps_khwc.reshape(k, c, h, w).transpose(0, 2, 3, 1))
+        return from_maps(maps_khwc, shape)
 
 
-def _as_maps(coeffs_khwc: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return RGB maps as they are and anything else as planes, (k·c, h, w, 1); no copy for one channel."""
-    k, h, w, c = coeffs_khwc.shape
-    if c == 3:
-        return coeffs_khwc
-    return np.ascontiguousarray(coeffs_khwc.transpose(0, 3, 1, 2)).reshape(k * c, h, w, 1)
-
-
-def _block_shape(maps_shape: tuple[int, ...]) -> tuple[int, int, int]:
-    k, h, w, c = maps_shape
-    return (k if c == 3 else -(-k // 3), WORDS, -(-h // 4) * -(-w // 4))
-
-
-def _parts(maps_shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
-    """Return slices of the groups and of the maps that they hold, one pair for each launch."""
-    k, h, w, c = maps_shape
-    per_group = 1 if c == 3 else 3
-    groups = slabs(_block_shape(maps_shape)[0], 12 * h * w)
-    return [(g, slice(g.start * per_group, min(g.stop * per_group, k))) for g in groups]
-
-
-def _launch(device: Device, kernel: str, out: object, source: object, maps_shape: tuple[int, ...]) -> None:
-    k, h, w, c = maps_shape
+def _launch(device: Device, kernel: str, out: object, source: object, shape_khwc: tuple[int, ...]) -> None:
+    k, h, w, c = shape_khwc
     group = group_size(device)
     lanes = 8 if device.info.kind == "cpu" else 1
     # On a CPU one work-item goes along a whole row of blocks; on a GPU each takes a block.
@@ -102,7 +79,7 @@ def _launch(device: Device, kernel: str, out: object, source: object, maps_shape
     device.launch(
         "codec/s3tc.cl",
         kernel,
-        (across, _block_shape(maps_shape)[0] * -(-h // 4)),
+        (across, block_counts((k, h, w, c))[0] * -(-h // 4)),
         out,
         source,
         k,

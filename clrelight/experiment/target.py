@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clrelight.codec import Codec, Encoded, codec_class, decode, encode
-from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.dataset import CoefficientMap, LightStack, split_by_fit
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.metrics import Quality, measure_errors, summarize_errors
@@ -18,7 +18,6 @@ TOLERANCE = 0.3
 _AIM = 0.1
 _TYPICAL_SLOPE = 2.0  # dB for twice the step, to make a second guess from
 _MAX_TRIALS = 24
-_SAME_LIGHT = 1.0 - 1e-12
 
 
 @dataclass(frozen=True)
@@ -38,12 +37,6 @@ class Trial:
     setting: float
     byte_count: int
     psnr: float
-
-
-def split_by_fit(stack: LightStack, coefficients: CoefficientMap) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lights of a stack that a fit has seen, and those it has not."""
-    seen = np.max(stack.directions_i3 @ coefficients.directions_i3.T, axis=1) > _SAME_LIGHT
-    return np.flatnonzero(seen), np.flatnonzero(~seen)
 
 
 def encode_to_quality(

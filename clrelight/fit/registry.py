@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.configurable import Configurable
 from clrelight.device import Device, DeviceArray
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, Lighting
@@ -51,14 +51,14 @@ class Shrunk:
     rank_q: DeviceArray | None = None
 
 
-class FitMethod(ABC):
+class FitMethod(Configurable, ABC):
     """A way to fit coefficients. Subclasses are frozen dataclasses with an `id`; their fields are the options.
 
     A fit is ``coefficients = synthesis shrink(analysis samples)``: two matrices from `plan`, and between them
     something per column, which linear methods do without.
     """
 
-    id: ClassVar[str]
+    kind: ClassVar[str] = "method"
     summary: ClassVar[str]
     title: ClassVar[str]
     has_lambda: ClassVar[bool] = False
@@ -108,19 +108,6 @@ class FitMethod(ABC):
             device.empty((columns,), np.float32) if self.has_lambda else None,
             device.empty((columns,), np.int32) if self.has_rank else None,
         )
-
-    def to_config(self) -> dict[str, Any]:
-        """Return the options as a JSON object; `from_config` takes it back."""
-        return asdict(self)  # type: ignore[call-overload]
-
-    @classmethod
-    def from_config(cls, config: Mapping[str, Any]) -> Self:
-        """Make the method from its options; InputError names one that it does not have."""
-        known = [f.name for f in fields(cls)]  # type: ignore[arg-type]
-        for key in config:
-            if key not in known:
-                raise InputError(f"method {cls.id} has no option {key!r}; it has: {', '.join(known) or 'none'}")
-        return cls(**config)
 
 
 def register(method: type[FitMethod]) -> type[FitMethod]:
