@@ -9,6 +9,7 @@ import click
 
 from clrelight import __version__
 from clrelight.cli import coding, experiments, files, fitting, images, machines, quality
+from clrelight.cli.interrupts import watch_interrupts
 from clrelight.errors import InputError, KernelBuildError
 
 INTERRUPTED = 130
@@ -44,7 +45,8 @@ def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code; what is no user's fault goes on as the exception that it is."""
     try:
         # Not cli.main, which ends the program by itself at a broken pipe.
-        with cli.make_context("clrelight", list(sys.argv[1:] if arguments is None else arguments)) as context:
+        words = list(sys.argv[1:] if arguments is None else arguments)
+        with watch_interrupts(), cli.make_context("clrelight", words) as context:
             cli.invoke(context)
         sys.stdout.flush()
     except click.exceptions.Exit as end:

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from clrelight.cli.interrupts import raise_if_interrupted
+
 _PATIENCE_SECONDS = 1.0
 
 
@@ -26,7 +28,8 @@ class ProgressBar:
             self._timer.start()
 
     def __call__(self, done: int, total: int, what: str | None = None) -> None:
-        """Show that `done` of `total` is done."""
+        """Show that `done` of `total` is done; KeyboardInterrupt where one was swallowed before."""
+        raise_if_interrupted()
         with self._lock:
             self._state.update({"completed": done, "total": total})
             if what is not None:
@@ -69,5 +72,6 @@ def progress_bar(what: str) -> Iterator[ProgressBar]:
     bar = ProgressBar(what)
     try:
         yield bar
+        raise_if_interrupted()
     finally:
         bar.close()
