@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,10 +19,13 @@ def watch_interrupts() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, _note)
+    before, hook = signal.signal(signal.SIGINT, _note), sys.unraisablehook
+    # Python would print the swallowed one; it is repeated, so there is nothing to say yet.
+    sys.unraisablehook = lambda event: None if event.exc_type is KeyboardInterrupt else hook(event)
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         signal.signal(signal.SIGINT, before)
 
 
