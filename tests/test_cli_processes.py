@@ -92,7 +92,9 @@ def interrupt(words, folder, ready):
         since = time.monotonic()
         while not ready() and started.poll() is None and time.monotonic() - since < 60:
             time.sleep(0.002)
-        time.sleep(0.01)  # into the work: an empty .part of the instant it is made may stay, and is taken over
+        time.sleep(
+            0.5 if "fit" in words else 0.01
+        )  # into the work: an empty .part of the instant it is made may stay, and is taken over
         assert started.poll() is None, started.communicate()
         started.send_signal(signal.SIGINT)
         out, err = started.communicate(timeout=60)
