@@ -5,8 +5,11 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import os
+import signal
 import threading
-from collections.abc import Mapping
+import weakref
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -147,18 +150,19 @@ def _match(asked: str | None, infos: list[DeviceInfo]) -> int:
 def _devices() -> list[tuple[DeviceInfo, Any]]:
     import pyopencl as cl
 
-    try:
-        platforms = cl.get_platforms()
-    except cl.Error:
-        return []
     found: list[tuple[DeviceInfo, Any]] = []
-    for platform in platforms:
+    with _interrupts_wait():
         try:
-            devices = platform.get_devices()
+            platforms = cl.get_platforms()
         except cl.Error:
-            continue
-        for device in devices:
-            found.append((_describe(cl, len(found), platform, device), device))
+            return []
+        for platform in platforms:
+            try:
+                devices = platform.get_devices()
+            except cl.Error:
+                continue
+            for device in devices:
+                found.append((_describe(cl, len(found), platform, device), device))
     if found:
         infos = [info for info, _ in found]
         best = min(infos, key=lambda i: (i.kind != "gpu", not i.packaged, i.index))
@@ -217,8 +221,11 @@ class Device:
 
         self.info = info
         self._cl = cl
-        self._context = cl.Context([device])
-        self._queue = cl.CommandQueue(self._context)
+        with _interrupts_wait():  # for the driver's threads that begin here, for ever: Ctrl-C is for the main one
+            self._context = cl.Context([device])
+            self._queue = cl.CommandQueue(self._context)
+        # A driver that is still compiling when the program ends complains on stderr, or worse.
+        weakref.finalize(self, self._queue.finish)
         self._kernels: dict[tuple, tuple[Any, list[tuple[str, str]]]] = {}
         self._programs: dict[tuple, Any] = {}
         # A queued kernel may use host memory that nothing else refers to: keep it until the queue is empty.
@@ -316,7 +323,8 @@ class Device:
         if any(size < 1 for size in global_size):
             raise ValueError(f"{file}:{kernel}: the global size must be positive, got {global_size}")
         self._in_flight.append(values)
-        self._cl.enqueue_nd_range_kernel(self._queue, compiled, global_size, local_size or (1,) * len(global_size))
+        with _interrupts_wait():
+            self._cl.enqueue_nd_range_kernel(self._queue, compiled, global_size, local_size or (1,) * len(global_size))
 
     def _kernel(self, file: str, name: str, defines: dict[str, object]) -> tuple[Any, list[tuple[str, str]]]:
         key = (file, name, tuple(sorted(defines.items())))
@@ -340,10 +348,24 @@ class Device:
             ]
             program = self._cl.Program(self._context, read_kernel_source(file))
             try:
-                self._programs[key] = program.build(options)
+                with _interrupts_wait():
+                    self._programs[key] = program.build(options)
             except self._cl.RuntimeError as error:  # not the builtin RuntimeError
                 raise KernelBuildError(file, defines, str(error)) from None
         return self._programs[key]
+
+
+@contextmanager
+def _interrupts_wait() -> Iterator[None]:
+    """Keep Ctrl-C until the block ends: a compiler that it strikes prints a complaint of its own."""
+    if not hasattr(signal, "pthread_sigmask"):  # not on Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def check_arguments(where: str, parameters: list[tuple[str, str]], arguments: tuple) -> list[Any]:
