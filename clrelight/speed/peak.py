@@ -23,7 +23,7 @@ def peak_run(device: Device) -> tuple[Callable[[], None], float]:
 
     def run() -> None:
         device.launch(
-            "benchmark/peak.cl",
+            "speed/peak.cl",
             "multiply_add_q",
             (items,),
             sums_q,
