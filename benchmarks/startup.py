@@ -57,8 +57,9 @@ def main(rounds: int) -> None:
         stack, out = str(Path(folder) / "stack.h5"), str(Path(folder) / "fit.h5")
         images = np.random.default_rng(0).integers(0, 256, (LIGHTS, SIZE, SIZE, 3), np.uint8)
         write_stack(stack, LightStack(images, make_pattern("uniform", LIGHTS), 255.0))
-        commands = {"clrelight --help": (["--help"], HELP_GOAL), "second clrelight fit": (["fit", stack, out], FIT_GOAL)}
-        run("fit", stack, out)
+        fit = ["fit", stack, out]
+        commands = {"clrelight --help": (["--help"], HELP_GOAL), "second clrelight fit": (fit, FIT_GOAL)}
+        run(*fit)
         samples: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
         for _ in range(rounds):
             for name, (words, _) in commands.items():
@@ -71,7 +72,7 @@ def main(rounds: int) -> None:
             rows.append([name, *times, f"{goal:.1f} {'✓' if wall.min() < goal else '✗'}"])
         print_table(["command", "least s", "lower quartile", "median", "upper quartile", "least CPU s", "goal"], rows)
         click.echo()
-        print_table(["imports of the fit", "ms"], slow_imports("fit", stack, out))
+        print_table(["imports of the fit", "ms"], slow_imports(*fit))
     load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
     print_facts({"runs": rounds, "load": load})
 
