@@ -37,9 +37,9 @@ def cells(row: Row) -> list[str]:
     return [
         row.name,
         row.peer,
-        _spread(row.our_seconds, 1e3),
-        _spread(row.peer_seconds, 1e3),
-        _spread(row.speed),
+        spread(row.our_seconds, 1e3),
+        spread(row.peer_seconds, 1e3),
+        spread(row.speed),
         _NONE if row.goal is None else f"{row.goal:.2f}{met}",
         _NONE if row.gigaflops is None else f"{row.gigaflops:.0f} ({row.peak_share:.0%})",
         f"{row.first_seconds:.2f}",
@@ -49,7 +49,8 @@ def cells(row: Row) -> list[str]:
     ]
 
 
-def _spread(values: Quartiles, factor: float = 1.0) -> str:
+def spread(values: Quartiles, factor: float = 1.0) -> str:
+    """Return a median with its quartiles in brackets, three digits each."""
     low, middle, high = (f"{factor * value:#.3g}".rstrip(".") for value in values)
     return f"{middle} ({low}–{high})"
 
@@ -57,9 +58,13 @@ def _spread(values: Quartiles, factor: float = 1.0) -> str:
 def to_markdown(rows: Sequence[Row], facts: Mapping[str, str]) -> str:
     """Return the facts as a list and the rows as a table."""
     lines = [f"- {name}: {value}" for name, value in facts.items()]
-    lines += ["", "| " + " | ".join(HEADERS) + " |", "|" + "---|" * len(HEADERS)]
-    lines += ["| " + " | ".join(cells(row)) + " |" for row in rows]
-    return "\n".join(lines)
+    return "\n".join([*lines, "", markdown_table(HEADERS, [cells(row) for row in rows])])
+
+
+def markdown_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = ["| " + " | ".join(headers) + " |", "|" + "---|" * len(headers)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
 def check_markdown(path: Path, begin: str = BEGIN, end: str = END) -> None:

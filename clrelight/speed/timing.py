@@ -58,6 +58,8 @@ def interleave(
     least_seconds: float = LEAST_SECONDS,
     most_seconds: float = float("inf"),
     settle_seconds: float = SETTLE_SECONDS,
+    first: Mapping[str, float] | None = None,
+    fewest_rounds: int = FEWEST_ROUNDS,
 ) -> Timings:
     """Run all contenders once apart, once to warm up, then `rounds` times in turns.
 
@@ -72,17 +74,23 @@ def interleave(
     least_seconds : float
         Repeat short work within a sample until it takes about this long.
     most_seconds : float
-        Where all rounds would take longer than this, there are fewer, but not below `FEWEST_ROUNDS`.
+        Where all rounds would take longer than this, there are fewer, but not below `fewest_rounds`.
     settle_seconds : float
         Pause before each sample.
+    first : mapping of str to float, optional
+        Seconds of first runs that were made before: none is run apart or to warm up then.
+    fewest_rounds : int
+        How far `most_seconds` may cut the rounds.
     """
     if rounds < 1:
         raise ValueError(f"rounds must be at least 1, got {rounds}")
-    first = {name: _seconds(run, finish, 1) for name, run in runs.items()}
-    warm = {name: max(_seconds(run, finish, 1), 1e-9) for name, run in runs.items()}
+    warm = first
+    if first is None or warm is None:
+        first = {name: _seconds(run, finish, 1) for name, run in runs.items()}
+        warm = {name: max(_seconds(run, finish, 1), 1e-9) for name, run in runs.items()}
     repeats = {name: min(max(1, round(least_seconds / seconds)), MOST_REPEATS) for name, seconds in warm.items()}
     round_seconds = sum(seconds * repeats[name] for name, seconds in warm.items())
-    rounds = min(rounds, max(FEWEST_ROUNDS, int(min(most_seconds / round_seconds, rounds))))
+    rounds = min(rounds, max(fewest_rounds, int(min(most_seconds / round_seconds, rounds))))
     samples: dict[str, list[float]] = {name: [] for name in runs}
     for index in range(rounds):
         for name in list(runs) if index % 2 == 0 else list(runs)[::-1]:
