@@ -10,19 +10,19 @@ from pathlib import Path
 
 import click
 
-from benchmarks import tables
 from benchmarks.coding import codec_stages
-from benchmarks.environment import describe_environment
 from benchmarks.fitting import fit_stages, projection_stages
 from benchmarks.imaging import imaging_stages
-from benchmarks.stage import Row, Stage, measure
-from benchmarks.timing import SETTLE_SECONDS
 from benchmarks.workload import Workload, make_workload
 from clrelight.cli.output import print_facts
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.device import open_device
 from clrelight.errors import InputError
+from clrelight.speed import tables
+from clrelight.speed.environment import describe_environment
+from clrelight.speed.stage import Row, Stage, measure
+from clrelight.speed.timing import SETTLE_SECONDS
 
 
 @dataclass(frozen=True)

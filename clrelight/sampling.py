@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from clrelight.dataset import check_directions
 from clrelight.errors import InputError
@@ -153,6 +152,8 @@ def solid_angle_weights(directions_i3: NDArray[np.float64], *, sphere: bool = Fa
 
 
 def _cell_areas(sites_j3: NDArray[np.float64], sphere: bool) -> NDArray[np.float64]:
+    from scipy.spatial import cKDTree  # slow to load, and of no use without solid angles
+
     signs = [(x, y, z) for x in (1.0, -1.0) for y in (1.0, -1.0) for z in ((1.0, -1.0) if sphere else (1.0,))]
     octants_q33 = np.array([np.diag(sign) for sign in signs])
     tree = cKDTree(sites_j3)

@@ -7,9 +7,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clrelight.cli.options import Names, Numbers, device_option, given, holdout_option, json_option, whole_number
+from clrelight.cli.options import (
+    ByteCount,
+    Names,
+    Numbers,
+    device_option,
+    given,
+    holdout_option,
+    json_option,
+    whole_number,
+)
 from clrelight.cli.output import print_facts, print_json, print_notes
 from clrelight.cli.progress import progress_bar
+from clrelight.cli.speed import DEFAULT_OUT, bench_speed
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
@@ -19,33 +29,51 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("what", metavar="ring|STACK.h5|EXPERIMENT.toml")
-@click.option("--out", type=click.Path(), default="results.h5", show_default=True, help="Results file.")
+@click.argument("what", metavar="[ring|STACK.h5|EXPERIMENT.toml]", required=False)
+@click.option("--out", type=click.Path(), help=f"Results file; default results.h5, with --speed {DEFAULT_OUT}.")
 @click.option("--methods", type=Names(), help="Fits, such as uls,cls; default: the paper's four.")
-@click.option("--degrees", type=Numbers(int, "4,6"), help="SH degrees; default 6.")
+@click.option("--degrees", type=Numbers(int, "4,6"), help="SH degrees; default 6. With --speed: those to compare.")
 @click.option("--codecs", type=Names(), help="Codecs; default none,half,s3tc,uniform,wavelet.")
 @click.option("--rates", type=Numbers(float, "0.5,1,2"), help="Bits per coefficient of codecs that take a rate.")
 @holdout_option("the fits")
 @click.option("--size", type=whole_number(8, 1 << 16), help="Ring: width and height; default 256.")
-@click.option("--lights", type=whole_number(1, 1 << 20), help="Ring: number of lights; default 256.")
+@click.option(
+    "--lights", type=Numbers(int, "64,256"), help="Ring: number of lights; default 256. With --speed: those to compare."
+)
 @click.option("--pattern", help="Ring: uniform, grid or scattered.")
 @click.option("--seed", type=whole_number(0), help="Ring: seed; default 0.")
 @click.option("--force", is_flag=True, help="Start anew although the results file exists.")
+@click.option("--speed", is_flag=True, help="Measure seconds and bytes beside NumPy, on pictures made for it.")
+@click.option("--sizes", type=Numbers(int, "64,1024"), help="Speed: widths (and heights) to compare.")
+@click.option("--threads", type=Numbers(int, "1,2"), help="Speed: numbers of threads to compare.")
+@click.option("--rounds", type=whole_number(1), help="Speed: runs of each job that count; default 5.")
+@click.option("--quick", is_flag=True, help="Speed: small pictures, one round: shows that it works.")
+@click.option(
+    "--memory", type=ByteCount(), metavar="BYTES", help="Speed: budget for one tile of a fit; default 256MiB."
+)
+@click.option("--report", "report_to", type=click.Path(), help="Speed: folder for tables and pictures.")
 @device_option
 @json_option
 def bench(
-    what: str,
-    out: str,
+    what: str | None,
+    out: str | None,
     methods: tuple[str, ...] | None,
     degrees: tuple[int, ...] | None,
     codecs: tuple[str, ...] | None,
     rates: tuple[float, ...] | None,
     holdout: int | None,
     size: int | None,
-    lights: int | None,
+    lights: tuple[int, ...] | None,
     pattern: str | None,
     seed: int | None,
     force: bool,
+    speed: bool,
+    sizes: tuple[int, ...] | None,
+    threads: tuple[int, ...] | None,
+    rounds: int | None,
+    quick: bool,
+    memory: int | None,
+    report_to: str | None,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -54,19 +82,63 @@ def bench(
     The results file is written after every row; the same command goes on where it stopped. A fit or a codec that
     refuses leaves a row with a note instead of numbers.
 
+    With --speed it measures how fast the program is instead: the whole job beside NumPy, and single stages beside SciPy
+    and PyWavelets. Sizes, lights, degrees and threads are varied one at a time; where some are given, only those.
+
     \b
     Example:
       clrelight bench ring --out results.h5
       clrelight bench stack.h5 --holdout 5 --methods cls,ceb --codecs none,wavelet --rates 1,2
       clrelight bench experiment.toml --out results.h5
+      clrelight bench --speed --sizes 64,256,1024 --report speed
     """
+    of_experiments = given(methods=methods, codecs=codecs, rates=rates, holdout=holdout, size=size)
+    of_experiments.update(given(pattern=pattern, seed=seed, force=force or None))
+    of_speed = given(sizes=sizes, threads=threads, rounds=rounds, quick=quick or None, memory=memory, report=report_to)
+    _check_kind(speed, what, of_experiments, of_speed)
+    if speed:
+        from clrelight.fit.run import DEFAULT_MEMORY
+        from clrelight.speed.plan import choose_growth
+
+        growth = choose_growth(quick=quick, rounds=rounds, size=sizes, lights=lights, degree=degrees, threads=threads)
+        bench_speed(
+            growth,
+            out or DEFAULT_OUT,
+            report=report_to,
+            memory=memory or DEFAULT_MEMORY,
+            device=device,
+            as_json=as_json,
+        )
+    elif what is not None:
+        ring = given(size=size, lights=_only_number("--lights", lights), pattern=pattern, seed=seed)
+        grid = given(methods=methods, degrees=degrees, codecs=codecs, rates=rates, holdout=holdout)
+        _bench_grid(what, out or "results.h5", grid, ring, force=force, device=device, as_json=as_json)
+
+
+def _check_kind(speed: bool, what: str | None, of_experiments: dict, of_speed: dict) -> None:
+    """Raise an error unless the options are those of an experiment, or those of --speed."""
+    if speed and what is not None:
+        raise InputError(f"--speed makes its own pictures: leave out {what}")
+    if not speed and what is None:
+        raise click.UsageError("Missing argument: ring, STACK.h5 or EXPERIMENT.toml, or the option --speed")
+    if speed and of_experiments:
+        raise InputError(f"--{next(iter(of_experiments))} is an option of experiments, not of --speed")
+    if not speed and of_speed:
+        raise InputError(f"--{next(iter(of_speed))} is an option of --speed")
+
+
+def _only_number(option: str, numbers: tuple[int, ...] | None) -> int | None:
+    if numbers is not None and (len(numbers) != 1 or numbers[0] < 1):
+        raise InputError(f"{option} must be one number of at least 1, got {','.join(map(str, numbers))}")
+    return None if numbers is None else numbers[0]
+
+
+def _bench_grid(what: str, out: str, grid: dict, ring: dict, *, force: bool, device: str | None, as_json: bool) -> None:
     from clrelight.device import open_device
     from clrelight.experiment import run_experiment
     from clrelight.report import summary_rows
     from clrelight.store import check_output
 
-    ring = given(size=size, lights=lights, pattern=pattern, seed=seed)
-    grid = given(methods=methods, degrees=degrees, codecs=codecs, rates=rates, holdout=holdout)
     experiment = _experiment(what, grid, ring)
     check_output(out, [what])
     with progress_bar("bench") as bar:

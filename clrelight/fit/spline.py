@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from clrelight.conventions import coefficient_count
 from clrelight.device import Device
@@ -154,6 +153,7 @@ def minimize_gcv(singular_r: NDArray[np.float64], energy_r: NDArray[np.float64],
         Energy of the columns outside the span.
     n_light : int
     """
+    from scipy.optimize import minimize_scalar  # slow to load, and of no use to other methods
 
     def log_gcv(exponent: float) -> float:
         left_r = 1.0 / (1.0 + singular_r**2 / 10.0**exponent)

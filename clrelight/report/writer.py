@@ -1,16 +1,15 @@
-"""Writing a report: all of it in a folder aside, then file by file into place."""
+"""Writing a report: its tables, its pictures, and the page that ties them together."""
 
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 from clrelight.errors import InputError
 from clrelight.report import canvas
 from clrelight.report.document import Part, document, parts_of
+from clrelight.report.folder import fill_folder, write_text
 from clrelight.report.markup import to_csv, to_latex, to_markdown
 from clrelight.report.tables import Table
 from clrelight.results import Results
@@ -47,20 +46,12 @@ def write_report(
     if len(results.table) == 0:
         raise InputError("the results table is empty: there is nothing to report; run an experiment that has rows")
     canvas.require_matplotlib()
-    out = Path(out_dir).resolve()
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out_dir} is a file; give a folder to write the report into")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=out.parent))
-        try:
-            with canvas.house_style():
-                written = _make(results, aside, progress or (lambda done, total: None))
-            return _move(written, aside, out)
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
-    except OSError as error:
-        raise InputError(f"cannot write the report to {out_dir}: {error}") from error
+
+    def make(aside: Path) -> list[str]:
+        with canvas.house_style():
+            return _make(results, aside, progress or (lambda done, total: None))
+
+    return fill_folder(out_dir, make)
 
 
 def _make(results: Results, folder: Path, progress: Callable[[int, int], None]) -> list[str]:
@@ -88,7 +79,7 @@ def _make(results: Results, folder: Path, progress: Callable[[int, int], None]) 
             done += 1
             progress(done, total)
         made.append((scene, contents))
-    _write_text(folder / "report.md", document(results, made))
+    write_text(folder / "report.md", document(results, made))
     return [*written, "report.md"]
 
 
@@ -97,22 +88,5 @@ def _write_table(table: Table, name: str, folder: Path) -> list[str]:
     paths = [f"tables/{name}.{ending}" for ending in ("md", "csv", "tex")]
     shown = table.measured()
     for path, content in zip(paths, (to_markdown(shown), to_csv(table), to_latex(shown)), strict=True):
-        _write_text(folder / path, content)
+        write_text(folder / path, content)
     return paths
-
-
-def _write_text(path: Path, content: str) -> None:
-    path.write_text(content, encoding="utf-8", newline="\n")
-
-
-def _move(written: list[str], source: Path, out: Path) -> list[Path]:
-    """Move the files into place; InputError before the first if something stands in the way of any."""
-    for path in written:
-        if (out / path).is_dir():
-            raise InputError(f"{out / path} is a folder, but the report has a file of that name; move it away")
-        if (out / path).parent.exists() and not (out / path).parent.is_dir():
-            raise InputError(f"{(out / path).parent} is a file, but the report has a folder of that name; move it away")
-    for path in written:
-        (out / path).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(source / path, out / path)
-    return [out / path for path in (*written[-1:], *written[:-1])]

@@ -1,4 +1,4 @@
-"""The device's multiply-add peak, measured beside the stages whose share of it is told."""
+"""What the machine can do at most: multiply-adds of the device, and copies within the memory of the host."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from clrelight.matmul import vector_width
 
 _CHAINS = 12
 _STEPS = 1 << 17
+_COPIED_BYTES = 1 << 27
 
 
 def peak_run(device: Device) -> tuple[Callable[[], None], float]:
@@ -23,7 +24,7 @@ def peak_run(device: Device) -> tuple[Callable[[], None], float]:
 
     def run() -> None:
         device.launch(
-            "benchmark/peak.cl",
+            "speed/peak.cl",
             "multiply_add_q",
             (items,),
             sums_q,
@@ -36,3 +37,14 @@ def peak_run(device: Device) -> tuple[Callable[[], None], float]:
         )
 
     return run, 2.0 * _CHAINS * vector * _STEPS * items
+
+
+def copy_run() -> tuple[Callable[[], None], float]:
+    """Return a run of a NumPy copy that no cache holds, and the bytes it reads and writes."""
+    source = np.zeros(_COPIED_BYTES, np.uint8)
+    target = np.ones_like(source)
+
+    def run() -> None:
+        np.copyto(target, source)
+
+    return run, 2.0 * _COPIED_BYTES

@@ -1,0 +1,190 @@
+"""The whole job, from a stack file to PSNR, as our commands do it and as plain NumPy does, stage by stage."""
+
+from __future__ import annotations
+
+import io
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clrelight.errors import InputError
+from clrelight.fit.plan import make_lighting
+from clrelight.fit.registry import method_class
+from clrelight.metrics import summarize_errors
+from clrelight.speed.peers import NewtonFit, squared_errors
+from clrelight.speed.timing import interleave, quartiles
+
+STAGES = ("fit", "encode", "decode", "psnr")
+TOTAL = "total"
+OURS, NUMPY = "ours", "numpy"
+
+FIT_OPTIONS: Mapping[str, Any] = {"solver": "newton", "iterations": 16}
+CODEC = "half"
+POINT_SECONDS = 20.0
+"""Rounds of one point that would take longer than this are fewer."""
+
+Job = Mapping[str, Callable[[], Any]]
+"""Stages in order; the last returns the pooled PSNR."""
+
+
+def our_job(stack: Path, folder: Path, degree: int, memory: int, device: str | None) -> Job:
+    """Return the commands ``fit``, ``encode``, ``decode`` and ``psnr``, each from file to file."""
+    fit, encoded, decoded = (str(folder / f"{name}.h5") for name in ("fit", "encoded", "decoded"))
+    where = [] if device is None else ["--device", device]
+    options = [word for name, value in FIT_OPTIONS.items() for word in (f"--{name}", str(value))]
+    fit_words = ["fit", str(stack), fit, "--method", "cls", "--degree", str(degree), "--memory", str(memory), *options]
+    return {
+        "fit": lambda: run_command([*fit_words, "--no-measure", *where]),
+        "encode": lambda: run_command(["encode", fit, encoded, "--codec", CODEC, *where]),
+        "decode": lambda: run_command(["decode", encoded, decoded, *where]),
+        "psnr": lambda: run_command(["psnr", decoded, str(stack), *where])["psnr"]["pooled_fitted"],
+    }
+
+
+def run_command(words: list[str]) -> dict[str, Any]:
+    """Run one of our commands in this process and return the JSON object that it prints; InputError if it refuses."""
+    from clrelight.cli.app import run  # the command line imports this package
+
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        code = run([*words, "--json"])
+    if code != 0:
+        raise InputError(f"clrelight {words[0]} ended with exit code {code}")
+    found: dict[str, Any] = json.loads(printed.getvalue())
+    return found
+
+
+def numpy_job(stack: Path, folder: Path, degree: int) -> Job:
+    """Return the same mathematics in NumPy: all in memory, float32 products by BLAS, one plain file between stages."""
+    import h5py
+
+    from clrelight.basis import evaluate_basis
+    from clrelight.dataset import LightStack
+
+    fit, encoded, decoded = (folder / f"{name}.npy" for name in ("fit", "encoded", "decoded"))
+
+    def read() -> tuple[np.ndarray, np.ndarray]:
+        with h5py.File(stack) as file:
+            images_ip = file["images"][...]
+            return images_ip.reshape(len(images_ip), -1).astype(np.float32), file["directions"][...]
+
+    def fit_stack() -> None:
+        images_ip, directions_i3 = read()
+        lighting = make_lighting(LightStack(images_ip[:, None, :1, None], directions_i3, 1.0), "uniform", "hemisphere")
+        plan = method_class("cls").from_config(FIT_OPTIONS).plan(lighting, degree)
+        np.save(fit, NewtonFit(plan, FIT_OPTIONS["iterations"])(images_ip))
+
+    def measure() -> float:
+        images_ip, directions_i3 = read()
+        errors_i = squared_errors(evaluate_basis(directions_i3, degree), np.load(decoded), images_ip, 1.0)
+        return summarize_errors(errors_i).psnr_pooled
+
+    return {
+        "fit": fit_stack,
+        "encode": lambda: np.save(encoded, np.load(fit).astype(np.float16)),
+        "decode": lambda: np.save(decoded, np.load(encoded).astype(np.float32)),
+        "psnr": measure,
+    }
+
+
+def measure_point(
+    stack: Path,
+    folder: Path,
+    *,
+    degree: int,
+    ways: tuple[str, ...],
+    rounds: int,
+    settle_seconds: float,
+    memory: int,
+    device: str | None,
+) -> dict[str, Any]:
+    """Time one stack's job in turns with the same in NumPy.
+
+    Parameters
+    ----------
+    stack, folder : Path
+        The stack file, and where the jobs write theirs.
+    degree : int
+    ways : tuple of str
+        `OURS`, `NUMPY`, or both in this order.
+    rounds : int
+        Runs of each way that count; the first one, which may build kernels, does not.
+    settle_seconds : float
+        Pause before each run.
+    memory : int
+        Bytes that a tile of our fit may take.
+    device : str, optional
+
+    Returns
+    -------
+    dict
+        ``seconds`` by way and stage as quartiles; ``speed`` by stage, quartiles of the rounds' own ratios of NumPy's
+        time to ours; ``psnr`` by way; ``memory``, the most resident bytes of the first way until its first run had
+        ended; ``bytes`` of our files.
+    """
+    jobs: dict[str, Job] = {}
+    for way in ways:
+        own = folder / way
+        own.mkdir(exist_ok=True)
+        jobs[way] = our_job(stack, own, degree, memory, device) if way == OURS else numpy_job(stack, own, degree)
+    seconds: dict[str, list[dict[str, float]]] = {way: [] for way in ways}
+    quality: dict[str, float] = {}
+
+    def run(way: str) -> None:
+        taken: dict[str, float] = {}
+        for stage, work in jobs[way].items():
+            start = time.perf_counter()
+            quality[way] = work()
+            taken[stage] = time.perf_counter() - start
+        seconds[way].append({**taken, TOTAL: sum(taken.values())})
+
+    first: dict[str, float] = {}
+    most_resident = 0
+    for way in ways:
+        run(way)
+        most_resident = most_resident or peak_memory()
+        first[way] = seconds[way].pop()[TOTAL]
+    interleave(
+        {way: lambda way=way: run(way) for way in ways},  # type: ignore[misc]
+        finish=lambda: None,
+        rounds=rounds,
+        least_seconds=0.0,
+        most_seconds=POINT_SECONDS,
+        settle_seconds=settle_seconds,
+        first=first,
+        fewest_rounds=1,
+    )
+    samples = {
+        way: {stage: np.array([taken[stage] for taken in seconds[way]]) for stage in (*STAGES, TOTAL)} for way in ways
+    }
+    result: dict[str, Any] = {
+        "rounds": len(seconds[ways[0]]),
+        "first_seconds": first,
+        "seconds": {way: {stage: quartiles(values) for stage, values in samples[way].items()} for way in ways},
+        "psnr": quality,
+        "memory": most_resident,
+        "bytes": {"stack": stack.stat().st_size},
+    }
+    if OURS in ways:
+        for name in ("fit", "encoded"):
+            result["bytes"][name] = (folder / OURS / f"{name}.h5").stat().st_size
+    if len(ways) > 1:
+        result["speed"] = {stage: quartiles(samples[NUMPY][stage] / samples[OURS][stage]) for stage in samples[OURS]}
+    return result
+
+
+def peak_memory() -> int:
+    """Return the most bytes that this process has had resident."""
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return 1024 * int(next(line.split()[1] for line in lines if line.startswith("VmHWM:")))
+    except (OSError, StopIteration):
+        # Elsewhere than on Linux; there it would count what the starting process had.
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
