@@ -64,8 +64,8 @@ def _codec(
 
 def _half_kernel(work: Workload, coeffs_khwc: NDArray[np.float32]) -> Stage:
     device = work.device
-    vectors = 128 if device.info.kind == "cpu" else 1
-    group = 1 if device.info.kind == "cpu" else 32
+    vectors = 128 if device.style == "cpu" else 1
+    group = 1 if device.style == "cpu" else 32
     items = -(-coeffs_khwc.size // (8 * vectors))
     coeffs_p = device.upload(coeffs_khwc.reshape(-1))
     halves_p, refused_j = device.empty((coeffs_khwc.size,), np.float16), device.empty((items,), np.uint8)

@@ -10,7 +10,7 @@ import threading
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,11 @@ from clrelight.errors import DeviceError, KernelBuildError
 from clrelight.kernel_source import read_kernel_source
 
 DEVICE_VARIABLE = "CLRELIGHT_DEVICE"
+STYLE_VARIABLE = "CLRELIGHT_KERNELS"
+STYLES = ("cpu", "gpu")
+"""Two ways to write a kernel: long vectors in few work-items for CPUs; for GPUs one column or block in each of many
+work-items, whose groups share local memory. Either runs on every device, but slowly on the other kind."""
+
 _INSTALL_HINT = "install one with: pip install 'pyopencl[pocl]' (no root needed)"
 
 # OpenCL scalar and element types and the NumPy types that have the same bits.
@@ -64,6 +69,8 @@ class DeviceInfo:
         Whether this is the PoCL that came from the Python package index.
     default : bool
         Whether it is taken when none is asked for.
+    style : str
+        Which kernels it gets, one of `STYLES`: by its kind, unless forced.
     """
 
     index: int
@@ -79,12 +86,14 @@ class DeviceInfo:
     vector_width: int
     packaged: bool
     default: bool = False
+    style: str = "cpu"
 
     @property
     def label(self) -> str:
-        """Name and driver in one string, as tables and files record it."""
+        """Name and driver in one string, as tables and files record it; its kernels too where forced."""
         # PoCL appends its build options to the version.
-        return f"{self.name} ({self.version.split('  ')[0]}, driver {self.driver})"
+        forced = "" if self.style == style_of(self.kind) else f", {self.style} kernels"
+        return f"{self.name} ({self.version.split('  ')[0]}, driver {self.driver}{forced})"
 
 
 @dataclass(frozen=True)
@@ -97,34 +106,55 @@ class DeviceArray:
     host: NDArray | None = None
 
 
+def style_of(kind: str) -> str:
+    """Return the style of the kernels that are written for a kind of device."""
+    return "gpu" if kind == "gpu" else "cpu"
+
+
 def list_devices() -> list[DeviceInfo]:
-    """Return every OpenCL device; empty where there is no driver. The default one has ``default=True``."""
-    return [info for info, _ in _devices()]
+    """Return every OpenCL device; empty where there is no driver. The default one has ``default=True``.
+
+    Raises
+    ------
+    DeviceError
+        If ``CLRELIGHT_KERNELS`` holds an unknown style.
+    """
+    return [_in_style(info, None) for info, _ in _devices()]
 
 
-def open_device(spec: str | None = None) -> Device:
-    """Return the device that `spec`, else ``CLRELIGHT_DEVICE``, names; one object per device and thread.
+def open_device(spec: str | None = None, *, style: str | None = None) -> Device:
+    """Return the device that `spec`, else ``CLRELIGHT_DEVICE``, names; one object per device, style and thread.
 
     Parameters
     ----------
     spec : str, optional
         An index of `list_devices`, ``"gpu"``, ``"cpu"``, ``"pocl"``, or a part of a device's name. Default:
         a GPU if there is one, else the packaged PoCL, else the first device.
+    style : str, optional
+        One of `STYLES`. Default: ``CLRELIGHT_KERNELS`` where it is set, else by the kind of the device.
 
     Raises
     ------
     DeviceError
-        If there is no device, or none fits.
+        If there is no device, or none fits, or the style is unknown.
     """
     asked = spec if spec is not None else os.environ.get(DEVICE_VARIABLE)
     devices = _devices()
     if not devices:
         raise DeviceError(f"no OpenCL device found; {_INSTALL_HINT}")
     index = _match(asked, [info for info, _ in devices])
+    info = _in_style(devices[index][0], style)
     opened = _local_cache("opened")
-    if index not in opened:
-        opened[index] = Device(*devices[index])
-    return opened[index]
+    if (index, info.style) not in opened:
+        opened[index, info.style] = Device(info, devices[index][1])
+    return opened[index, info.style]
+
+
+def _in_style(info: DeviceInfo, style: str | None) -> DeviceInfo:
+    asked = style or os.environ.get(STYLE_VARIABLE) or style_of(info.kind)
+    if asked not in STYLES:
+        raise DeviceError(f"kernels ({STYLE_VARIABLE}) must be {' or '.join(STYLES)}, got {asked!r}")
+    return replace(info, style=asked)
 
 
 def _match(asked: str | None, infos: list[DeviceInfo]) -> int:
@@ -166,7 +196,7 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
     if found:
         infos = [info for info, _ in found]
         best = min(infos, key=lambda i: (i.kind != "gpu", not i.packaged, i.index))
-        found[best.index] = (DeviceInfo(**{**best.__dict__, "default": True}), found[best.index][1])
+        found[best.index] = (replace(best, default=True), found[best.index][1])
     return found
 
 
@@ -232,9 +262,14 @@ class Device:
         self._in_flight: list[Any] = []
 
     @property
+    def style(self) -> str:
+        """Which kernels this device gets, one of `STYLES`."""
+        return self.info.style
+
+    @property
     def shares_memory(self) -> bool:
-        """Whether arrays stay in host memory (CPU devices)."""
-        return self.info.kind == "cpu"
+        """Whether arrays stay in host memory (CPU devices, unless they are to be used like a GPU)."""
+        return self.info.kind == self.info.style == "cpu"
 
     def upload(self, array: NDArray) -> DeviceArray:
         """Return `array` for kernels to read; on a CPU its memory is used in place and must not change."""

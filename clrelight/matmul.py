@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from clrelight.conventions import srgb_to_linear
 from clrelight.device import Device, DeviceArray
+from clrelight.matmul_gpu import launch_matmul, pack_rows
 
 COLUMN_PADDING = 16
 """Arrays that stay on the device have columns padded to a multiple of this, so that kernels need no tail."""
@@ -53,10 +54,10 @@ class SampleCurve:
 
 @dataclass(frozen=True)
 class PackedOperator:
-    """A matrix on the device, in row blocks as ``matmul.cl`` reads it."""
+    """A matrix on the device, as its kernels read it: for CPUs in row blocks with their heights (``matmul.cl``)."""
 
     packed_o: DeviceArray
-    heights_b: DeviceArray
+    heights_b: DeviceArray | None
     shape: tuple[int, int]
 
 
@@ -96,6 +97,8 @@ def row_blocks(rows: int, widest: int) -> list[int]:
 def pack_operator(device: Device, operator_mi: NDArray) -> PackedOperator:
     """Upload a matrix (n_out, n_in), rounded to float32."""
     operator = np.asarray(operator_mi, dtype=np.float32)
+    if device.style == "gpu":
+        return PackedOperator(device.upload(pack_rows(operator)), None, operator.shape)
     # 32 vector registers hold two vectors of sums for 8 rows; where there are 16, for 6.
     heights = row_blocks(len(operator), 8 if vector_width(device) == 16 else 6)
     ends = np.cumsum(heights)
@@ -132,34 +135,38 @@ def apply_operator(
         Needed with `energy_q`.
     """
     curve = curve or SampleCurve()
+    if operator.shape != (out_mq.shape[0], source_ip.shape[0]):
+        raise ValueError(f"operator {operator.shape} does not map {source_ip.shape[0]} rows to {out_mq.shape[0]}")
+    with_energy = energy_q is not None
+    defines = {
+        **sample_defines(source_ip.dtype),
+        "WITH_ENERGY": int(with_energy),
+        "CURVE": curve.mode(source_ip.dtype),
+    }
+    outputs = (out_mq, energy_q, weight_i) if with_energy else (out_mq,)
+    curve_v, scale = device.upload(curve.table(source_ip.dtype)), 1.0 / curve.peak
+    if operator.heights_b is None:
+        arrays = (*outputs, source_ip, operator.packed_o, curve_v)
+        launch_matmul(device, arrays, scale, out_mq.shape, source_ip.shape, defines)
+        return
     tile = tile_defines(device)
     if source_ip.shape[0] <= _DEPTH:
         # Relighting has few rows: a tile that fits a nearer cache.
         tile["CHUNK"] = _DEPTH
-    columns = out_mq.shape[1]
-    if operator.shape != (out_mq.shape[0], source_ip.shape[0]):
-        raise ValueError(f"operator {operator.shape} does not map {source_ip.shape[0]} rows to {out_mq.shape[0]}")
-    with_energy = energy_q is not None
     device.launch(
         "matmul.cl",
         "apply_operator_mq",
-        (-(-columns // int(str(tile["TILE"]))),),
-        out_mq,
-        *((energy_q, weight_i) if with_energy else ()),
+        (-(-out_mq.shape[1] // int(str(tile["TILE"]))),),
+        *outputs,
         source_ip,
         operator.packed_o,
         operator.heights_b,
-        device.upload(curve.table(source_ip.dtype)),
-        1.0 / curve.peak,
+        curve_v,
+        scale,
         *out_mq.shape,
         *source_ip.shape,
         operator.heights_b.shape[0],
-        defines={
-            **tile,
-            **sample_defines(source_ip.dtype),
-            "WITH_ENERGY": int(with_energy),
-            "CURVE": curve.mode(source_ip.dtype),
-        },
+        defines={**tile, **defines},
     )
 
 

@@ -4,10 +4,13 @@ from pathlib import Path
 import pytest
 
 
-@pytest.fixture(scope="session")
-def device():
-    from clrelight.device import open_device
+@pytest.fixture
+def device(request, monkeypatch):
+    """Return the default device; `tests.styles.both_styles` chooses kernels, also for devices that the test opens."""
+    from clrelight.device import STYLE_VARIABLE, open_device
 
+    if hasattr(request, "param"):
+        monkeypatch.setenv(STYLE_VARIABLE, request.param)
     return open_device()
 
 

@@ -14,7 +14,7 @@ DOCUMENT = "before\n<!-- stages -->\nold\n<!-- /stages -->\nafter\n"
 
 
 @pytest.fixture(scope="module")
-def quick(device, tmp_path_factory):
+def quick(tmp_path_factory):
     pytest.importorskip("embreex", reason="the benchmark's scene is ray traced")
     folder = tmp_path_factory.mktemp("benchmarks")
     (folder / "page.md").write_text(DOCUMENT)

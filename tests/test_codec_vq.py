@@ -1,15 +1,13 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from clrelight.codec import decode, encode, slabs
 from clrelight.codec.vq import Vq
 from clrelight.codec.vq_search import search_codebook
-from clrelight.device import Device, _devices
 from clrelight.errors import InputError, PayloadError
 from tests.mutations import check_large_claims, check_mutations
 from tests.reference.vq import decode_vq, squared_distances
+from tests.styles import both_styles
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -21,31 +19,25 @@ def some_map(shape, seed=0, noise=0.05):
     return values.astype(np.float32)
 
 
-@pytest.fixture(scope="module", params=["as it is", "as a GPU"])
-def any_device(request, device):
-    if request.param == "as it is":
-        return device
-    info, handle = next((i, d) for i, d in _devices() if i.default)
-    return Device(replace(info, kind="gpu"), handle)
-
-
+@both_styles
 @pytest.mark.parametrize("words", [1, 3, 4, 5, 64])
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 257])
 @pytest.mark.parametrize("dims", [1, 3, 49])
-def test_search_against_force(any_device, words, count, dims):
+def test_search_against_force(device, words, count, dims):
     rng = np.random.default_rng(words + count)
     vectors = rng.standard_normal((dims, count)).astype(np.float32)
     codebook = rng.standard_normal((words, dims)).astype(np.float32)
-    codes, squares = search_codebook(vectors, codebook, any_device)
+    codes, squares = search_codebook(vectors, codebook, device)
     distances = squared_distances(vectors, codebook)
     tolerance = (dims + 4) * EPS * distances.min(axis=1)
     assert (np.abs(squares - distances.min(axis=1)) <= tolerance).all()
     assert (distances[np.arange(count), codes] <= distances.min(axis=1) + 2 * tolerance).all()
 
 
-def test_the_lowest_of_equal_codewords_is_taken(any_device):
+@both_styles
+def test_the_lowest_of_equal_codewords_is_taken(device):
     codebook = np.float32([[2.0], [1.0], [1.0], [3.0], [1.0]])
-    codes, squares = search_codebook(np.ones((1, 40), np.float32), codebook, any_device)
+    codes, squares = search_codebook(np.ones((1, 40), np.float32), codebook, device)
     assert (codes == 1).all()
     assert (squares == 0).all()
 

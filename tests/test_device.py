@@ -6,7 +6,7 @@ import pytest
 
 from clrelight import device as device_module
 from clrelight import kernel_source
-from clrelight.device import DEVICE_VARIABLE, Device, list_devices, open_device
+from clrelight.device import DEVICE_VARIABLE, STYLE_VARIABLE, Device, list_devices, open_device, style_of
 from clrelight.errors import DeviceError
 from clrelight.kernel_source import read_kernel_source
 
@@ -106,6 +106,32 @@ def test_environment_variable(monkeypatch):
     assert open_device("0").info.index == 0
     monkeypatch.setenv(DEVICE_VARIABLE, "0")
     assert open_device().info.index == 0
+
+
+def test_kernels_go_by_the_kind_unless_forced(monkeypatch):
+    monkeypatch.delenv(STYLE_VARIABLE, raising=False)
+    assert [style_of(kind) for kind in ("cpu", "gpu", "other")] == ["cpu", "gpu", "cpu"]
+    own = open_device()
+    assert own.style == style_of(own.info.kind)
+    assert "kernels" not in own.info.label
+    other = open_device(style="cpu" if own.style == "gpu" else "gpu")
+    assert other is not own
+    assert other.info.label.endswith(f", {other.style} kernels)")
+    assert not other.shares_memory
+    monkeypatch.setenv(STYLE_VARIABLE, other.style)
+    assert open_device() is other
+    assert open_device(style=own.style) is own
+    assert {info.style for info in list_devices()} == {other.style}
+
+
+def test_unknown_kernels(monkeypatch):
+    with pytest.raises(DeviceError, match=r"kernels \(CLRELIGHT_KERNELS\) must be cpu or gpu, got 'vector'"):
+        open_device(style="vector")
+    monkeypatch.setenv(STYLE_VARIABLE, "vector")
+    with pytest.raises(DeviceError, match="got 'vector'"):
+        open_device()
+    with pytest.raises(DeviceError, match="got 'vector'"):
+        list_devices()
 
 
 def test_no_platform_says_how_to_install(without_devices):
@@ -237,9 +263,10 @@ def test_a_cpu_writes_into_the_given_host_array(device):
             device.empty((2, 3), np.float32, wrong)
 
 
-def test_a_device_with_its_own_memory_copies():
+@pytest.mark.parametrize("changed", [{"kind": "gpu"}, {"style": "gpu"}])
+def test_a_device_with_its_own_memory_copies(changed):
     _, raw = device_module._devices()[open_device().info.index]
-    apart = Device(replace(open_device().info, kind="gpu"), raw)
+    apart = Device(replace(open_device().info, **changed), raw)
     values = np.arange(6, dtype=np.float32).reshape(2, 3)
     on_device = apart.upload(values)
     values[:] = -1

@@ -8,6 +8,7 @@ from clrelight.sampling import make_pattern
 from tests.reference import basis
 from tests.reference import fit as reference
 from tests.stacks import BLACK, VARYING, columns_of, make_stack, samples_of
+from tests.styles import gpu_style
 
 METHODS = {"ceb": False, "ceb-crossing": True}
 
@@ -46,6 +47,14 @@ def test_against_float64(device, degree, method):
     elif degree >= 2:
         # The term that crosses the bound is kept.
         assert np.mean(share_p > 1.01) > 0.3
+
+
+@gpu_style
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("columns", [3, 127, 128, 129])
+def test_against_float64_on_a_gpu(device, columns, method):
+    stack = make_stack(shape_hwc=(1, columns, 1))
+    check(stack, fit(stack, method, 4))
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -12,6 +12,7 @@ from clrelight.fit.samples import Samples
 from clrelight.fit.spline import SmoothingSpline, minimize_gcv
 from clrelight.sampling import make_pattern
 from tests.reference import spline as reference
+from tests.styles import both_styles
 
 EPS32 = 2.0**-23
 
@@ -52,6 +53,7 @@ def test_spline_is_the_dense_solution(device, degree, weights, lam):
     assert np.abs(basis_ik @ (found_kp - exact_kp)).max() < 3e-6
 
 
+@both_styles
 def test_each_channel_may_have_its_own_lambda(device):
     lam = (1e-4, 1e-1, 10.0)
     stack = make_stack(shape_hwc=(3, 37, 3))

@@ -6,7 +6,9 @@ import pytest
 from clrelight import device as device_module
 from clrelight.device import Device
 from clrelight.matmul import SampleCurve, apply_operator, pack_operator, pad_columns, row_blocks, tile_defines
+from clrelight.matmul_gpu import choose_tiling
 from tests.reference import psnr
+from tests.styles import both_styles, gpu_style
 
 # Error of one float32 operation, and the most rows that are summed in one run.
 UNIT = 2.0**-24
@@ -26,12 +28,19 @@ def apply(device, operator_mi, source_ip, *, columns=None, curve=None, weight_i=
     """Return the product and the energies, from memory that was full of NaN."""
     columns = columns or source_ip.shape[1]
     shape = (len(operator_mi), columns)
-    out = device.empty(shape, np.float32, np.full(shape, np.nan, np.float32))
-    energy = device.empty((columns,), np.float32, np.full(columns, np.nan, np.float32))
+    out, energy = full_of_nan(device, shape), full_of_nan(device, shape[1:])
     extra = {} if weight_i is None else {"energy_q": energy, "weight_i": device.upload(weight_i)}
     packed = pack_operator(device, operator_mi)
     apply_operator(device, packed, device.upload(source_ip), out, curve=curve, **extra)
     return device.download(out), device.download(energy)
+
+
+def full_of_nan(device, shape):
+    values = np.full(shape, np.nan, np.float32)
+    array = device.empty(shape, np.float32, values)
+    if not device.shares_memory:
+        device._cl.enqueue_copy(device._queue, array.buffer, values)
+    return array
 
 
 def additions(n_in):
@@ -63,6 +72,7 @@ def with_limits(device, **changed):
     return Device(replace(device.info, **changed), raw)
 
 
+@both_styles
 @pytest.mark.parametrize("n_in", [1, 2, 63, 64, 65, 255, 256, 257, 600])
 def test_any_number_of_rows_in(device, n_in):
     rng = np.random.default_rng(n_in)
@@ -75,6 +85,13 @@ def test_any_number_of_rows_out(device, n_out):
     check(device, rng.standard_normal((n_out, 70)), make_samples(rng, np.uint8, (70, 37)))
 
 
+@gpu_style
+@pytest.mark.parametrize("n_out", [1, 3, 16, 17, 49, 64, 65, 131])  # in and about one work-item's, one and more blocks
+def test_any_number_of_rows_out_on_a_gpu(device, n_out):
+    rng = np.random.default_rng(n_out)
+    check(device, rng.standard_normal((n_out, 37)), make_samples(rng, np.uint8, (37, 37)))
+
+
 @pytest.mark.parametrize("offset", [-255, -1, 0, 1, 241])  # 1, tile - 1, tile, tile + 1 and a prime
 @pytest.mark.parametrize("padded", [False, True])
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
@@ -85,6 +102,16 @@ def test_any_number_of_columns(device, offset, padded, dtype):
     check(device, rng.standard_normal((10, 66)), make_samples(rng, dtype, (66, columns)), columns=wanted)
 
 
+@gpu_style
+@pytest.mark.parametrize("columns", [1, 127, 128, 129, 255, 256, 257, 397])  # the widths of the tiles of either kernel
+@pytest.mark.parametrize("n_out", [5, 17])
+def test_any_number_of_columns_on_a_gpu(device, n_out, columns):
+    rng = np.random.default_rng(columns)
+    operator, source = rng.standard_normal((n_out, 66)), make_samples(rng, "uint8", (66, columns))
+    check(device, operator, source, columns=pad_columns(columns))
+
+
+@both_styles
 @pytest.mark.parametrize("columns", [3, 16, 300])
 def test_fewer_columns_out_than_in(device, columns):
     rng = np.random.default_rng(2)
@@ -94,6 +121,7 @@ def test_fewer_columns_out_than_in(device, columns):
     np.testing.assert_array_equal(part, whole[:, :columns])
 
 
+@both_styles
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])
 @pytest.mark.parametrize("columns", [5, 271])
 def test_every_sample_type(device, dtype, columns):
@@ -101,6 +129,7 @@ def test_every_sample_type(device, dtype, columns):
     check(device, rng.standard_normal((11, 130)), make_samples(rng, dtype, (130, columns)))
 
 
+@both_styles
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])
 @pytest.mark.parametrize("peak", [1.0, 200.0])
 def test_srgb_samples(device, dtype, peak):
@@ -148,6 +177,7 @@ def test_devices_of_every_width_and_memory(device, changed):
         )
 
 
+@both_styles
 def test_columns_do_not_depend_on_their_neighbours(device):
     rng = np.random.default_rng(6)
     operator, source = rng.standard_normal((7, 300)), make_samples(rng, np.uint8, (300, 600))
@@ -160,6 +190,7 @@ def test_columns_do_not_depend_on_their_neighbours(device):
         np.testing.assert_array_equal(part_energy, energy[first:end])
 
 
+@both_styles
 def test_shapes_that_do_not_fit(device):
     packed = pack_operator(device, np.ones((4, 5)))
     with pytest.raises(ValueError, match=r"operator \(4, 5\) does not map 6 rows to 4"):
@@ -181,3 +212,15 @@ def test_row_blocks():
             assert max(blocks) - min(blocks) <= 1
             assert len(blocks) == -(-rows // widest)
     assert [pad_columns(p) for p in (1, 15, 16, 17)] == [16, 16, 16, 32]
+
+
+def test_tilings_hold_all_rows_in_one_group_s_reach():
+    for rows in range(17, 1700):
+        tiling = choose_tiling(rows)
+        held = tiling.rows * tiling.threads_y
+        assert tiling.blocks * held >= rows
+        assert held <= 64
+        assert 128 <= 32 * tiling.threads_y <= 256
+        assert tiling.depth % tiling.threads_y == 0
+        # Idle rows cost as much as others.
+        assert held - -(-rows // tiling.blocks) <= 7

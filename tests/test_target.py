@@ -20,8 +20,8 @@ def stack():
 
 
 @pytest.fixture(scope="module")
-def coefficients(stack, device):
-    return fit(stack, "spline", 6, holdout=5, device=device)
+def coefficients(stack):
+    return fit(stack, "spline", 6, holdout=5)
 
 
 def pooled_psnr(coeffs_khwc, stack, lights):

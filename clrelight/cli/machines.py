@@ -33,6 +33,7 @@ def devices(as_json: bool) -> None:
         [
             f"{info.index}{' *' if info.default else ''}",
             info.kind,
+            info.style,
             info.name,
             info.version.split("  ")[0],
             info.driver,
@@ -42,7 +43,9 @@ def devices(as_json: bool) -> None:
         for info in infos
     ]
     print_table(
-        ["index", "kind", "name", "version", "driver", "float64", "memory"], rows, expendable=("driver", "memory")
+        ["index", "kind", "kernels", "name", "version", "driver", "float64", "memory"],
+        rows,
+        expendable=("driver", "memory"),
     )
     click.echo("* taken when neither --device nor CLRELIGHT_DEVICE names one")
 

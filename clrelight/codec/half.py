@@ -69,7 +69,7 @@ class Half(Codec):
 
 def _convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, clamp: bool) -> bool:
     """Fill `out_p` from `values_p` with a kernel; return whether it refused a value."""
-    vectors = 128 if device.info.kind == "cpu" else 1
+    vectors = 128 if device.style == "cpu" else 1
     refused = False
     for slab in slabs(values_p.size, 4):
         values, out = values_p[slab], out_p[slab]

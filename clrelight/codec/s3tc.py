@@ -73,9 +73,9 @@ class S3tc(Codec):
 def _launch(device: Device, kernel: str, out: object, source: object, shape_khwc: tuple[int, ...]) -> None:
     k, h, w, c = shape_khwc
     group = group_size(device)
-    lanes = 8 if device.info.kind == "cpu" else 1
+    lanes = 8 if device.style == "cpu" else 1
     # On a CPU one work-item goes along a whole row of blocks; on a GPU each takes a block.
-    across = 1 if device.info.kind == "cpu" else round_up(-(-w // 4), group)
+    across = 1 if device.style == "cpu" else round_up(-(-w // 4), group)
     device.launch(
         "codec/s3tc.cl",
         kernel,

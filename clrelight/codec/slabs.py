@@ -19,7 +19,7 @@ def slabs(count: int, item_bytes: int) -> Iterator[slice]:
 
 def group_size(device: Device) -> int:
     """Return the work-items of a group: 1 on a CPU, where each work-item runs long vectors, else 32."""
-    return 1 if device.info.kind == "cpu" else 32
+    return 1 if device.style == "cpu" else 32
 
 
 def round_up(count: int, multiple: int) -> int:

@@ -57,7 +57,7 @@ def search_codebook(
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
     """Return the index of each vector's nearest codeword, the lowest on a tie, and its squared distance."""
     n_dim, n_vector = vectors_dp.shape
-    lanes, block = (8, 2) if device.info.kind == "cpu" else (1, 1)
+    lanes, block = (8, 2) if device.style == "cpu" else (1, 1)
     group = group_size(device)
     rows = round_up(len(codebook_jd), ROWS) - len(codebook_jd)
     codebook = device.upload(np.ascontiguousarray(np.pad(codebook_jd, ((0, rows), (0, 0)), mode="edge")))

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.device import Device
-from clrelight.fit.cls import LANES, check_energy_factor, plan_constrained
+from clrelight.fit.cls import check_energy_factor, plan_constrained
+from clrelight.fit.columns import launch_columns
 from clrelight.fit.plan import FitPlan, Lighting
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 
@@ -36,16 +37,16 @@ class _Truncation(FitMethod):
         """Keep leading components of each column, divided by their singular values."""
         z_rq = columns.z_rq
         maps = self.allocate_maps(device, z_rq.shape[1])
-        device.launch(
+        launch_columns(
+            device,
             "fit/ceb.cl",
             "truncate_rq",
-            (z_rq.shape[1] // LANES,),
             z_rq,
             maps.rank_q,
             columns.energy_q,
             columns.singular_r,
             *z_rq.shape,
-            defines={"N_COMPONENT": z_rq.shape[0], "CROSSING": self.crossing},
+            defines={"CROSSING": self.crossing},
         )
         return maps
 

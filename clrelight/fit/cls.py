@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from clrelight.device import Device
 from clrelight.errors import InputError
+from clrelight.fit.columns import LANES, launch_columns
 from clrelight.fit.plan import FitPlan, Lighting, plan_least_squares
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 from clrelight.matmul import sample_defines
 
-LANES = 8
 MAX_ITERATIONS = 1000
 
 LAMBDA_TOLERANCE = 2e-5
@@ -78,10 +78,10 @@ class ConstrainedLeastSquares(FitMethod):
         z_rq = columns.z_rq
         maps = self.allocate_maps(device, z_rq.shape[1])
         doubt_q = device.empty((z_rq.shape[1],), np.float32)
-        device.launch(
+        launch_columns(
+            device,
             "fit/cls.cl",
             f"shrink_by_{self.solver}_rq",
-            (z_rq.shape[1] // LANES,),
             z_rq,
             maps.lambda_q,
             doubt_q,
@@ -89,7 +89,7 @@ class ConstrainedLeastSquares(FitMethod):
             columns.singular_r,
             self.iterations,
             *z_rq.shape,
-            defines={"N_COMPONENT": z_rq.shape[0], "PAIRED": int(plan.singular_r.min() ** 4 > _SMALLEST_PRODUCT)},
+            defines={"PAIRED": int(plan.singular_r.min() ** 4 > _SMALLEST_PRODUCT)},
         )
         if self.iterations >= _CONVERGED_AFTER[self.solver] and device.info.float64:
             self._refine(device, plan, columns, maps, device.download(doubt_q)[: columns.source_ip.shape[1]])

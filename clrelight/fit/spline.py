@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clrelight.conventions import coefficient_count
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.fit.cls import LANES
+from clrelight.fit.columns import launch_columns
 from clrelight.fit.plan import FitPlan, Lighting, plan_least_squares, scale_components
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 from clrelight.fit.samples import Samples
@@ -95,15 +95,15 @@ class SmoothingSpline(FitMethod):
         """Scale the components by their channel's factors; nothing to do where one lambda is in the synthesis."""
         if self.per == "channel":
             factor_rc = device.upload(self._factors_rc(plan).astype(np.float32))
-            device.launch(
+            launch_columns(
+                device,
                 "fit/spline.cl",
                 "scale_rq",
-                (columns.z_rq.shape[1] // LANES,),
                 columns.z_rq,
                 factor_rc,
                 *columns.z_rq.shape,
                 factor_rc.shape[1],
-                defines={"N_COMPONENT": len(plan.singular_r)},
+                defines={},
             )
         return Shrunk()
 

@@ -16,7 +16,7 @@ _COPIED_BYTES = 1 << 27
 
 def peak_run(device: Device) -> tuple[Callable[[], None], float]:
     """Return a run of the peak kernel, and its floating-point operations."""
-    on_cpu = device.info.kind == "cpu"
+    on_cpu = device.style == "cpu"
     group = 1 if on_cpu else 128
     items = device.info.compute_units * (16 if on_cpu else 16 * group)
     vector = vector_width(device)

@@ -10,9 +10,7 @@
  */
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 
-/* load_tile.clh also moves whole rows, which nothing here does. */
-#define TILE 8
-#include "common/load_tile.clh"
+#include "common/load_sample.clh"
 
 #ifndef N_COMPONENT
 #error "N_COMPONENT must be defined: the number of rows"

@@ -1,0 +1,25 @@
+"""Launch the kernels that change each column of the components alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from clrelight.device import Device, DeviceArray
+
+LANES = 8
+"""Columns that a work-item of the CPU's kernels takes, in the lanes of a vector."""
+_GROUP = 128
+
+
+def launch_columns(
+    device: Device, file: str, kernel: str, z_rq: DeviceArray, *arguments: Any, defines: Mapping[str, object]
+) -> None:
+    """Queue a kernel of ``fit/`` over all columns of `z_rq`, its first argument; `N_COMPONENT` is defined here."""
+    components, columns = z_rq.shape
+    defines = {"N_COMPONENT": components, **defines}
+    if device.style == "gpu":
+        across = -(-columns // _GROUP) * _GROUP
+        device.launch(f"gpu/{file}", kernel, (across,), z_rq, *arguments, defines=defines, local_size=(_GROUP,))
+    else:
+        device.launch(file, kernel, (columns // LANES,), z_rq, *arguments, defines=defines)

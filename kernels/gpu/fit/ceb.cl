@@ -1,0 +1,36 @@
+/* Constrained eigenbasis for GPUs: see fit/ceb.cl for the equations, the arrays and CROSSING.
+ *
+ *   N_COMPONENT   R
+ *
+ * A work-item takes one column, its neighbours adjacent q.
+ */
+#if !defined(N_COMPONENT) || !defined(CROSSING)
+#error "N_COMPONENT and CROSSING must be defined"
+#endif
+
+#define ROUNDING 5e-6f
+
+__kernel void truncate_rq(__global float *restrict z_rq, __global int *restrict rank_q,
+                          __global const float *restrict energy_q, __constant const float *restrict singular_r,
+                          const int size_r, const int size_q)
+{
+    const int q = get_global_id(0);
+    if (q >= size_q) return;
+    const float energy = energy_q[q] * (1.0f + ROUNDING);
+    float sum = 0.0f;
+    int keeping = 1, rank = 0;
+    for (int r = 0; r < N_COMPONENT; r++) {
+        __global float *value = z_rq + (long)r * size_q + q;
+        const float z = *value / singular_r[r];
+#if CROSSING
+        keeping &= sum < energy;
+        sum = z * z + sum;
+#else
+        sum = z * z + sum;
+        keeping &= sum <= energy;
+#endif
+        rank += keeping;
+        *value = keeping ? z : 0.0f;
+    }
+    rank_q[q] = rank;
+}

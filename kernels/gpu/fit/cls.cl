@@ -1,0 +1,142 @@
+/* Constrained least squares for GPUs: see fit/cls.cl for the equations, the two searches and the arrays.
+ *
+ *   N_COMPONENT   R
+ *
+ * A work-item takes one column, its neighbours adjacent q. Up to IN_REGISTERS components b' = sigma z stays in
+ * registers, for which the loops must be unrolled; of more, every step reads z again.
+ */
+#ifndef N_COMPONENT
+#error "N_COMPONENT must be defined: the number of rows"
+#endif
+
+#define IN_REGISTERS 64
+#if N_COMPONENT <= IN_REGISTERS
+typedef const float *column;
+#define TERM(b, r) (b)[r]
+#define UNROLL N_COMPONENT
+#else
+typedef __global const float *column;
+#define TERM(b, r) (singular_r[r] * (b)[(long)(r) * size_q])
+#define UNROLL 8
+#endif
+
+#define STEP 16.0f
+#define SETTLED 4e-7f
+
+/* f(lambda), and minus half its derivative, sum t^2 / (s + lambda). */
+static float squared_norm(column b, __constant const float *singular_r, const int size_q, const float lambda,
+                          float *slope)
+{
+    float f = 0.0f, r_sum = 0.0f;
+#pragma unroll UNROLL
+    for (int r = 0; r < N_COMPONENT; r++) {
+        const float inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
+        const float t = TERM(b, r) * inverse;
+        f = t * t + f;
+        r_sum = t * t * inverse + r_sum;
+    }
+    *slope = r_sum;
+    return f;
+}
+
+/* |b'|, and the least lambda where no |t_r| alone exceeds root. */
+static float norm_of(column b, __constant const float *singular_r, const int size_q, const float root, float *least)
+{
+    float square = 0.0f, lambda = 0.0f;
+#pragma unroll UNROLL
+    for (int r = 0; r < N_COMPONENT; r++) {
+        const float term = TERM(b, r);
+        square = term * term + square;
+        lambda = fmax(lambda, fabs(term) / root - singular_r[r] * singular_r[r]);
+    }
+    *least = lambda;
+    return sqrt(square);
+}
+
+/* z <- t(lambda); returns the doubt of lambda. */
+static float store_shrunk(__global float *z_rq, column b, __constant const float *singular_r, const float energy,
+                          const float lambda, const int q, const int size_q)
+{
+    float slope = 0.0f, gain = 0.0f;
+#pragma unroll UNROLL
+    for (int r = 0; r < N_COMPONENT; r++) {
+        const float inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
+        const float t = TERM(b, r) * inverse;
+        const float g = t * inverse * singular_r[r];
+        slope = t * t * inverse + slope;
+        gain = g * g + gain;
+        z_rq[(long)r * size_q + q] = t;
+    }
+    return lambda > 0.0f ? sqrt(energy) * sqrt(gain) / (lambda * slope) : 0.0f;
+}
+
+static void load_column(float *b, __global const float *z_rq, __constant const float *singular_r, const int q,
+                        const int size_q)
+{
+#pragma unroll UNROLL
+    for (int r = 0; r < N_COMPONENT; r++) b[r] = singular_r[r] * z_rq[(long)r * size_q + q];
+}
+
+#if N_COMPONENT <= IN_REGISTERS
+#define DECLARE_COLUMN(b)  \
+    float b[N_COMPONENT]; \
+    load_column(b, z_rq, singular_r, q, size_q)
+#else
+#define DECLARE_COLUMN(b) column b = z_rq + q
+#endif
+
+__kernel void shrink_by_bisection_rq(__global float *z_rq, __global float *restrict lambda_q,
+                                     __global float *restrict doubt_q, __global const float *restrict energy_q,
+                                     __constant const float *restrict singular_r, const int iterations,
+                                     const int size_r, const int size_q)
+{
+    const int q = get_global_id(0);
+    if (q >= size_q) return;
+    DECLARE_COLUMN(b);
+    const float energy = energy_q[q];
+    float unused;
+    const int held = squared_norm(b, singular_r, size_q, 0.0f, &unused) <= energy;
+
+    float low = 0.0f, high = norm_of(b, singular_r, size_q, 1.0f, &unused) / sqrt(energy), lambda = fmin(1.0f, high);
+    int bracketed = 0;
+    for (int k = 0; k < iterations && !held; k++) {
+        if (squared_norm(b, singular_r, size_q, lambda, &unused) <= energy) {
+            high = lambda;
+            bracketed = 1;
+        } else {
+            low = lambda;
+        }
+        const float up = fmin(lambda * STEP, high), down = high / STEP, middle = sqrt(low) * sqrt(high);
+        lambda = low == 0.0f ? down : bracketed ? middle : up;
+    }
+    lambda = held ? 0.0f : high;
+    lambda_q[q] = lambda;
+    doubt_q[q] = store_shrunk(z_rq, b, singular_r, energy, lambda, q, size_q);
+}
+
+__kernel void shrink_by_newton_rq(__global float *z_rq, __global float *restrict lambda_q,
+                                  __global float *restrict doubt_q, __global const float *restrict energy_q,
+                                  __constant const float *restrict singular_r, const int iterations,
+                                  const int size_r, const int size_q)
+{
+    const int q = get_global_id(0);
+    if (q >= size_q) return;
+    DECLARE_COLUMN(b);
+    const float energy = energy_q[q];
+    float lambda = 0.0f;
+    /* Black columns: any finite lambda gives zeros; 0/0 must not spread. */
+    if (energy > 0.0f) {
+        const float root = sqrt(energy), norm = norm_of(b, singular_r, size_q, root, &lambda);
+        lambda = fmax(lambda, norm / root - singular_r[0] * singular_r[0]);
+        for (int k = 0; k < iterations; k++) {
+            float slope;
+            const float f = squared_norm(b, singular_r, size_q, lambda, &slope);
+            const float next = fmax(lambda + f / slope * (sqrt(f / energy) - 1.0f), 0.0f);
+            /* NaN from a column without components ends the search too. */
+            if (!(fabs(next - lambda) > SETTLED * lambda)) break;
+            lambda = next;
+        }
+    }
+    lambda_q[q] = lambda;
+    doubt_q[q] = store_shrunk(z_rq, b, singular_r, energy, lambda, q, size_q);
+}

@@ -1,0 +1,10 @@
+"""Run a test with either style of kernels."""
+
+import pytest
+
+from clrelight.device import STYLES
+
+both_styles = pytest.mark.parametrize("device", STYLES, indirect=True)
+"""For a test of the `device` fixture: once with the kernels for CPUs, once with those for GPUs and copies of arrays."""
+
+gpu_style = pytest.mark.parametrize("device", ["gpu"], indirect=True)
