@@ -213,34 +213,6 @@ def test_every_truncation_is_noticed(device, codec):
                 decode(bad, device)
 
 
-@pytest.mark.parametrize("codec", [Half(), S3tc(), Uniform(7)], ids=lambda codec: codec.id)
-def test_mutations_never_crash(device, codec):
-    rng = np.random.default_rng(0)
-    original = encode(example_map(), codec, device).to_bytes()
-    reached = 0
-    for trial in range(2000):
-        payload = bytearray(original)
-        for _ in range(rng.integers(1, 4)):
-            # Half of the hits go to the header and the tables behind it, which are few bytes.
-            at = rng.integers(0, 70 if rng.random() < 0.5 else len(payload))
-            payload[at] = rng.integers(0, 256)
-        if rng.random() < 0.1:
-            del payload[rng.integers(0, len(payload)) :]
-        damaged = bytes(payload)
-        if trial % 2 and len(damaged) > 5:
-            damaged = with_checksum(damaged)
-        if damaged == original:
-            continue
-        try:
-            values = decode(damaged, device)
-        except PayloadError:
-            continue
-        assert trial % 2, "damage went unnoticed although the checksum was left as it was"
-        assert np.isfinite(values).all()
-        reached += 1
-    assert reached > 50  # enough of them got to a decoder
-
-
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("codec", EXAMPLES, ids=repr)
 @pytest.mark.parametrize("slab_bytes", [32, 1 << 12, 1 << 15])
