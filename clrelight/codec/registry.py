@@ -21,6 +21,7 @@ from clrelight.errors import InputError, PayloadError
 MAGIC = b"CLRE"
 WRAPPER_VERSION = 1
 MAX_EXTENT = 1 << 20
+MAX_CHANNELS = 1 << 10
 MAX_COEFFICIENTS = 1 << 32
 
 _FREE_CLAIM = 1 << 24
@@ -109,6 +110,9 @@ def check_shape(shape: tuple[int, ...]) -> None:
         raise ValueError(
             f"a coefficient map has at most {MAX_COEFFICIENTS} values and {MAX_EXTENT} along an axis, got {shape}"
         )
+    # Coders go from channel to channel: a million of them, claimed by a few bytes, would take hours.
+    if shape[3] > MAX_CHANNELS:
+        raise ValueError(f"a coefficient map has at most {MAX_CHANNELS} channels, got {shape[3]}")
     degree_of(shape[0])
 
 
