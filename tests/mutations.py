@@ -1,48 +1,58 @@
-"""Damaged payloads whose checksums fit: what a decoder must refuse, or decode to finite numbers."""
+"""Damaged payloads: every decoder must refuse them, or decode them to finite numbers, soon and in little memory.
 
+``python -m tests.mutations --count 20000 --seed 1`` damages that many payloads of all codecs. A case depends on the
+seed, its codec and its number alone, so ``--only klt --first 1234 --count 1`` repeats one.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import itertools
+import json
+import math
+import resource
 import struct
+import sys
+import time
 import zlib
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
+import click
 import numpy as np
 
-from clrelight.codec import decode, encode
+from clrelight.codec import codec_class, codec_ids, decode, decode_view, encode
+from clrelight.device import open_device
 from clrelight.errors import PayloadError
+
+SHAPES = [(4, 5, 9, 3), (4, 6, 7, 1), (1, 6, 7, 1), (4, 1, 13, 2)]
+OPTIONS = {
+    "wavelet": [{"rate": 8.0}, {"rate": 14.0, "allocation": "global", "levels": 5}],
+    "klt": [{"step": 0.05}, {"step": 0.002}],
+    "uniform": [{"bits": 7}, {"bits": 8}],
+    "jpeg2000": [{"rate": 60.0}],
+    "cpca": [{"clusters": 4, "components": 2, "bits": 5}],
+    "vq": [{"bits": 5}, {"bits": 5, "block": 2}],
+}
+WEIGHTS = {"wavelet": 2.5, "klt": 4.0, "whitened/wavelet": 1.5}
+"""How often a family is taken beside the others, which count 1."""
+FREE_BYTES, BYTES_EACH = 1 << 28, 32
+"""Address space that decoding may take, and for each coefficient claimed: eight float32 arrays."""
+FREE_SECONDS, SECONDS_EACH = 20.0, 1e-6
+"""A decoder that takes longer hangs: a thousand times the usual, whatever else the machine does."""
+RELIT = 3
+"""Every so many payloads are relit too, by what needs no coefficients."""
+LIGHT = np.array([[0.0, 0.6, 0.8]])
 
 
 def seal(payload):
-    """Return `payload` with the checksum of its own header and body."""
-    at = 6 + payload[5] + 24
+    """Return `payload` with the length and the checksum of its own header and body."""
+    at = 6 + payload[5] + 24 if len(payload) > 5 else len(payload)
     if len(payload) < at + 4:
         return payload
-    length = struct.pack("<Q", len(payload) - at - 4)
-    head = payload[: at - 8] + length
+    head = payload[: at - 8] + struct.pack("<Q", len(payload) - at - 4)
     return head + struct.pack("<I", zlib.crc32(payload[at + 4 :], zlib.crc32(head))) + payload[at + 4 :]
-
-
-def check_mutations(device, codec, shape, trials, table_bytes):
-    """Mutate bytes, half of the hits in the header and first `table_bytes`; return how many were decoded."""
-    rng = np.random.default_rng(trials)
-    coeffs = rng.standard_normal(shape).astype(np.float32)
-    original = encode(coeffs, codec, device).to_bytes()
-    start = len(original) - len(encode(coeffs, codec, device).body)
-    decoded = 0
-    for trial in range(trials):
-        payload = bytearray(original)
-        for _ in range(rng.integers(1, 4)):
-            # Past the codec's name, so that it is this codec that sees it.
-            first, end = (6 + len(codec.id), start + table_bytes) if rng.random() < 0.5 else (start, len(payload))
-            payload[rng.integers(first, end)] = rng.integers(0, 256)
-        if trial % 10 == 0:
-            del payload[rng.integers(start, len(payload)) :]
-        elif trial % 10 == 1:
-            payload += rng.bytes(rng.integers(1, 9))
-        try:
-            values = decode(seal(bytes(payload)), device)
-        except PayloadError:
-            continue
-        assert np.isfinite(values).all()
-        decoded += 1
-    return decoded
 
 
 def check_large_claims(device, codec_class, bodies):
@@ -54,3 +64,205 @@ def check_large_claims(device, codec_class, bodies):
             except PayloadError:
                 continue
             raise AssertionError(f"{len(body)} bytes were taken for shape {shape}")
+
+
+def families():
+    """Return the names under which payloads are counted: the codecs, and each of them inside `whitened`."""
+    inner = [name for name in codec_ids() if name not in ("klt", "whitened")]
+    return [name for name in codec_ids() if name != "whitened"] + [f"whitened/{name}" for name in inner]
+
+
+def make_payloads(family, device):
+    """Return one payload for each shape and setting of a family."""
+    outer, _, inner = family.partition("/")
+    settings = OPTIONS.get(inner or outer, [{}])
+    payloads = []
+    for options in settings[: 1 if inner else None]:
+        config = {"codec": inner, "options": options} if inner else options
+        for number, shape in enumerate(SHAPES):
+            coeffs = np.random.default_rng(number).standard_normal(shape).astype(np.float32)
+            payloads.append(encode(coeffs, codec_class(outer).from_config(config), device).to_bytes())
+    return payloads
+
+
+def damage(payload, others, rng):
+    """Return a damaged payload; `others` lend their bodies."""
+    changed = bytearray(payload)
+    name_end = 6 + changed[5]
+    body = name_end + 28
+    for _ in range(rng.integers(1, 4)):
+        # Half of what is hit are the few bytes of the shape and the first tables; the codec's name stays mostly.
+        tables = min(body + 60, len(changed))
+        first, end = (name_end, tables) if rng.random() < 0.5 else (min(body, len(changed) - 1), len(changed))
+        at = int(rng.integers(first, max(end, first + 1)))
+        length = int(min(1 + rng.geometric(0.1), len(changed) - at))
+        match rng.choice(_KINDS, p=_SHARES):
+            case "byte":
+                changed[at] = rng.integers(256)
+            case "bit":
+                changed[at] ^= 1 << int(rng.integers(8))
+            case "extreme":
+                changed[at : at + length] = bytes([rng.choice([0, 1, 0x7F, 0x80, 0xFF])]) * length
+            case "cut":
+                del changed[max(at, body) :]
+            case "delete":
+                del changed[at : at + length]
+            case "insert":
+                changed[at:at] = rng.bytes(length)
+            case "size":
+                axis = name_end + 4 * int(rng.integers(4))
+                changed[axis : axis + 4] = struct.pack("<I", _absurd_size(changed[axis : axis + 4], rng))
+            case "swap":
+                other = others[rng.integers(len(others))]
+                other_body = other[6 + other[5] + 28 :]
+                if rng.random() < 0.5:
+                    changed[body:] = other_body
+                else:
+                    changed[at:] = other_body[at - body if at > body else 0 :]
+        if len(changed) <= name_end:
+            break
+    if rng.random() < 0.04:
+        name = str(rng.choice([*codec_ids(), "zip", ""])).encode()
+        changed[5:name_end] = bytes([len(name)]) + name
+    return bytes(changed)
+
+
+_KINDS = ("byte", "bit", "extreme", "cut", "delete", "insert", "size", "swap")
+_SHARES = (0.3, 0.22, 0.1, 0.08, 0.06, 0.06, 0.1, 0.08)
+
+
+def _absurd_size(now, rng):
+    (size,) = struct.unpack("<I", now.ljust(4, b"\0"))
+    choices = [0, 1, 2, size + 1, size - 1, 2 * size, 1 << int(rng.integers(32)), (1 << int(rng.integers(32))) - 1]
+    # Numbers of coefficients are squares.
+    return int(rng.choice([*choices, int(rng.integers(1, 1025)) ** 2])) & 0xFFFFFFFF
+
+
+@dataclass
+class Tally:
+    """What became of a family's payloads; `unsealed` are those whose checksum was left as it was."""
+
+    payloads: int = 0
+    unsealed: int = 0
+    refused: int = 0
+    decoded: int = 0
+    slowest_ms: float = 0.0
+    failures: list[str] = field(default_factory=list)
+
+
+class Campaign:
+    """The payloads to damage, and the device that decodes them."""
+
+    def __init__(self, only):
+        self.device = open_device("cpu")
+        self.payloads = {family: make_payloads(family, self.device) for family in families()}
+        self.others = [payload for payloads in self.payloads.values() for payload in payloads]
+        self.payloads = {family: payloads for family, payloads in self.payloads.items() if only in family}
+        for payload in itertools.chain(*self.payloads.values()):
+            decode(payload, self.device)  # builds the kernels, which takes memory of its own
+
+    def counts(self, count):
+        """Return how many of `count` payloads each family gets, `count` or a little more in all."""
+        weights = {family: WEIGHTS.get(family, 1.0) for family in self.payloads}
+        return {family: math.ceil(count * weight / sum(weights.values())) for family, weight in weights.items()}
+
+    def run(self, family, numbers, seed, trace):
+        """Damage and decode payloads; an exception that is no PayloadError is a failure."""
+        tally = Tally()
+        for number in numbers:
+            rng = np.random.default_rng([seed, zlib.crc32(family.encode()), number])
+            original = self.payloads[family][number % len(self.payloads[family])]
+            sealed = rng.random() < 0.9
+            payload = damage(original, self.others, rng)
+            payload = seal(payload) if sealed else payload
+            if payload == original:
+                continue
+            if trace:
+                print(f"{family} {number}", file=sys.stderr, flush=True)
+            tally.payloads += 1
+            tally.unsealed += not sealed
+            start = time.perf_counter()
+            try:
+                decoded = self._check(payload, sealed, relit=number % RELIT == 0)
+            except BaseException as error:
+                if isinstance(error, KeyboardInterrupt):
+                    raise
+                tally.failures.append(f"--only {family} --first {number} --seed {seed}: {error!r}")
+                continue
+            tally.slowest_ms = max(tally.slowest_ms, 1e3 * (time.perf_counter() - start))
+            tally.decoded += decoded
+            tally.refused += not decoded
+        return tally
+
+    def _check(self, payload, sealed, relit):
+        """Return whether a damaged payload was decoded; AssertionError where it should not have been."""
+        claimed = _claimed(payload)
+        with _bounded(claimed):
+            try:
+                values = decode(payload, self.device)
+            except PayloadError:
+                values = None
+            else:
+                assert sealed, "damage went unnoticed although the checksum was left as it was"
+                assert values.dtype == np.float32
+                assert values.size == claimed
+                assert np.isfinite(values).all()
+            images = self._relight(payload) if relit else None
+            if images is not None:
+                assert images.dtype == np.float32
+                assert images.shape == (1, *struct.unpack_from("<3I", payload, 10 + payload[5]))
+                assert np.isfinite(images).all()
+        return values is not None
+
+    def _relight(self, payload):
+        """Return an image made without coefficients, which takes the same bytes another way; None if refused."""
+        try:
+            view = decode_view(payload, self.device)
+            return None if view is None else view.relight(LIGHT, self.device)
+        except PayloadError:
+            return None
+
+
+def _claimed(payload):
+    """Return the coefficients that a header claims, as far as the length of the body allows to claim them."""
+    at = 6 + payload[5] if len(payload) > 5 else 0
+    if len(payload) < at + 28:
+        return 0
+    return min(math.prod(struct.unpack_from("<4I", payload, at)), (1 << 24) + (len(payload) << 17))
+
+
+@contextmanager
+def _bounded(claimed):
+    """Bound memory, so that an allocation fails, and time, so that the process ends with a traceback."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    most = pages * resource.getpagesize() + FREE_BYTES + BYTES_EACH * claimed
+    resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
+    faulthandler.dump_traceback_later(FREE_SECONDS + SECONDS_EACH * claimed, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@click.command()
+@click.option("--count", type=click.IntRange(min=1), default=20000, show_default=True, help="Payloads in all.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--only", metavar="TEXT", default="", help="Only families whose name holds TEXT.")
+@click.option("--first", type=click.IntRange(min=0), default=0, help="Number of the first payload of each family.")
+@click.option("--trace", is_flag=True, help="Name each payload before it is decoded, to find what ends the process.")
+def main(count, seed, only, first, trace):
+    """Damage payloads of every codec and decode them; print one JSON object for each family, exit 1 on a failure."""
+    faulthandler.enable()
+    campaign = Campaign(only)
+    failed = False
+    for family, share in campaign.counts(count).items():
+        tally = campaign.run(family, range(first, first + share), seed, trace)
+        print(json.dumps({"family": family, **asdict(tally)}), flush=True)
+        failed |= bool(tally.failures)
+    sys.exit(failed)
+
+
+if __name__ == "__main__":
+    main(prog_name="python -m tests.mutations")

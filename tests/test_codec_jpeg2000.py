@@ -8,7 +8,7 @@ from clrelight.codec import decode, encode
 from clrelight.codec.jpeg2000 import Jpeg2000
 from clrelight.codec.padding import FLOOR
 from clrelight.errors import InputError, PayloadError
-from tests.mutations import check_large_claims, check_mutations
+from tests.mutations import check_large_claims
 
 pytest.importorskip("PIL")
 
@@ -154,8 +154,3 @@ def test_damaged_bodies(device):
         with pytest.raises(PayloadError):
             Jpeg2000.decode_body(damaged, shape, device)
     check_large_claims(device, Jpeg2000, [b"", bytes(13), bytes(1000)])
-
-
-@pytest.mark.parametrize("shape", [(4, 16, 17, 3), (1, 1, 30, 1)])
-def test_mutations_never_crash(device, shape):
-    assert check_mutations(device, Jpeg2000(40.0), shape, 1200, 12 * shape[0] * shape[3] + 10) > 50

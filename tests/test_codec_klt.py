@@ -1,6 +1,3 @@
-import struct
-import zlib
-
 import numpy as np
 import pytest
 
@@ -8,9 +5,8 @@ from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.codec.klt import Klt
 from clrelight.codec.metric import hemisphere_metric
-from clrelight.codec.registry import Encoded
 from clrelight.errors import InputError, PayloadError
-from tests.mutations import check_large_claims, check_mutations
+from tests.mutations import check_large_claims
 
 
 def smooth_map(degree, height, width, channel, seed=0, rank=6):
@@ -135,35 +131,6 @@ def test_a_budget_too_small_is_refused(device):
         encode(smooth_map(4, 16, 16, 3), Klt(byte_budget=20), device)
 
 
-@pytest.mark.parametrize("codec", ["klt", "whitened"])
-def test_mutated_payloads_are_refused_or_decode(device, codec):
-    coeffs = smooth_map(2, 9, 10, 3)
-    config = {"step": 0.05} if codec == "klt" else {"codec": "uniform"}
-    payload = encode(coeffs, codec_class(codec).from_config(config), device).to_bytes()
-    rng = np.random.default_rng(5)
-    refused = 0
-    for _ in range(400):
-        damaged = bytearray(payload)
-        for _ in range(rng.integers(1, 4)):
-            damaged[rng.integers(len(damaged))] = rng.integers(256)
-        if rng.random() < 0.2:
-            damaged = damaged[: rng.integers(len(damaged))]
-        at = 6 + payload[5]
-        if rng.random() < 0.7 and len(damaged) > at + 28 and damaged[:at] == payload[:at]:
-            # A sum that fits, so that the body reaches the decoder.
-            struct.pack_into("<Q", damaged, at + 16, len(damaged) - at - 28)
-            sums = zlib.crc32(bytes(damaged[at + 28 :]), zlib.crc32(bytes(damaged[: at + 24])))
-            struct.pack_into("<I", damaged, at + 24, sums)
-        try:
-            Encoded.from_bytes(bytes(damaged))
-            if max(struct.unpack_from("<4I", damaged, at)) > 100:
-                continue  # a huge shape that is legal would only be slow
-            decode(bytes(damaged), device)
-        except PayloadError:
-            refused += 1
-    assert refused > 100
-
-
 @pytest.mark.parametrize("inner", ["half", "s3tc", "uniform", "wavelet"])
 def test_whitened_gives_the_coefficients_back(device, inner):
     coeffs = smooth_map(4, 32, 32, 3)
@@ -184,11 +151,6 @@ def test_few_bytes_cannot_claim_gigabytes(device):
     check_large_claims(device, Klt, [body, b"", bytes(40)])
     wavelet = codec_class("wavelet")
     check_large_claims(device, wavelet, [encode(np.zeros((9, 8, 8, 3), np.float32), wavelet(), device).body])
-
-
-def test_mutations_with_fitting_checksums(device):
-    assert check_mutations(device, Klt(step=0.05), (9, 9, 10, 3), 300, 40) < 300
-    assert check_mutations(device, codec_class("whitened")(), (9, 9, 10, 3), 300, 40) > 0
 
 
 @pytest.mark.parametrize("codec", ["klt", "whitened"])

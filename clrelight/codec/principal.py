@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,8 +114,7 @@ def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray
     The context of an entry is the size of the same one, its left and its right neighbour in the row before.
     """
     rows, channel, component = shape
-    middle = np.array([0.15, *(0.45 * class_floor(i) for i in range(1, CLASSES))])
-    models = ModelSet(geometric_prior(np.minimum(middle, 1e6)))
+    models = ModelSet(_entry_prior())
     signs = ModelSet(np.full((1, 2), 0.5))
     entries = np.zeros(shape, np.int64)
     before = np.zeros((channel, component + 2), np.int64)
@@ -136,6 +136,12 @@ def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray
         # Half of what was expected stays, so that one row of zeros does not end the expectation.
         before[:, 1:-1] = (before[:, 1:-1] + 3 * np.abs(entries[row])) >> 2
     return entries
+
+
+@functools.cache
+def _entry_prior() -> NDArray[np.float64]:
+    middle = np.array([0.15, *(0.45 * class_floor(i) for i in range(1, CLASSES))])
+    return geometric_prior(np.minimum(middle, 1e6))
 
 
 def _stride(n_pixel: int) -> int:

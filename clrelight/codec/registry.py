@@ -21,6 +21,7 @@ from clrelight.errors import InputError, PayloadError
 MAGIC = b"CLRE"
 WRAPPER_VERSION = 1
 MAX_EXTENT = 1 << 20
+MAX_CHANNELS = 1 << 10
 MAX_COEFFICIENTS = 1 << 32
 
 _FREE_CLAIM = 1 << 24
@@ -109,6 +110,9 @@ def check_shape(shape: tuple[int, ...]) -> None:
         raise ValueError(
             f"a coefficient map has at most {MAX_COEFFICIENTS} values and {MAX_EXTENT} along an axis, got {shape}"
         )
+    # Coders go from channel to channel: a million of them, claimed by a few bytes, would take hours.
+    if shape[3] > MAX_CHANNELS:
+        raise ValueError(f"a coefficient map has at most {MAX_CHANNELS} channels, got {shape[3]}")
     degree_of(shape[0])
 
 
@@ -120,7 +124,10 @@ class View(Protocol):
         ...
 
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
-        """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""
+        """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak.
+
+        PayloadError where they are not finite: no encoder wrote such a map.
+        """
         ...
 
 
@@ -227,12 +234,7 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
     PayloadError
         If the bytes are damaged, cut short, not ours, or of a codec that is not known here.
     """
-    encoded = payload if isinstance(payload, Encoded) else Encoded.from_bytes(payload)
-    try:
-        check_shape(encoded.shape)
-        codec = codec_class(encoded.codec)
-    except ValueError as error:
-        raise PayloadError(str(error)) from None
+    encoded, codec = _open(payload)
     coeffs = codec.decode_body(encoded.body, encoded.shape, device)
     if coeffs.shape != encoded.shape or coeffs.dtype != np.float32:
         raise PayloadError(f"codec {encoded.codec} gave {coeffs.dtype} {coeffs.shape} for {encoded.shape}")
@@ -243,6 +245,19 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
 
 
 def decode_view(payload: Encoded | bytes, device: Device) -> View | None:
-    """Return what relights an encoded map in its own basis, at no cost per coefficient; None for the plain basis."""
+    """Return what relights an encoded map in its own basis, at no cost per coefficient; None for the plain basis.
+
+    PayloadError as `decode` raises it.
+    """
+    encoded, codec = _open(payload)
+    return codec.decode_view(encoded.body, encoded.shape, device)
+
+
+def _open(payload: Encoded | bytes) -> tuple[Encoded, type[Codec]]:
+    """Return an encoding and its codec, or PayloadError."""
     encoded = payload if isinstance(payload, Encoded) else Encoded.from_bytes(payload)
-    return codec_class(encoded.codec).decode_view(encoded.body, encoded.shape, device)
+    try:
+        check_shape(encoded.shape)
+        return encoded, codec_class(encoded.codec)
+    except ValueError as error:
+        raise PayloadError(str(error)) from None

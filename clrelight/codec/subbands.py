@@ -42,11 +42,7 @@ class Statistics:
     """What coder and decoder have learnt from the maps so far."""
 
     def __init__(self) -> None:
-        middle = np.array([class_floor(i) + class_floor(i + 1) for i in range(CLASSES - 2)]) / (2.0 * _UNIT)
-        middle = np.concatenate([middle, middle[-1:], middle[-1:]])
-        means = np.multiply.outer(_SIZE_TO_EXPECT, middle)
-        means[:, :, 0] = _SIZE_AT_REST
-        self.magnitudes = ModelSet(geometric_prior(means.ravel()))
+        self.magnitudes = ModelSet(_magnitude_prior())
         self.signs = ModelSet(np.full((2 * _PREDICTED - 1, 2), 0.5))
         # (channel, LL or detail) -> sums of x y and x x of indices x of the previous channel and y of this
         self.products: dict[tuple[int, bool], tuple[int, int]] = {}
@@ -75,6 +71,15 @@ class Statistics:
             xy // 2 + (int(x @ y) << 2 * shift),
             xx // 2 + (int(x @ x) << 2 * shift),
         )
+
+
+@functools.cache
+def _magnitude_prior() -> NDArray[np.float64]:
+    middle = np.array([class_floor(i) + class_floor(i + 1) for i in range(CLASSES - 2)]) / (2.0 * _UNIT)
+    middle = np.concatenate([middle, middle[-1:], middle[-1:]])
+    means = np.multiply.outer(_SIZE_TO_EXPECT, middle)
+    means[:, :, 0] = _SIZE_AT_REST
+    return geometric_prior(means.ravel())
 
 
 def code_indices(
