@@ -14,6 +14,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "CoefficientMap": "clrelight.dataset",
+    "Environment": "clrelight.lighting.environment",
+    "Light": "clrelight.lighting.light",
     "LightStack": "clrelight.dataset",
     "codec_class": "clrelight.codec",
     "decode": "clrelight.codec",
@@ -26,14 +28,18 @@ _HOMES = {
     "open_device": "clrelight.device",
     "open_fit": "clrelight.store",
     "open_stack": "clrelight.store",
+    "project_environment": "clrelight.lighting.projection",
     "read_encoded": "clrelight.store",
+    "read_environment": "clrelight.lighting.environment",
     "read_fit": "clrelight.store",
+    "read_light": "clrelight.store",
     "read_results": "clrelight.store",
     "relight": "clrelight.relight",
     "run_experiment": "clrelight.experiment",
     "summarize_errors": "clrelight.metrics",
     "write_encoded": "clrelight.store",
     "write_fit": "clrelight.store",
+    "write_light": "clrelight.store",
     "write_report": "clrelight.report",
     "write_stack": "clrelight.store",
 }

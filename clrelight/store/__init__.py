@@ -3,6 +3,7 @@
 from clrelight.store.durable import check_output
 from clrelight.store.encodings import FitRecord, read_encoded, write_encoded
 from clrelight.store.fits import FitSink, create_fit, open_fit, read_fit, write_fit
+from clrelight.store.lights import read_light, write_light
 from clrelight.store.stacks import create_stack, open_stack, write_stack
 from clrelight.store.stored import StoredArray
 from clrelight.store.summary import describe, file_schema
@@ -23,9 +24,11 @@ __all__ = [
     "open_stack",
     "read_encoded",
     "read_fit",
+    "read_light",
     "read_results",
     "write_encoded",
     "write_fit",
+    "write_light",
     "write_results",
     "write_stack",
 ]

@@ -115,5 +115,11 @@ RESULTS = Schema(
         "profiles/": Field(("",), _dtypes("float64"), required=False),
     },
 )
+LIGHT = Schema(
+    "light",
+    1,
+    {"coefficients": Field(("coefficient", "channel"), _dtypes("float64"))},
+    {"degree": int, "source": str, "axes": str, "config": str},
+)
 
-SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, ENCODED, RESULTS)}
+SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, ENCODED, RESULTS, LIGHT)}

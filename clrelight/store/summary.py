@@ -8,6 +8,7 @@ from typing import Any
 
 from clrelight.store.encodings import encoded_of
 from clrelight.store.fits import fit_of
+from clrelight.store.lights import light_of
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.stacks import stack_of
 from clrelight.store.tables import results_of
@@ -62,6 +63,8 @@ def _checked(opened: Opened) -> dict[str, Any]:
             encoded, _ = encoded_of(opened)
             info = {key: value if math.isfinite(value) else None for key, value in encoded.info.items()}
             return {"shape": list(encoded.shape), "info": info}
+        case "light":
+            light_of(opened)
         case "results":
             results = results_of(opened)
             return {"rows": len(results.table), "pictures": [*results.pictures], "profiles": [*results.profiles]}

@@ -1,0 +1,108 @@
+/* Spherical-harmonic projection of texels, c_k = sum_t w_t L_t y_k(s_t), as sums of parts of the texels.
+ *
+ *   partial_gkc   (G, K, C) float    out: the sum over the texels of part g, k = l (l + 1) + m
+ *   geometry_jt   (4, T) float       x, y, z of the unit direction s, and the solid angle w in steradian
+ *   radiance_tc   (T, C) float       linear radiance L
+ *   step_kf       (K, 2) float       for m >= 0 at k(l, m): factors a, b of the recurrence over l
+ *
+ * A work-item takes `each` texels of part g, BLOCK at a time, and keeps the polynomials of a block in private memory.
+ * With y_lm = N Q_lm(z) Re or Im (x + i y)^m, Q_lm = a (z Q_(l-1)m - b Q_(l-2)m) (Holmes and Featherstone 2002, eq. 11):
+ * the factor N, sqrt(2) for m > 0, is the host's. Real and imaginary parts below 1e-32 count as 0: they would become
+ * denormal, and |Q| is below 1e21 up to degree 100.
+ * |error| <= eps32 (BLOCK / VECTOR + parts of blocks + 4 DEGREE) sum |w L y|
+ */
+#include "common/lanes.clh"
+#include "common/vector.clh"
+
+#if !defined(BLOCK) || !defined(DEGREE) || !defined(CHANNELS)
+#error "BLOCK (texels, a multiple of VECTOR), DEGREE and CHANNELS (1 or 3) must be defined"
+#endif
+
+#define VECTORS (BLOCK / VECTOR)
+#define TINY 1e-32f
+
+static float total(const vecf v)
+{
+    const float8 eight =
+#if VECTOR == 16
+        v.lo + v.hi;
+#else
+        v;
+#endif
+    const float4 four = eight.lo + eight.hi;
+    return (four.x + four.y) + (four.z + four.w);
+}
+
+/* re + i im <- (x + i y) (re + i im), with 0 for what is too small to matter */
+static void turn_further(vecf *re, vecf *im, const vecf x, const vecf y)
+{
+    const vecf next = x * *re - y * *im;
+    const vecf other = x * *im + y * *re;
+    *re = ((next > TINY) | (next < -TINY)) ? next : (vecf)0.0f;
+    *im = ((other > TINY) | (other < -TINY)) ? other : (vecf)0.0f;
+}
+
+__kernel void project_texels_gkc(__global float *restrict partial_gkc, __global const float *restrict geometry_jt,
+                                 __global const float *restrict radiance_tc, __global const float *restrict step_kf,
+                                 const int each, const int size_k, const int size_t)
+{
+    const int part = get_global_id(0);
+    __global float *sums = partial_gkc + (long)part * size_k * CHANNELS;
+    const long first = (long)part * each;
+    const long end = LESSER(first + each, (long)size_t);
+    vecf x[VECTORS], y[VECTORS], z[VECTORS], re[VECTORS], im[VECTORS], before[VECTORS], now[VECTORS];
+    vecf light[VECTORS * CHANNELS];
+
+    for (int i = 0; i < size_k * CHANNELS; i++) sums[i] = 0.0f;
+    for (long start = first; start < end; start += BLOCK) {
+        const int filled = (int)LESSER((long)BLOCK, end - start);
+        for (int t = 0; t < BLOCK; t++) {
+            const int there = t < filled;
+            const long at = start + (there ? t : 0);
+            const float weight = there ? geometry_jt[3L * size_t + at] : 0.0f;
+            ((float *)x)[t] = geometry_jt[at];
+            ((float *)y)[t] = geometry_jt[size_t + at];
+            ((float *)z)[t] = geometry_jt[2L * size_t + at];
+            for (int c = 0; c < CHANNELS; c++)
+                ((float *)light)[(t / VECTOR * CHANNELS + c) * VECTOR + t % VECTOR] =
+                    weight > 0.0f ? weight * radiance_tc[at * CHANNELS + c] : 0.0f;
+        }
+        for (int v = 0; v < VECTORS; v++) {
+            re[v] = 1.0f;
+            im[v] = 0.0f;
+        }
+        float sectoral = 0.28209479177387814f; /* sqrt(1 / 4 pi) */
+        for (int m = 0; m <= DEGREE; m++) {
+            if (m > 0) {
+                sectoral *= step_kf[2 * (m * (m + 1) + m)];
+                for (int v = 0; v < VECTORS; v++) turn_further(re + v, im + v, x[v], y[v]);
+            }
+            for (int v = 0; v < VECTORS; v++) {
+                before[v] = 0.0f;
+                now[v] = sectoral;
+            }
+            for (int l = m; l <= DEGREE; l++) {
+                const int k = l * (l + 1);
+                const float a = step_kf[2 * (k + m)], b = step_kf[2 * (k + m) + 1];
+                vecf cosine[CHANNELS], sine[CHANNELS];
+                for (int c = 0; c < CHANNELS; c++) cosine[c] = sine[c] = 0.0f;
+                for (int v = 0; v < VECTORS; v++) {
+                    if (l > m) {
+                        const vecf next = a * (z[v] * now[v] - b * before[v]);
+                        before[v] = now[v];
+                        now[v] = next;
+                    }
+                    const vecf even = now[v] * re[v], odd = now[v] * im[v];
+                    for (int c = 0; c < CHANNELS; c++) {
+                        cosine[c] = even * light[v * CHANNELS + c] + cosine[c];
+                        sine[c] = odd * light[v * CHANNELS + c] + sine[c];
+                    }
+                }
+                for (int c = 0; c < CHANNELS; c++) {
+                    sums[(k + m) * CHANNELS + c] += total(cosine[c]);
+                    if (m > 0) sums[(k - m) * CHANNELS + c] += total(sine[c]);
+                }
+            }
+        }
+    }
+}
