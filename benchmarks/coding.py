@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from benchmarks.stage import Stage
 from benchmarks.workload import Workload
 from clrelight.codec import codec_class, codec_ids, decode, encode
+from clrelight.codec.half import STRETCH, launch_conversion
 from clrelight.codec.registry import Codec
 
 HALF_GOAL = 5.0
@@ -64,30 +65,17 @@ def _codec(
 
 def _half_kernel(work: Workload, coeffs_khwc: NDArray[np.float32]) -> Stage:
     device = work.device
-    vectors = 128 if device.style == "cpu" else 1
-    group = 1 if device.style == "cpu" else 32
-    items = -(-coeffs_khwc.size // (8 * vectors))
     coeffs_p = device.upload(coeffs_khwc.reshape(-1))
-    halves_p, refused_j = device.empty((coeffs_khwc.size,), np.float16), device.empty((items,), np.uint8)
+    halves_p, refused_j = (
+        device.empty((coeffs_khwc.size,), np.float16),
+        device.empty((-(-coeffs_khwc.size // STRETCH),), np.uint8),
+    )
     peer_halves = np.empty(coeffs_khwc.shape, np.float16)
-
-    def run() -> None:
-        device.launch(
-            "codec/half.cl",
-            "encode_half_p",
-            (-(-items // group) * group,),
-            halves_p,
-            refused_j,
-            coeffs_p,
-            coeffs_khwc.size,
-            defines={"VECTORS": vectors, "CLAMP": 0},
-            local_size=(group,),
-        )
 
     return Stage(
         "encode half, kernel alone",
         "NumPy astype(float16) into ready memory",
-        run,
+        lambda: launch_conversion(device, "encode_half_p", halves_p, refused_j, coeffs_p, clamp=False),
         lambda: np.copyto(peer_halves, coeffs_khwc, casting="same_kind"),
         lambda: (
             _image_rms(work, coeffs_khwc, device.download(halves_p).reshape(coeffs_khwc.shape)),

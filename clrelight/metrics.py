@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 
 from clrelight.basis import evaluate_basis
 from clrelight.dataset import CoefficientMap, LightStack
-from clrelight.device import Device, open_device
+from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.matmul import apply_operator, pack_operator, sample_defines
 
-_SEGMENT = 512
+_CPU_SEGMENT = 512
+_GPU_SEGMENT, _GPU_GROUP = 4096, 256
 _TILE_BYTES = 1 << 23
 
 
@@ -86,26 +88,39 @@ def measure_errors(
         coeffs_kp = np.ascontiguousarray(coefficients.coeffs_khwc[:, first:end]).reshape(-1, columns)
         source_ip = device.upload(stack.read_rows(first, end).reshape(-1, columns))
         relit_ip = device.empty((stack.n_light, columns), np.float32)
-        error_it = device.empty((stack.n_light, -(-columns // _SEGMENT)), np.float32)
         apply_operator(device, basis, device.upload(coeffs_kp), relit_ip)
-        device.launch(
-            "metrics/squared_error.cl",
-            "sum_squared_error_mt",
-            error_it.shape,
-            error_it,
-            relit_ip,
-            source_ip,
-            device.upload(weight_p),
-            1.0 / stack.peak,
-            *error_it.shape,
-            columns,
-            defines={
-                **sample_defines(source_ip.dtype),
-                "SEGMENT": _SEGMENT,
-                "ENCODE": int(stack.transfer == "srgb"),
-            },
-        )
+        error_it = _sum_errors(device, relit_ip, source_ip, device.upload(weight_p), stack)
         total_i += device.download(error_it).sum(axis=1, dtype=np.float64)
         if progress is not None:
             progress(end, height)
     return total_i / count
+
+
+def _sum_errors(
+    device: Device, relit_ip: DeviceArray, source_ip: DeviceArray, weight_p: DeviceArray, stack: LightStack
+) -> DeviceArray:
+    """Queue the sums of squared errors of each light and segment of columns."""
+    n_light, columns = relit_ip.shape
+    on_gpu = device.style == "gpu"
+    segment = _GPU_SEGMENT if on_gpu else _CPU_SEGMENT
+    error_it = device.empty((n_light, -(-columns // segment)), np.float32)
+    device.launch(
+        "gpu/metrics/squared_error.cl" if on_gpu else "metrics/squared_error.cl",
+        "sum_squared_error_mt",
+        (math.prod(error_it.shape) * _GPU_GROUP,) if on_gpu else error_it.shape,
+        error_it,
+        relit_ip,
+        source_ip,
+        weight_p,
+        1.0 / stack.peak,
+        *error_it.shape,
+        columns,
+        defines={
+            **sample_defines(source_ip.dtype),
+            "SEGMENT": segment,
+            "ENCODE": int(stack.transfer == "srgb"),
+            **({"GROUP": _GPU_GROUP} if on_gpu else {}),
+        },
+        local_size=(_GPU_GROUP,) if on_gpu else None,
+    )
+    return error_it

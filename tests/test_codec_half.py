@@ -4,6 +4,7 @@ import pytest
 from clrelight.codec import Half, decode, encode
 from clrelight.errors import InputError, PayloadError
 from tests.reference.half import decode_half, encode_half
+from tests.styles import both_styles
 
 
 def as_map(values):
@@ -20,6 +21,7 @@ def test_reference_agrees_with_numpy_on_every_half():
     np.testing.assert_array_equal(decode_half(bits), bits.view(np.float16).astype(np.float64))
 
 
+@both_styles
 def test_every_half_survives(device):
     bits = every_finite_half()
     values = decode_half(bits)
@@ -28,6 +30,7 @@ def test_every_half_survives(device):
     np.testing.assert_array_equal(decode(encoded, device).ravel(), values)
 
 
+@both_styles
 def test_rounding_at_and_beside_every_tie(device):
     positive = decode_half(np.arange(0x7C00))
     ties = ((positive[1:] + positive[:-1]) / 2).astype(np.float32)  # exact: one more bit
@@ -40,6 +43,7 @@ def test_rounding_at_and_beside_every_tie(device):
     np.testing.assert_array_equal(np.frombuffer(encoded.body, "<f2"), values.astype(np.float16))
 
 
+@both_styles
 @pytest.mark.parametrize("width", [1, 7, 8, 9, 13, 1023, 1024, 1025, 2053])
 def test_any_length(device, width):
     rng = np.random.default_rng(width)
@@ -50,6 +54,7 @@ def test_any_length(device, width):
     np.testing.assert_array_equal(decode(encoded.to_bytes(), device), coeffs.astype(np.float16))
 
 
+@both_styles
 @pytest.mark.parametrize("column", [0, 8, 1028])  # a vector, and the scalar rest of the last work-item
 @pytest.mark.parametrize("value", [65520.0, -65520.0, 3e38])
 def test_overflow_names_the_coefficient(device, column, value):
@@ -72,6 +77,7 @@ def test_nothing_is_clamped_below_the_limit(device):
     assert (decode(encoded, device) == 65504).all()
 
 
+@both_styles
 def test_damaged_bodies(device):
     shape = (1, 3, 5, 1)
     for body in (b"", bytes(29), bytes(31), bytes(28) + b"\x00\x7c", b"\x01\xfe" + bytes(28)):

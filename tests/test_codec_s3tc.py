@@ -6,6 +6,7 @@ import pytest
 from clrelight.codec import S3tc, decode, encode
 from clrelight.errors import PayloadError
 from tests.reference.s3tc import block_error, blocks_of, decode_s3tc
+from tests.styles import both_styles
 
 EPS = float(np.finfo(np.float32).eps)
 SIZES = [(1, 1), (3, 4), (5, 3), (4, 7), (8, 8), (9, 31), (7, 32), (4, 33), (13, 61), (3, 64)]
@@ -28,6 +29,7 @@ def decoded_error(coeffs, device):
     return (difference**2).sum(axis=(-1, -2)).ravel()
 
 
+@both_styles
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 @pytest.mark.parametrize("size", SIZES)
 def test_decoder_against_reference(device, size, channels):

@@ -6,6 +6,7 @@ import pytest
 from clrelight.codec import Uniform, decode, encode
 from clrelight.errors import InputError, PayloadError
 from tests.reference.uniform import decode_uniform, minmax_error
+from tests.styles import both_styles
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -29,6 +30,7 @@ def test_decoder_against_reference(device, bits, shape):
     np.testing.assert_allclose(decoded, expected, rtol=0, atol=4 * EPS * np.abs(expected).max())
 
 
+@both_styles
 @pytest.mark.parametrize("size", [4095, 4096, 4097, 8191, 16411])  # around a stretch, and a prime beyond the sample
 def test_sizes_around_a_work_item(device, size):
     coeffs = np.random.default_rng(size).standard_normal((4, 1, size, 1)).astype(np.float32)

@@ -10,12 +10,14 @@ from clrelight.codec.lifting import (
     list_subbands,
     quantise_map,
 )
+from tests.styles import both_styles
 
 
 def random_maps(shape, seed=0):
     return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
 
 
+@both_styles
 @pytest.mark.parametrize(
     ("height", "width"), [(1, 1), (1, 2), (1, 17), (2, 1), (2, 3), (7, 8), (8, 9), (15, 16), (17, 31), (33, 40)]
 )
@@ -57,6 +59,7 @@ def test_subbands_tile_the_plane():
     assert len(list_subbands(1, 1, 3)) == 1
 
 
+@both_styles
 def test_quantiser_and_its_inverse(device):
     shape = (2, 9, 11, 3)
     coeffs = random_maps(shape)

@@ -9,6 +9,7 @@ from clrelight.metrics import measure_errors, psnr_of, summarize_errors
 from clrelight.relight import relight
 from clrelight.sampling import make_pattern
 from tests.reference import basis, psnr
+from tests.styles import both_styles
 
 
 def make_case(dtype, shape_hwc, *, n_light=9, degree=2, transfer="linear", peak=None, seed=0):
@@ -36,6 +37,7 @@ def reference_errors(fitted, stack, mask_hw=None):
     return psnr.mean_squared_errors(relit, stack.images_ihwc, stack.peak, stack.transfer, mask_hw)
 
 
+@both_styles
 @pytest.mark.parametrize("transfer", ["linear", "srgb"])
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])
 def test_every_sample_type_and_curve(device, dtype, transfer):
@@ -43,7 +45,8 @@ def test_every_sample_type_and_curve(device, dtype, transfer):
     np.testing.assert_allclose(measure_errors(fitted, stack), reference_errors(fitted, stack), rtol=2e-6)
 
 
-@pytest.mark.parametrize("width", [3, 7, 8, 1023, 1024, 1025, 2053])  # about the vectors and segments of the kernel
+@both_styles
+@pytest.mark.parametrize("width", [1, 3, 7, 8, 1023, 1024, 1025, 2053, 4095, 4096, 4097])  # about vectors and segments
 def test_any_width(device, width):
     fitted, stack = make_case("float32", (1, width, 1))
     np.testing.assert_allclose(measure_errors(fitted, stack), reference_errors(fitted, stack), rtol=2e-6)

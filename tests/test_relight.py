@@ -6,6 +6,7 @@ from clrelight.errors import InputError
 from clrelight.relight import relight, to_display
 from clrelight.sampling import make_pattern
 from tests.reference import basis, psnr
+from tests.styles import both_styles
 
 UNIT = 2.0**-24
 
@@ -15,6 +16,7 @@ def make_map(degree, shape_hwc, seed=0):
     return CoefficientMap(coeffs, degree, "uls", 1.0, "linear", np.array([[0.0, 0.0, 1.0]]))
 
 
+@both_styles
 @pytest.mark.parametrize(("degree", "shape"), [(0, (1, 1, 1)), (1, (3, 5, 1)), (6, (7, 11, 3)), (9, (1, 257, 1))])
 @pytest.mark.parametrize("n_light", [1, 2, 7, 33])
 def test_against_float64(device, degree, shape, n_light):

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.registry import Codec, register
-from clrelight.codec.slabs import group_size, round_up, slabs
-from clrelight.device import Device
+from clrelight.codec.slabs import slabs
+from clrelight.device import Device, DeviceArray
 from clrelight.errors import InputError, PayloadError
 
 OVERFLOW = 65520.0
 """Least magnitude that rounds to infinity: halfway between the largest binary16, 65504, and 2**16."""
+STRETCH = 1024
+"""Values that a work-item of a CPU, or a group of a GPU's, converts."""
+_GROUP = 128
 
 
 @register
@@ -69,28 +72,37 @@ class Half(Codec):
 
 def _convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, clamp: bool) -> bool:
     """Fill `out_p` from `values_p` with a kernel; return whether it refused a value."""
-    vectors = 128 if device.style == "cpu" else 1
     refused = False
     for slab in slabs(values_p.size, 4):
         values, out = values_p[slab], out_p[slab]
-        group = group_size(device)
-        items = -(-values.size // (8 * vectors))
-        refused_j = device.empty((items,), np.uint8)
+        refused_j = device.empty((-(-values.size // STRETCH),), np.uint8)
         result = device.empty(out.shape, out.dtype, out)
         source = device.upload(values)
-        device.launch(
-            "codec/half.cl",
-            kernel,
-            (round_up(items, group),),
-            result,
-            refused_j,
-            source,
-            values.size,
-            defines={"VECTORS": vectors, "CLAMP": int(clamp)},
-            local_size=(group,),
-        )
+        launch_conversion(device, kernel, result, refused_j, source, clamp=clamp)
         fetched = device.download(result)
         if fetched is not out:
             out[:] = fetched
         refused |= bool(device.download(refused_j).any())
     return refused
+
+
+def launch_conversion(
+    device: Device, kernel: str, out_p: DeviceArray, refused_j: DeviceArray, values_p: DeviceArray, *, clamp: bool
+) -> None:
+    """Queue ``encode_half_p`` or ``decode_half_p``; `refused_j` has one entry for each `STRETCH` values."""
+    (stretches,) = refused_j.shape
+    if device.style == "gpu":
+        file, group, defines = "gpu/codec/half.cl", _GROUP, {"STRETCH": STRETCH, "GROUP": _GROUP}
+    else:
+        file, group, defines = "codec/half.cl", 1, {"VECTORS": STRETCH // 8}
+    device.launch(
+        file,
+        kernel,
+        (stretches * group,),
+        out_p,
+        refused_j,
+        values_p,
+        values_p.shape[0],
+        defines={**defines, "CLAMP": int(clamp)},
+        local_size=(group,),
+    )

@@ -8,11 +8,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.slabs import group_size, round_up, slabs
+from clrelight.codec.slabs import round_up, slabs
 from clrelight.device import Device
 
 STRETCH = 4096
-"""Coefficients of one work-item: 16 kB, which stay in the first cache while many quantisers are measured."""
+"""Coefficients of one work-item, on a GPU of one group: 16 kB, which stay in the first cache (in registers) while many
+quantisers are measured."""
+
+_GROUP, _PACKED = 256, 8
+"""Work-items of a GPU's group, and the codes that each of them packs: the fewest that fill whole bytes."""
 
 SAMPLES = 8192
 """Values of a map that the search looks at; the decision is measured on all of them."""
@@ -128,18 +132,25 @@ def measure_distortion(
 
 
 def launch(device: Device, kernel: str, bits: int, count: int, n_map: int, *arguments: object) -> None:
-    """Launch a kernel of ``uniform.cl`` over stretches of `count` values of each of `n_map` maps."""
-    group = group_size(device)
-    defines = {"BITS": bits, "STRETCH": STRETCH}
-    across = round_up(-(-count // STRETCH), group)
-    one_axis = kernel.startswith(("pack", "unpack"))
+    """Launch a kernel of ``uniform.cl`` over `count` values of each of `n_map` maps."""
+    packs = kernel.startswith(("pack", "unpack"))
+    file, stretch, group, items = "codec/uniform.cl", STRETCH, 1, -(-count // STRETCH)
+    extra: dict[str, int] = {}
+    if device.style == "gpu":
+        group = _GROUP
+        if packs:
+            stretch, items = _PACKED, -(-count // _PACKED)
+        else:
+            file, extra = "gpu/codec/uniform.cl", {"GROUP": _GROUP}
+            items = items * _GROUP if kernel.startswith("measure") else count
+    across = round_up(items, group)
     device.launch(
-        "codec/uniform.cl",
+        file,
         kernel,
-        (across,) if one_axis else (across, n_map),
+        (across,) if packs else (across, n_map),
         *arguments,
-        defines=defines,
-        local_size=(group,) if one_axis else (group, 1),
+        defines={"BITS": bits, "STRETCH": stretch, **extra},
+        local_size=(group,) if packs else (group, 1),
     )
 
 
