@@ -46,7 +46,7 @@ def test_every_sample_type_and_curve(device, dtype, transfer):
 
 
 @both_styles
-@pytest.mark.parametrize("width", [1, 3, 7, 8, 1023, 1024, 1025, 2053, 4095, 4096, 4097])  # about vectors and segments
+@pytest.mark.parametrize("width", [3, 7, 8, 1023, 1024, 1025, 2053, 4095, 4096, 4097])  # about vectors and segments
 def test_any_width(device, width):
     fitted, stack = make_case("float32", (1, width, 1))
     np.testing.assert_allclose(measure_errors(fitted, stack), reference_errors(fitted, stack), rtol=2e-6)
@@ -71,6 +71,7 @@ def test_masked_pixels_do_not_count(device, transfer):
     np.testing.assert_allclose(measure_errors(fitted, masked), reference_errors(fitted, stack, mask), rtol=2e-6)
 
 
+@both_styles
 def test_values_are_clipped_before_they_are_compared(device):
     fitted, stack = make_case("float32", (1, 2, 1), n_light=1, degree=0)
     fitted.coeffs_khwc[:] = np.array([-3.0, 9.0]).reshape(1, 1, 2, 1)

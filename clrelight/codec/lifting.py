@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.slabs import round_up
 from clrelight.device import Device, DeviceArray
 
-_FILE = "codec/wavelet.cl"
 _LANES = 8
+_GROUP = 64
+"""Work-items of a GPU's group, along rows."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,8 @@ def forward_transform(
     """
     n_coeff, height, width, channels = coeffs_khwc.shape
     planes, scratch = (empty_planes(coeffs_khwc.shape, device) for _ in range(2))
-    device.launch(
-        _FILE,
+    _launch(
+        device,
         "planes_from_coeffs",
         (width, height, n_coeff * channels),
         planes,
@@ -102,8 +104,8 @@ def inverse_transform(
     for size in reversed(_level_sizes(height, width, levels)):
         _run_level("synthesise", planes, scratch, size, device)
     coeffs = device.empty(shape, np.float32)
-    device.launch(
-        _FILE,
+    _launch(
+        device,
         "coeffs_from_planes",
         (width, height, n_coeff * channels),
         coeffs,
@@ -126,8 +128,8 @@ def quantise_map(
     """Return the (channel, height, width) int32 indices ``sign(v) floor(|v|/step + rounding)`` of map `k`."""
     _, height, width, channels = shape
     index = device.empty((channels, height, width), np.int32)
-    device.launch(
-        _FILE,
+    _launch(
+        device,
         "quantise",
         (width, height, channels),
         index,
@@ -147,8 +149,8 @@ def dequantise_map(
 ) -> None:
     """Write map `k` of `planes` as ``sign(q) (|q| - bias) step``; `biases` are those of |q| = 1 and of |q| > 1."""
     channels, height, width = index_chw.shape
-    device.launch(
-        _FILE,
+    _launch(
+        device,
         "dequantise",
         (width, height, channels),
         planes,
@@ -169,6 +171,17 @@ def _level_sizes(height: int, width: int, levels: int) -> list[tuple[int, int]]:
 def _run_level(verb: str, planes: DeviceArray, scratch: DeviceArray, size: tuple[int, int], device: Device) -> None:
     height, width = size
     count, *pitch = planes.shape
-    columns, rows = (-(-width // _LANES), (height + 1) // 2, count), (-(-width // (2 * _LANES)), height, count)
-    device.launch(_FILE, f"{verb}_columns", columns, scratch, planes, height, *pitch)
-    device.launch(_FILE, f"{verb}_rows", rows, planes, scratch, width, *pitch)
+    # Columns and pairs of one work-item: see the two files.
+    lanes = 1 if device.style == "gpu" else _LANES
+    columns, rows = (-(-width // lanes), (height + 1) // 2, count), (-(-width // (2 * lanes)), height, count)
+    _launch(device, f"{verb}_columns", columns, scratch, planes, height, *pitch)
+    _launch(device, f"{verb}_rows", rows, planes, scratch, width, *pitch)
+
+
+def _launch(device: Device, kernel: str, global_size: tuple[int, int, int], *arguments: object) -> None:
+    if device.style == "gpu":
+        across, *others = global_size
+        whole_groups = (round_up(across, _GROUP), *others)
+        device.launch("gpu/codec/wavelet.cl", kernel, whole_groups, *arguments, local_size=(_GROUP, 1, 1))
+    else:
+        device.launch("codec/wavelet.cl", kernel, global_size, *arguments)

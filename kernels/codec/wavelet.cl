@@ -7,6 +7,7 @@
  *
  * Error: forward and inverse together return each sample within 16 eps32 max|plane| per level.
  */
+typedef float8 lifted;
 #include "codec/lifting.clh"
 
 /* planes[k c][y][x] = scale[k] coeffs[k][y][x][c]. Global size (width, height, maps times channels). */
