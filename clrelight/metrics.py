@@ -89,17 +89,22 @@ def measure_errors(
         source_ip = device.upload(stack.read_rows(first, end).reshape(-1, columns))
         relit_ip = device.empty((stack.n_light, columns), np.float32)
         apply_operator(device, basis, device.upload(coeffs_kp), relit_ip)
-        error_it = _sum_errors(device, relit_ip, source_ip, device.upload(weight_p), stack)
+        error_it = sum_errors(device, relit_ip, source_ip, device.upload(weight_p), stack.peak, stack.transfer)
         total_i += device.download(error_it).sum(axis=1, dtype=np.float64)
         if progress is not None:
             progress(end, height)
     return total_i / count
 
 
-def _sum_errors(
-    device: Device, relit_ip: DeviceArray, source_ip: DeviceArray, weight_p: DeviceArray, stack: LightStack
+def sum_errors(
+    device: Device,
+    relit_ip: DeviceArray,
+    source_ip: DeviceArray,
+    weight_p: DeviceArray,
+    peak: float,
+    transfer: str,
 ) -> DeviceArray:
-    """Queue the sums of squared errors of each light and segment of columns."""
+    """Queue the sums of squared errors, in units of the peak, of each light and segment of columns."""
     n_light, columns = relit_ip.shape
     on_gpu = device.style == "gpu"
     segment = _GPU_SEGMENT if on_gpu else _CPU_SEGMENT
@@ -112,13 +117,13 @@ def _sum_errors(
         relit_ip,
         source_ip,
         weight_p,
-        1.0 / stack.peak,
+        1.0 / peak,
         *error_it.shape,
         columns,
         defines={
             **sample_defines(source_ip.dtype),
             "SEGMENT": segment,
-            "ENCODE": int(stack.transfer == "srgb"),
+            "ENCODE": int(transfer == "srgb"),
             **({"GROUP": _GPU_GROUP} if on_gpu else {}),
         },
         local_size=(_GPU_GROUP,) if on_gpu else None,
