@@ -174,7 +174,7 @@ def main(device: str | None, columns: int | None, rounds: int, only: str, json_f
     opened = open_device(device)
     # A multiple of what the CPU's kernels take at a time.
     columns = -(-(columns or (1 << 20 if opened.style == "gpu" else 1 << 17)) // 16) * 16
-    facts = {**describe_environment(opened), "kernels": opened.style, "columns": str(columns)}
+    facts = {**describe_environment(opened), "columns": str(columns)}
     chosen = (work for work in all_work(opened, columns) if only.lower() in work.name.lower())
     rows = [measure_share(work, opened, rounds) for work in chosen]
     if not rows:

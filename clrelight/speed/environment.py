@@ -27,6 +27,7 @@ def describe_environment(device: Device) -> dict[str, str]:
         "threads": f"{cpus} usable CPUs, {info.compute_units} compute units; {', '.join(limits) or 'no limits set'}",
         "load": _load(),
         "device": f"{info.kind}: {info.name}",
+        "kernels": f"those for a {info.style.upper()}",
         "driver": f"{info.version}, driver {info.driver}",
         "BLAS": _blas(),
         "versions": f"Python {platform.python_version()}, {software_versions()}",
