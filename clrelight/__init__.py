@@ -21,6 +21,7 @@ _HOMES = {
     "decode": "clrelight.codec",
     "encode": "clrelight.codec",
     "encode_to_quality": "clrelight.experiment.target",
+    "export_textures": "clrelight.export",
     "fit": "clrelight.fit.run",
     "ingest_folder": "clrelight.ingest",
     "list_devices": "clrelight.device",

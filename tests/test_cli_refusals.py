@@ -191,7 +191,7 @@ OTHERS = [
     ("bench stack.h5 --out @o.h5 --methods cls,cls", "twice"),
     ("bench stack.h5 --out @o.h5 --codecs none,none", "twice"),
     ("bench stack.h5 --out @o.h5 --methods ,", "one or more names"),
-    ("bench stack.h5 --out @o.h5 --degrees 4,101", "degrees must be 0 to 100, got 101"),
+    ("bench stack.h5 --out @o.h5 --degrees 4,101", "degrees must be auto or 0 to 100, got 101"),
     ("bench stack.h5 --out @o.h5 --degrees 4.5", "whole numbers"),
     ("bench stack.h5 --out @o.h5 --degrees 99999999999999999999", "whole numbers"),
     ("bench stack.h5 --out @o.h5 --codecs none --rates 1", "rates are for codecs that take one"),

@@ -9,6 +9,7 @@ import click
 
 from clrelight.cli.options import (
     ByteCount,
+    Degrees,
     Names,
     Numbers,
     device_option,
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("what", metavar="[ring|STACK.h5|EXPERIMENT.toml]", required=False)
 @click.option("--out", type=click.Path(), help=f"Results file; default results.h5, with --speed {DEFAULT_OUT}.")
-@click.option("--methods", type=Names(), help="Fits, such as uls,cls; default: the paper's four.")
-@click.option("--degrees", type=Numbers(int, "4,6"), help="SH degrees; default 6. With --speed: those to compare.")
+@click.option("--methods", type=Names(), help="Fits, such as uls,cls,auto; default: the paper's four.")
+@click.option("--degrees", type=Degrees(), help="SH degrees, or auto; default 6. With --speed: those to compare.")
 @click.option("--codecs", type=Names(), help="Codecs; default none,half,s3tc,uniform,wavelet.")
 @click.option("--rates", type=Numbers(float, "0.5,1,2"), help="Bits per coefficient of codecs that take a rate.")
 @holdout_option("the fits")
@@ -58,7 +59,7 @@ def bench(
     what: str | None,
     out: str | None,
     methods: tuple[str, ...] | None,
-    degrees: tuple[int, ...] | None,
+    degrees: tuple[int | str, ...] | None,
     codecs: tuple[str, ...] | None,
     rates: tuple[float, ...] | None,
     holdout: int | None,
@@ -100,7 +101,10 @@ def bench(
         from clrelight.fit.run import DEFAULT_MEMORY
         from clrelight.speed.plan import choose_growth
 
-        growth = choose_growth(quick=quick, rounds=rounds, size=sizes, lights=lights, degree=degrees, threads=threads)
+        numbers = None if degrees is None else tuple(degree for degree in degrees if not isinstance(degree, str))
+        if numbers != degrees:
+            raise InputError("--speed times degrees that are numbers: leave auto out of --degrees")
+        growth = choose_growth(quick=quick, rounds=rounds, size=sizes, lights=lights, degree=numbers, threads=threads)
         bench_speed(
             growth,
             out or DEFAULT_OUT,

@@ -76,6 +76,22 @@ def _is_sensible(number: float) -> bool:
     return abs(number) <= _LARGEST if isinstance(number, int) else math.isfinite(number)
 
 
+class Degrees(Numbers):
+    """SH degrees separated by commas, among which ``auto`` leaves the choice to the fit."""
+
+    def __init__(self) -> None:
+        super().__init__(int, "4,6,auto")
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple:
+        """Return the numbers, and ``"auto"``, as a tuple."""
+        if isinstance(value, tuple):
+            return value
+        parts = [part.strip() for part in str(value).split(",")]
+        numbers = [part for part in parts if part != "auto"]
+        known = iter(super().convert(",".join(numbers), param, ctx) if numbers else ())
+        return tuple(part if part == "auto" else next(known) for part in parts)
+
+
 class Names(click.ParamType):
     """Names separated by commas, none of them twice."""
 

@@ -23,6 +23,7 @@ from clrelight.experiment.provenance import software_versions, source_commit
 from clrelight.experiment.scenes import shrink_picture, survey_stack
 from clrelight.fit import FitMethod
 from clrelight.fit.run import FitReport, collect_fit, prepare_fit
+from clrelight.fit.selection import AUTO
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.relight import relight, to_display
 from clrelight.results import ROW_DTYPE, Results
@@ -46,9 +47,29 @@ _IDENTITY = (
 )
 
 
+_ASKED_ALWAYS = ("auto", "weights", "sampling", "stack")
+"""What `fit_config` holds beside a method's own options."""
+
+
 def row_key(row: np.void) -> tuple:
     """Return what a row was asked for: rows that share it are one measurement."""
-    return tuple(row[name] for name in _IDENTITY)
+    asked = {name: row[name] for name in _IDENTITY}
+    config = _asked_config(row["fit_config"])
+    chosen = str(config.get("auto", ""))
+    if "degree" in chosen:
+        asked["degree"] = AUTO
+    if "method" in chosen:
+        # What was chosen, with its options, is no part of the question.
+        asked["method"], asked["fit_config"] = AUTO, _json({name: config.get(name) for name in _ASKED_ALWAYS})
+    return tuple(asked.values())
+
+
+def _asked_config(fit_config: bytes) -> dict[str, Any]:
+    try:
+        config = json.loads(fit_config)
+    except ValueError:  # cut off at the field's length
+        return {}
+    return config if isinstance(config, dict) else {}
 
 
 class _RefusalError(InputError):
@@ -64,7 +85,7 @@ class Bench:
         self.fitted, self.held = split_lights(stack.n_light, experiment.holdout)
         self.fit_stack = stack if experiment.holdout is None else stack.select(self.fitted)
         self.survey = survey_stack(stack)
-        self._fit: tuple[tuple, CoefficientMap, float] | None = None
+        self._fit: tuple[tuple, CoefficientMap, FitMethod, float] | None = None
         self._warm: list[Codec] = []
 
     def check_earlier(self, results: Results, out: str | os.PathLike[str]) -> None:
@@ -78,27 +99,17 @@ class Bench:
                     "or start anew with --force"
                 )
 
-    def identity(self, method: FitMethod, degree: int, setting: CodecSetting) -> np.void:
-        """Return the row with all that is known before measuring."""
-        experiment = self.experiment
+    def identity(self, method: FitMethod | str, degree: int | str, setting: CodecSetting) -> np.void:
+        """Return the row with all that is known before measuring; a choice left to the fit is ``"auto"`` and -1."""
         height, width, channel = self.stack.image_shape
-        fit_config = {
-            **method.to_config(),
-            "weights": experiment.weights,
-            "sampling": experiment.sampling,
-            "stack": self.survey.fingerprint,
-        }
         values = {
             "scene": self.stack.name,
-            "method": method.id,
-            "degree": degree,
-            "fit_config": _json(fit_config),
+            **self._model_fields(method, degree, _chosen_by_auto(method, degree)),
             "codec": setting.id,
             "codec_config": _json(setting.config),
             "rate": setting.rate,
             "n_light": len(self.fitted),
             "n_holdout": len(self.held),
-            "n_coeff": (degree + 1) ** 2,
             "height": height,
             "width": width,
             "channel": channel,
@@ -113,13 +124,32 @@ class Bench:
                 row[0][name] = _fixed(values[name], kind[0])
         return row[0]
 
-    def measure(self, results: Results, row: np.void, method: FitMethod, degree: int, setting: CodecSetting) -> Results:
+    def _model_fields(self, method: FitMethod | str, degree: int | str, auto: str) -> dict[str, Any]:
+        """Return the fields of a row that say what is fitted; `auto` names what the fit chooses, or has chosen."""
+        config = {
+            **({} if isinstance(method, str) else method.to_config()),
+            **({"auto": auto} if auto else {}),
+            "weights": self.experiment.weights,
+            "sampling": self.experiment.sampling,
+            "stack": self.survey.fingerprint,
+        }
+        known = -1 if isinstance(degree, str) else degree
+        name = method if isinstance(method, str) else method.id
+        return {"method": name, "degree": known, "fit_config": _json(config), "n_coeff": (known + 1) ** 2}
+
+    def measure(
+        self, results: Results, row: np.void, asked: FitMethod | str, asked_degree: int | str, setting: CodecSetting
+    ) -> Results:
         """Fit if need be, encode, decode, compare; return the results with this row and its pictures."""
         try:
-            coefficients, row["seconds_fit"] = self._coefficients(method, degree)
+            coefficients, method, row["seconds_fit"] = self._coefficients(asked, asked_degree)
+            degree = coefficients.degree
         except _RefusalError as refusal:
             row["mean_energy"] = row["seconds_fit"] = math.nan
             return _append(results, _without_quality(row, str(refusal)))
+        if auto := _chosen_by_auto(asked, asked_degree):
+            for name, value in self._model_fields(method, degree, auto).items():
+                row[name] = _fixed(value, ROW_DTYPE[name])
         row["mean_energy"] = _mean_energy(coefficients.coeffs_khwc)
         row["entropy_bits"] = math.nan
         row["bits_per_coefficient"], row["encoded_bytes"] = 32.0, coefficients.coeffs_khwc.nbytes
@@ -151,7 +181,8 @@ class Bench:
         pictures, profiles = self._illustrate(results, coefficients, method, degree, setting)
         return replace(_append(results, row), pictures=pictures, profiles=profiles)
 
-    def _coefficients(self, method: FitMethod, degree: int) -> tuple[CoefficientMap, float]:
+    def _coefficients(self, method: FitMethod | str, degree: int | str) -> tuple[CoefficientMap, FitMethod, float]:
+        """Return the fit, its method, and its seconds, those of a choice included."""
         key = (method, degree)
         if self._fit is None or self._fit[0] != key:
             self._fit = None  # let the old map go before the new one is made
@@ -166,8 +197,9 @@ class Bench:
             first_row = replace(self.fit_stack, images_ihwc=self.fit_stack.images_ihwc[:, :1], mask_hw=None)
             collect_fit(replace(prepared, stack=first_row, report=FitReport()))
             coefficients = collect_fit(prepared)
-            self._fit = (key, coefficients, sum(prepared.report.seconds.values()))
-        return self._fit[1], self._fit[2]
+            taken = prepared.choice.chosen.method if prepared.choice else prepared.method
+            self._fit = (key, coefficients, taken, sum(prepared.report.seconds.values()))
+        return self._fit[1], self._fit[2], self._fit[3]
 
     def _warm_up(self, codec: Codec, coeffs_khwc: NDArray[np.float32]) -> None:
         """Build a codec's kernels on a corner of the maps, once for all its rows, apart from the times of any."""
@@ -193,6 +225,11 @@ class Bench:
             pictures[f"{self.stack.name}/reference"] = survey.picture_hwc
             pictures[key] = shrink_picture(to_display(image, self.stack.transfer))
         return pictures, profiles
+
+
+def _chosen_by_auto(method: FitMethod | str, degree: int | str) -> str:
+    """Return what the fit is asked to choose, for `fit_config`: nothing, ``"method"``, ``"degree"``, or both."""
+    return " and ".join(name for name, value in (("method", method), ("degree", degree)) if value == AUTO)
 
 
 def _append(results: Results, row: np.void) -> Results:

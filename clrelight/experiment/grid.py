@@ -14,6 +14,7 @@ from clrelight.codec import Codec, codec_class
 from clrelight.errors import InputError
 from clrelight.fit import FitMethod, method_class
 from clrelight.fit.plan import SAMPLINGS, WEIGHTINGS
+from clrelight.fit.selection import AUTO
 from clrelight.results import NO_CODEC
 
 RING = "ring"
@@ -76,8 +77,10 @@ class Experiment:
     ----------
     scenes : tuple of str
         ``"ring"`` or paths of stack files.
-    methods : tuple of FitMethod
-    degrees : tuple of int
+    methods : tuple of FitMethod or str
+        ``"auto"`` leaves the choice to the lights, as `clrelight.fit.fit` does.
+    degrees : tuple of int or str
+        Likewise.
     codecs : tuple of CodecSetting
     holdout : int or None
         Keep every K-th light out of the fits and measure there too.
@@ -88,8 +91,8 @@ class Experiment:
     """
 
     scenes: tuple[str, ...] = (RING,)
-    methods: tuple[FitMethod, ...] = ()
-    degrees: tuple[int, ...] = (6,)
+    methods: tuple[FitMethod | str, ...] = ()
+    degrees: tuple[int | str, ...] = (6,)
     codecs: tuple[CodecSetting, ...] = ()
     holdout: int | None = None
     weights: str = "uniform"
@@ -105,8 +108,8 @@ class Experiment:
             if twice is not None:
                 raise InputError(f"{name} holds {_label(twice)} twice")
         for degree in self.degrees:
-            if not 0 <= degree <= MAX_DEGREE:
-                raise InputError(f"degrees must be 0 to {MAX_DEGREE}, got {degree}")
+            if degree != AUTO and (isinstance(degree, str) or not 0 <= degree <= MAX_DEGREE):
+                raise InputError(f"degrees must be auto or 0 to {MAX_DEGREE}, got {degree}")
         if self.holdout is not None and self.holdout < 2:
             raise InputError(f"holdout must be at least 2 (every K-th light is kept out), got {self.holdout}")
         for name, known in (("weights", WEIGHTINGS), ("sampling", SAMPLINGS)):
@@ -130,7 +133,7 @@ def paper_experiment(
     scene: str = RING,
     *,
     methods: tuple[str, ...] = PAPER_METHODS,
-    degrees: tuple[int, ...] = (6,),
+    degrees: tuple[int | str, ...] = (6,),
     codecs: tuple[str, ...] = (NO_CODEC, "half", "s3tc", "uniform", "wavelet"),
     rates: tuple[float, ...] | None = None,
     holdout: int | None = None,
@@ -151,8 +154,12 @@ def paper_experiment(
     return Experiment((scene,), tuple(made), degrees, tuple(settings), holdout, ring=dict(ring or {}))
 
 
-def make_methods(method_id: str, config: Mapping[str, Any]) -> list[FitMethod]:
-    """Return one method for each combination of the options that are lists."""
+def make_methods(method_id: str, config: Mapping[str, Any]) -> list[FitMethod | str]:
+    """Return one method for each combination of the options that are lists; ``"auto"`` has none."""
+    if method_id == AUTO:
+        if config:
+            raise InputError(f"auto chooses the options too; {', '.join(config)} needs a method by name")
+        return [AUTO]
     kind = method_class(method_id)
     return [kind.from_config(_with_types(kind, options)) for options in _combinations(config)]
 

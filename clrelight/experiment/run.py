@@ -70,7 +70,7 @@ def run_experiment(
             for method, degree, setting in planned:
                 identity = bench.identity(method, degree, setting)
                 if row_key(identity) not in done:
-                    what = f"{stack.name}: {method.title} degree {degree}, {setting.picture_name}"
+                    what = f"{stack.name}: {getattr(method, 'title', method)} degree {degree}, {setting.picture_name}"
                     report(what, count, experiment.row_count)
                     results = bench.measure(results, identity, method, degree, setting)
                     write_results(out, results)

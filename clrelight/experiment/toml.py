@@ -19,6 +19,7 @@ from clrelight.experiment.grid import (
     make_settings,
 )
 from clrelight.fit import method_class
+from clrelight.fit.selection import AUTO
 from clrelight.results import NO_CODEC
 
 _RING_KEYS = {"size": int, "lights": int, "pattern": str, "seed": int, "dtype": str}
@@ -47,7 +48,8 @@ def _experiment_of(given: Mapping[str, Any], file: Path) -> Experiment:
     names = _list_of(str, given, "methods", list(PAPER_METHODS))
     options = _typed(dict, given, "method", {})
     for name in options:
-        method_class(name)
+        if name != AUTO:
+            method_class(name)
         if name not in names:
             raise InputError(f"[method.{name}] has options of a method that is not among the methods")
     methods = [method for name in names for method in make_methods(name, _typed(dict, options, name, {}))]
@@ -67,7 +69,7 @@ def _experiment_of(given: Mapping[str, Any], file: Path) -> Experiment:
     return Experiment(
         tuple(scene if scene == RING else str(file.parent / scene) for scene in scenes),
         tuple(methods),
-        tuple(_list_of(int, given, "degrees", [6])),
+        tuple(_degrees(given)),
         tuple(settings),
         _typed(int, given, "holdout", None),
         _typed(str, given, "weights", "uniform"),
@@ -84,6 +86,14 @@ def _typed(kind: type, given: Mapping[str, Any], key: str, default: Any) -> Any:
     if kind is int and value is not None and abs(value) >= 1 << 31:
         raise InputError(f"{key} {value} is too large")
     return value
+
+
+def _degrees(given: Mapping[str, Any]) -> list[int | str]:
+    degrees = _typed(list, given, "degrees", [6])
+    for degree in degrees:
+        if degree != AUTO and type(degree) is not int:
+            raise InputError(f"degrees must be whole numbers or {AUTO!r}, got {degree!r}")
+    return degrees
 
 
 def _list_of(kind: type, given: Mapping[str, Any], key: str, default: list) -> list:

@@ -106,7 +106,7 @@ def differing_options(rows: Sequence[np.void]) -> list[str]:
             for key in sorted({key for i in members for key in configs[i]}):
                 is_rate = all(configs[i].get(key) in (None, rows[i]["rate"]) for i in members)
                 if not is_rate and len({repr(configs[i].get(key)) for i in members}) > 1:
-                    for i in members:
+                    for i in (i for i in members if key in configs[i]):
                         found[i].append(f"{key}={configs[i].get(key)}")
     return [", ".join(words) for words in found]
 

@@ -1,0 +1,197 @@
+"""Coefficient maps as textures that renderers load, with a JSON file that says what they mean (docs/textures.md)."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec import Bc6h, Encoded, encode
+from clrelight.codec.dds import write_dds
+from clrelight.dataset import CoefficientMap
+from clrelight.device import Device
+from clrelight.errors import InputError
+from clrelight.images import write_image
+from clrelight.store.durable import check_output, naming, replacing
+
+EXPORTS = {"dds": "BC6H_SF16", "exr": "float32", "exr-half": "float16"}
+"""Formats, and the type of a texel's components in each."""
+
+NOTES = "textures.json"
+_PLAIN_RANGE = (2.0**-6, 2.0**15)
+"""Largest magnitudes that halves hold well as they are; others are scaled by a power of two."""
+
+
+@dataclass(frozen=True)
+class _Texture:
+    """One texture: its name without extension, and the (coefficient, channel) that each component holds."""
+
+    name: str
+    planes: list[tuple[int, int]]
+
+
+def check_export(out: str | os.PathLike, file_format: str, inputs: Iterable[str | os.PathLike] = ()) -> None:
+    """Raise InputError if an export cannot go to `out` as it looks now; for asking before long work."""
+    if file_format not in EXPORTS:
+        raise InputError(f"unknown format {file_format!r}; known are {', '.join(EXPORTS)}")
+    target = Path(out)
+    if _is_array(target):
+        if file_format != "dds":
+            raise InputError(f"a texture array is a DDS file, format {file_format} needs a folder, got {target}")
+        for file in (target, _notes_of(target)):
+            check_output(file, inputs)
+        return
+    with naming(target):
+        if not target.name or not target.parent.is_dir():
+            raise InputError(f"cannot write {target}: there is no folder {target.parent}")
+        if target.exists() and not (target.is_dir() and not any(target.iterdir())):
+            raise InputError(f"cannot write {target}: it is there and is no empty folder, choose another name")
+
+
+def export_textures(
+    coefficients: CoefficientMap,
+    out: str | os.PathLike,
+    file_format: str = "dds",
+    *,
+    blocks: Encoded | None = None,
+    device: Device,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Write a map's coefficients as textures.
+
+    A texture holds the channels of one coefficient. A DDS texture has three components: with a channel count other
+    than 3 it holds three consecutive planes ``k channel + c``; such an EXR file holds one plane.
+
+    Parameters
+    ----------
+    coefficients : CoefficientMap
+    out : path
+        A name that ends in ``.dds`` becomes one texture array of all coefficients, with the notes in
+        ``NAME.dds.json`` beside it; any other a new folder of textures, with the notes in ``textures.json``.
+    file_format : str
+        One of `EXPORTS`.
+    blocks : Encoded, optional
+        The map as codec `bc6h` has encoded it, so that a DDS file holds these very blocks.
+    device : Device
+        Where blocks are encoded.
+    progress : callable, optional
+        Called with files done and in all.
+
+    Returns
+    -------
+    list of Path
+        What was written, the notes last.
+
+    Raises
+    ------
+    InputError
+        If the format is unknown, or `out` cannot be written: then nothing was.
+    """
+    check_export(out, file_format)
+    target = Path(out)
+    coeffs_khwc: NDArray[np.float32] = np.asarray(coefficients.coeffs_khwc[:])
+    scale = 1.0 if file_format == "exr" or blocks is not None else _choose_scale(coeffs_khwc)
+    scaled_khwc = coeffs_khwc if scale == 1.0 else np.divide(coeffs_khwc, scale, dtype=np.float32)
+    if file_format == "dds" and blocks is None:
+        blocks = encode(scaled_khwc, Bc6h(), device)
+    textures = _list_textures(coeffs_khwc.shape, whole_texels=file_format == "dds")
+    notes = _describe(coefficients, textures, file_format, scale)
+    if _is_array(target) and blocks is not None:
+        for layer, entry in enumerate(notes["textures"]):
+            entry |= {"file": target.name, "layer": layer}
+        with replacing(target) as array, replacing(_notes_of(target)) as beside:
+            write_dds(array.path, blocks)
+            beside.write(_to_json(notes))
+        return [target, _notes_of(target)]
+    aside = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        with naming(target):
+            aside.mkdir()
+            for number, (texture, entry) in enumerate(zip(textures, notes["textures"], strict=True)):
+                if progress is not None:
+                    progress(number, len(textures))
+                if blocks is not None and file_format == "dds":
+                    write_dds(aside / entry["file"], blocks, number)
+                else:
+                    write_image(aside / entry["file"], _pixels(scaled_khwc, texture, file_format))
+            (aside / NOTES).write_bytes(_to_json(notes))
+            os.replace(aside, target)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return [target / name for name in (*(entry["file"] for entry in notes["textures"]), NOTES)]
+
+
+def _is_array(target: Path) -> bool:
+    return target.suffix.lower() == ".dds"
+
+
+def _notes_of(array: Path) -> Path:
+    return array.with_name(array.name + ".json")
+
+
+def _choose_scale(coeffs_khwc: NDArray[np.float32]) -> float:
+    """Return the power of two that coefficients are divided by so that halves hold them: 1 for usual ones."""
+    largest = max(float(coeffs_khwc.max()), -float(coeffs_khwc.min()))
+    if largest == 0.0 or _PLAIN_RANGE[0] <= largest <= _PLAIN_RANGE[1]:
+        return 1.0
+    # Within what float32 can divide by, and multiply with again.
+    return math.ldexp(1.0, min(max(math.frexp(largest)[1], -126), 127))
+
+
+def _list_textures(shape: tuple[int, ...], *, whole_texels: bool) -> list[_Texture]:
+    """Return the textures in the order of the coefficients; DDS layers in that of the encoded groups."""
+    n_coeff, _, _, channel = shape
+    planes = [(k, c) for k in range(n_coeff) for c in range(channel)]
+    if channel == 3 or (channel == 1 and not whole_texels):
+        digits = max(2, len(str(n_coeff - 1)))
+        return [_Texture(f"coeff{k:0{digits}}", planes[k * channel : (k + 1) * channel]) for k in range(n_coeff)]
+    size = 3 if whole_texels else 1
+    digits = max(2, len(str(len(planes) - 1)))
+    return [_Texture(f"planes{i:0{digits}}", planes[i : i + size]) for i in range(0, len(planes), size)]
+
+
+def _pixels(coeffs_khwc: NDArray[np.float32], texture: _Texture, file_format: str) -> NDArray:
+    image_hwc = np.stack([coeffs_khwc[k, :, :, c] for k, c in texture.planes], axis=-1)
+    return image_hwc.astype(EXPORTS[file_format])
+
+
+def _describe(coefficients: CoefficientMap, textures: list[_Texture], file_format: str, scale: float) -> dict[str, Any]:
+    height, width, channel = coefficients.image_shape
+    extension = file_format.partition("-")[0]
+    return {
+        "format": extension,
+        "component": EXPORTS[file_format],
+        "name": coefficients.name,
+        "method": coefficients.method,
+        "degree": coefficients.degree,
+        "n_coeff": coefficients.n_coeff,
+        "height": height,
+        "width": width,
+        "channels": channel,
+        "basis": "real spherical harmonics y_k, orthonormal on the sphere, no Condon-Shortley sign; k = l (l + 1) + m",
+        "axes": "light direction s from the surface to the light: x right, y up, z to the camera; first row on top",
+        "radiance": "radiance[c] = scale * sum over k of y_k(s) * value[k, c]; linear, 1 means the peak",
+        "scale": scale,
+        "peak": coefficients.peak,
+        "transfer": coefficients.transfer,
+        "planes": "what the components of each texture hold, in order, as [k, channel]",
+        "textures": [
+            {"file": f"{texture.name}.{extension}", "planes": [list(plane) for plane in texture.planes]}
+            for texture in textures
+        ],
+    }
+
+
+def _to_json(notes: dict[str, Any]) -> bytes:
+    """Return one line for each fact and each texture."""
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in notes.items() if key != "textures"]
+    textures = ",\n".join(f"  {json.dumps(texture)}" for texture in notes["textures"])
+    return ("{\n" + ",\n".join([*lines, f' "textures": [\n{textures}\n ]']) + "\n}\n").encode()
