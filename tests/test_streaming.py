@@ -1,5 +1,7 @@
 """Data larger than memory: what is read ahead and written behind, in order, in bounds, and with its errors."""
 
+import subprocess
+import sys
 import threading
 from contextlib import closing
 from dataclasses import replace
@@ -13,7 +15,7 @@ from clrelight.fit import fit_tiles, prepare_fit
 from clrelight.fit.run import rows_per_tile
 from clrelight.store import create_stack, writing
 from clrelight.streaming import Buffer, reading_ahead, writing_behind
-from tests.commands import call, contents, succeed
+from tests.commands import call, contents, environment, succeed
 from tests.stacks import make_stack
 
 
@@ -220,3 +222,35 @@ def test_what_is_radiance(dtype):
             values[position] = bad
             assert not is_radiance(values)
             assert not is_radiance(values.astype(values.dtype.newbyteorder(">")))
+
+
+PEAK = """
+import sys
+from clrelight.cli.app import run
+code = run(sys.argv[1:])
+from clrelight.speed.job import peak_memory
+print(code, peak_memory())
+"""
+
+
+def peak_of(folder, *words):
+    """Return the most memory, in bytes, that a command in a process of its own ever had."""
+    words = [sys.executable, "-c", PEAK, *map(str, words)]
+    done = subprocess.run(words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=120)
+    code, peak = done.stdout.split()[-2:]
+    assert code == "0", done.stderr
+    return int(peak)
+
+
+def test_memory_does_not_grow_with_the_view(tmp_path):
+    fit = ["fit", "s.h5", "f.h5", "--degree", 6, "--memory", "20MB"]
+    others = (["psnr", "f.h5", "s.h5"], ["relight", "f.h5", "f.png", "--light", "0,0,1"])
+    peaks = {}
+    for height in (500, 2000):
+        write_big(tmp_path / "s.h5", height, width=256, n_light=12)
+        if not peaks:
+            peak_of(tmp_path, *fit)  # compiling kernels takes memory too
+        peaks[height] = [peak_of(tmp_path, *words) for words in (fit, *others)]
+    grown = np.subtract(peaks[2000], peaks[500])
+    coefficients = 49 * 256 * 3 * 4 * 1500  # what the larger view has more of, 226 MB
+    assert (grown < 0.25 * coefficients).all(), grown

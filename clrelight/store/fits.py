@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -139,7 +139,7 @@ def write_fit(path: str | os.PathLike, coefficients: CoefficientMap) -> None:
 
 @contextmanager
 def open_fit(path: str | os.PathLike) -> Iterator[CoefficientMap]:
-    """Open a fit; its coefficients are a `StoredArray`, read as they are indexed.
+    """Open a fit; its coefficients, lambdas and ranks are each a `StoredArray`, read as it is indexed.
 
     Raises
     ------
@@ -150,28 +150,31 @@ def open_fit(path: str | os.PathLike) -> Iterator[CoefficientMap]:
     """
     with opening(path, "fit") as opened:
         with refusing(opened.path):
-            coefficients = fit_of(opened, opened.arrays["coefficients"])
+            coefficients = fit_of(opened, opened.arrays.get)
         yield coefficients
 
 
 def read_fit(path: str | os.PathLike) -> CoefficientMap:
     """Read a whole fit into memory; errors as of `open_fit`."""
     with opening(path, "fit") as opened, refusing(opened.path):
-        return fit_of(opened, opened.arrays["coefficients"][...])
+        return fit_of(opened, opened.optional)
 
 
-def fit_of(opened: Opened, coeffs_khwc: Any) -> CoefficientMap:
-    """Return the fit in an open file, with these coefficients; StoreFormatError or InputError if it is not sound."""
+def fit_of(opened: Opened, array: Callable[[str], Any]) -> CoefficientMap:
+    """Return the fit in an open file; `array` gives a dataset by its name, read or not, or None.
+
+    Raises StoreFormatError or InputError if it is not sound.
+    """
     attributes = opened.attributes()
     return CoefficientMap(
-        coeffs_khwc,
+        array("coefficients"),
         attributes["degree"],
         attributes["method"],
         attributes["peak"],
         attributes["transfer"],
         opened.arrays["directions"][...],
         parse_config(attributes["config"], "config"),
-        opened.optional("lambda"),
-        opened.optional("rank"),
+        array("lambda"),
+        array("rank"),
         attributes["name"],
     )

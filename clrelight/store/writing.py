@@ -67,6 +67,13 @@ class Sink:
         """Read back what was filled, before the file is finished."""
         return self._target[key]
 
+    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
+        """Read back ``[:, first:end]`` into a C-contiguous array of that shape and this dtype."""
+        if isinstance(self._target, h5py.Dataset):
+            self._target.read_direct(out, np.s_[:, first:end])
+        else:
+            out[...] = self._target[:, first:end]
+
     def check_filled(self) -> None:
         """Raise ValueError if fewer elements were written than there are."""
         if self._missing > 0:
