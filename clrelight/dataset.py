@@ -69,12 +69,16 @@ class LightStack:
         if self.mask_hw is not None and (self.mask_hw.shape != shape[1:3] or self.mask_hw.dtype != np.bool_):
             raise InputError(f"mask must be bool of shape {shape[1:3]}, got {self.mask_hw.dtype} {self.mask_hw.shape}")
 
-    def read_rows(self, first: int, end: int) -> NDArray:
+    def read_rows(self, first: int, end: int, out_ihwc: NDArray | None = None) -> NDArray:
         """Return rows first..end of every image, C-contiguous (n_light, end - first, width, channel).
 
+        They are read into `out_ihwc` where it is given, an array of that shape and the images' type.
         Raises InputError, naming light and pixel, where a float sample is negative or not finite.
         """
-        tile_ihwc = np.ascontiguousarray(self.images_ihwc[:, first:end])
+        if out_ihwc is None:
+            tile_ihwc = np.ascontiguousarray(self.images_ihwc[:, first:end])
+        else:
+            tile_ihwc = read_rows_into(self.images_ihwc, first, end, out_ihwc)
         if tile_ihwc.dtype.kind == "f":
             check_radiance(tile_ihwc, first)
         return tile_ihwc
@@ -110,6 +114,23 @@ class LightSubset:
         # HDF5 reads scattered lights slowly and rows of all lights fast, so pick after reading.
         lights, *rest = key
         return self._images[(slice(None), *rest)][self._lights][lights]
+
+    def read_rows_into(self, first: int, end: int, out_ihwc: NDArray) -> None:
+        """Read rows first..end, a few at a time: the lights that are left out take little memory."""
+        chunks = getattr(self._images, "chunks", None)
+        step = chunks[1] if chunks else end - first
+        for row in range(first, end, step):
+            stop = min(row + step, end)
+            out_ihwc[:, row - first : stop - first] = self._images[:, row:stop][self._lights]
+
+
+def read_rows_into(array_nhwc: Any, first: int, end: int, out_nhwc: NDArray) -> NDArray:
+    """Fill `out_nhwc` with rows first..end of an array, of a dataset, or of some lights of one, and return it."""
+    if hasattr(array_nhwc, "read_rows_into"):
+        array_nhwc.read_rows_into(first, end, out_nhwc)
+    else:
+        out_nhwc[...] = array_nhwc[:, first:end]
+    return out_nhwc
 
 
 @dataclass(frozen=True)
@@ -198,8 +219,7 @@ def check_directions(directions_i3: NDArray, n_light: int | None) -> None:
 
 def check_radiance(tile_ihwc: NDArray, first_row: int = 0) -> None:
     """Raise InputError, naming the first sample that is negative or not finite."""
-    # min and max see every NaN and infinity, and cost no temporary array.
-    if np.isfinite(tile_ihwc.max()) and tile_ihwc.min() >= 0:
+    if is_radiance(tile_ihwc):
         return
     bad = ~(np.isfinite(tile_ihwc) & (tile_ihwc >= 0))
     light, row, column, channel = (int(v) for v in np.argwhere(bad)[0])
@@ -207,6 +227,16 @@ def check_radiance(tile_ihwc: NDArray, first_row: int = 0) -> None:
         f"image {light} is {tile_ihwc[light, row, column, channel]} at row {first_row + row}, column {column}, "
         f"channel {channel}: radiance must be finite and not negative"
     )
+
+
+def is_radiance(values: NDArray) -> bool:
+    """Return whether all values, float16 or float32, are finite and not negative."""
+    bits = values.view(values.dtype.str.replace("f", "u"))
+    # Of numbers >= 0 the bits are in the numbers' order, infinity and NaN behind them, and then all with a sign. NumPy
+    # compares integers at the speed of memory, and halves one by one.
+    if bits.max(initial=0) < np.asarray(np.inf, values.dtype).view(bits.dtype):
+        return True
+    return bool(np.all(np.isfinite(values) & (values >= 0)))  # a zero may have a sign
 
 
 def split_lights(n_light: int, holdout: int | None) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.conventions import TRANSFERS, default_peak
+from clrelight.dataset import is_radiance
 from clrelight.errors import InputError
 from clrelight.images import BAND_BYTES, ImageHeader, read_bands, read_header
 from clrelight.lights import (
@@ -384,8 +385,7 @@ def _columns(band_hwc: NDArray, window: _Window) -> NDArray:
 
 
 def _check_radiance(band_hwc: NDArray, path: Path, row: int, column: int) -> None:
-    # Minimum and maximum carry NaN along, and need no temporary array.
-    if band_hwc.min() >= 0 and band_hwc.max() < np.inf:
+    if is_radiance(band_hwc):
         return
     r, c, channel = (int(v) for v in np.argwhere(~((band_hwc >= 0) & (band_hwc < np.inf)))[0])
     raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.basis import evaluate_basis
-from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.dataset import CoefficientMap, LightStack, read_rows_into
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.matmul import apply_operator, pack_operator, sample_defines
+from clrelight.streaming import Buffer, reading_ahead
 
 _CPU_SEGMENT = 512
 _GPU_SEGMENT, _GPU_GROUP = 4096, 256
-_TILE_BYTES = 1 << 23
+_TILE_BYTES = 1 << 24
+"""Coefficients and relit images of one tile of rows."""
 
 
 @dataclass(frozen=True)
@@ -80,19 +83,30 @@ def measure_errors(
         raise InputError("the mask leaves no pixel to measure")
     basis = pack_operator(device, evaluate_basis(stack.directions_i3, coefficients.degree))
     total_i = np.zeros(stack.n_light)
-    step = max(1, _TILE_BYTES // (4 * stack.n_light * width * channel))
-    for first in range(0, height, step):
-        end = min(first + step, height)
-        weight_p = np.repeat(mask_hw[first:end].ravel(), channel).astype(np.float32)
-        columns = len(weight_p)
-        coeffs_kp = np.ascontiguousarray(coefficients.coeffs_khwc[:, first:end]).reshape(-1, columns)
-        source_ip = device.upload(stack.read_rows(first, end).reshape(-1, columns))
-        relit_ip = device.empty((stack.n_light, columns), np.float32)
-        apply_operator(device, basis, device.upload(coeffs_kp), relit_ip)
-        error_it = sum_errors(device, relit_ip, source_ip, device.upload(weight_p), stack.peak, stack.transfer)
-        total_i += device.download(error_it).sum(axis=1, dtype=np.float64)
-        if progress is not None:
-            progress(end, height)
+    step = max(1, _TILE_BYTES // (4 * (stack.n_light + coefficients.n_coeff) * width * channel))
+    tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
+    coeffs_of, samples_of = (itertools.cycle([Buffer(), Buffer()]) for _ in range(2))
+    relit = Buffer()
+
+    def read(rows: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray]:
+        tile_shape = (rows[1] - rows[0], width, channel)
+        coeffs_khwc = next(coeffs_of).lend((coefficients.n_coeff, *tile_shape), np.float32)
+        samples_ihwc = next(samples_of).lend((stack.n_light, *tile_shape), stack.images_ihwc.dtype)
+        return read_rows_into(coefficients.coeffs_khwc, *rows, coeffs_khwc), stack.read_rows(*rows, samples_ihwc)
+
+    with reading_ahead(read, tiles) as pieces:
+        for (first, end), (coeffs_khwc, samples_ihwc) in zip(tiles, pieces, strict=True):
+            weight_p = np.repeat(mask_hw[first:end].ravel(), channel).astype(np.float32)
+            shape_ip = (stack.n_light, len(weight_p))
+            relit_ip = device.empty(
+                shape_ip, np.float32, relit.lend(shape_ip, np.float32) if device.shares_memory else None
+            )
+            apply_operator(device, basis, device.upload(coeffs_khwc.reshape(-1, len(weight_p))), relit_ip)
+            source_ip = device.upload(samples_ihwc.reshape(shape_ip))
+            error_it = sum_errors(device, relit_ip, source_ip, device.upload(weight_p), stack.peak, stack.transfer)
+            total_i += device.download(error_it).sum(axis=1, dtype=np.float64)
+            if progress is not None:
+                progress(end, height)
     return total_i / count
 
 

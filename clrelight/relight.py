@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.basis import evaluate_basis
 from clrelight.conventions import linear_to_srgb
-from clrelight.dataset import CoefficientMap, check_directions
+from clrelight.dataset import CoefficientMap, check_directions, read_rows_into
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.matmul import multiply_columns
+from clrelight.streaming import Buffer, reading_ahead
+
+_TILE_BYTES = 1 << 25
+"""Coefficients of one tile of rows, where they are read from a file."""
 
 
 def relight(
@@ -21,6 +27,7 @@ def relight(
     Parameters
     ----------
     coefficients : CoefficientMap
+        In memory, or in an open file; then they are read once, tile by tile.
     directions_i3 : ndarray, shape (n_light, 3), float64
         Unit vectors from the surface to the lights. Below the horizon of a hemispherical fit the result means
         nothing; it is returned as it is.
@@ -35,9 +42,31 @@ def relight(
     check_directions(directions_i3, None)
     if not len(directions_i3):
         raise InputError("relighting needs at least 1 light, got none")
-    coeffs_kp = np.ascontiguousarray(coefficients.coeffs_khwc[:]).reshape(coefficients.n_coeff, -1)
-    images_ip = multiply_columns(device, evaluate_basis(directions_i3, coefficients.degree), coeffs_kp)
-    return images_ip.reshape(len(directions_i3), *coefficients.image_shape)
+    basis_ik = evaluate_basis(directions_i3, coefficients.degree)
+    if isinstance(coefficients.coeffs_khwc, np.ndarray):
+        coeffs_kp = np.ascontiguousarray(coefficients.coeffs_khwc).reshape(coefficients.n_coeff, -1)
+        images_ip = multiply_columns(device, basis_ik, coeffs_kp)
+        return images_ip.reshape(len(directions_i3), *coefficients.image_shape)
+    return _relight_tiles(device, basis_ik, coefficients)
+
+
+def _relight_tiles(device: Device, basis_ik: NDArray[np.float64], coefficients: CoefficientMap) -> NDArray[np.float32]:
+    """Relight coefficients that lie in a file: of them, two tiles of rows are held at a time."""
+    height, width, channel = coefficients.image_shape
+    step = max(1, _TILE_BYTES // (4 * coefficients.n_coeff * width * channel))
+    tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
+    buffers = itertools.cycle([Buffer(), Buffer()])
+    images_ihwc = np.empty((len(basis_ik), height, width, channel), np.float32)
+
+    def read(rows: tuple[int, int]) -> NDArray[np.float32]:
+        shape = (coefficients.n_coeff, rows[1] - rows[0], width, channel)
+        return read_rows_into(coefficients.coeffs_khwc, *rows, next(buffers).lend(shape, np.float32))
+
+    with reading_ahead(read, tiles) as pieces:
+        for (first, end), coeffs_khwc in zip(tiles, pieces, strict=True):
+            images_ip = multiply_columns(device, basis_ik, coeffs_khwc.reshape(coefficients.n_coeff, -1))
+            images_ihwc[:, first:end] = images_ip.reshape(-1, end - first, width, channel)
+    return images_ihwc
 
 
 def to_display(radiance: NDArray, transfer: str) -> NDArray[np.uint8]:

@@ -89,7 +89,8 @@ def test_srgb_is_decoded(device, dtype, method):
 def test_tiles_change_no_bit(device, rows, method):
     stack = make_stack(90, (7, 61, 3))
     prepared = prepare_fit(stack, method, 4)
-    memory = rows * 61 * 3 * (90 * 4 + 4 * (len(prepared.plan.singular_r) + 25 + 2))
+    # Samples being read and samples being fitted, components, the bound and its doubt, coefficients and a lambda.
+    memory = rows * 61 * 3 * 4 * (90 + 90 + len(prepared.plan.singular_r) + 2 + 25 + 1)
     assert rows_per_tile(prepared, memory) == rows
     assert rows_per_tile(prepared, memory + 10**9) == 7
     assert [(t.first, t.end) for t in fit_tiles(prepared, memory_bytes=memory)] == [
@@ -102,8 +103,8 @@ def test_tiles_change_no_bit(device, rows, method):
 
 
 def test_a_row_beyond_the_memory_budget():
-    # 90 samples, 9 components, 9 coefficients, a bound and a lambda, of 4 bytes each.
-    row = 61 * 3 * 4 * (90 + 9 + 9 + 2)
+    # 90 samples that are read and 90 that are fitted, 9 components, the bound and its doubt, 9 coefficients, a lambda.
+    row = 61 * 3 * 4 * (90 + 90 + 9 + 2 + 9 + 1)
     with pytest.raises(InputError, match=f"this fit takes {row} bytes, more than the memory budget {row - 1}"):
         fit(make_stack(90, (3, 61, 3)), "uls", 2, memory_bytes=row - 1)
 

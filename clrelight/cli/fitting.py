@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,7 +14,7 @@ from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import measure, psnr_lines
 
 if TYPE_CHECKING:
-    from clrelight.fit.run import PreparedFit
+    from clrelight.fit.run import FittedTile, PreparedFit
     from clrelight.store import FitSink
 
 
@@ -126,18 +127,20 @@ def fit(
 
 def _fill(sink: FitSink, prepared: PreparedFit, memory: int) -> None:
     from clrelight.fit.run import fit_tiles
+    from clrelight.streaming import writing_behind
 
-    with progress_bar(f"fitting {prepared.method.title}") as bar:
-        for tile in fit_tiles(prepared, memory_bytes=memory):
-            since = time.perf_counter()
-            rows = slice(tile.first, tile.end)
-            sink.coeffs_khwc[:, rows] = tile.coeffs_khwc
-            if sink.lambda_hwc is not None and tile.lambda_hwc is not None:
-                sink.lambda_hwc[rows] = tile.lambda_hwc
-            if sink.rank_hwc is not None and tile.rank_hwc is not None:
-                sink.rank_hwc[rows] = tile.rank_hwc
-            prepared.report.add("write", since)
-            bar(tile.end, prepared.stack.image_shape[0])
+    def write(tile: FittedTile) -> None:
+        sink.write_rows(tile.first, tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc)
+
+    tiles = fit_tiles(prepared, memory_bytes=memory, held=2, row_step=sink.coeffs_khwc.chunks[1])
+    with progress_bar(f"fitting {prepared.method.title}") as bar, closing(tiles):
+        with writing_behind(write) as put:
+            for tile in tiles:
+                since = time.perf_counter()
+                put(tile)
+                since = prepared.report.add("write", since)
+                bar(tile.end, prepared.stack.image_shape[0])
+        prepared.report.add("write", since)
 
 
 COMMANDS = (fit,)

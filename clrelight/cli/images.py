@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,12 +16,10 @@ import click
 from clrelight.cli.options import Numbers, device_option, json_option
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
-from clrelight.cli.quality import load_coefficients
+from clrelight.cli.quality import lend_coefficients
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import numpy as np
     from numpy.typing import NDArray
 
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 _FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
 _MAX_STOPS = 64.0
+_PICTURE_BYTES = 1 << 26
+"""So many bytes of pictures, and one at least, are made in one pass through the coefficients."""
 _NUMBER_FIELD = re.compile(r"%0?[0-9]?d")
 
 
@@ -76,25 +80,27 @@ def relight(
         check_output(name, [fitted, lights] if lights else [fitted])
     opened = open_device(device)
     seconds: dict[str, float] = {}
-    light_view, own_transfer = _load_view(fitted, opened, seconds)
     notes = [
         f"light {i} is below the horizon, where a hemispherical fit knows nothing"
         for i in range(len(directions_i3))
         if directions_i3[i, 2] < 0
     ]
     seconds["relight"] = seconds["write"] = 0.0
-    with progress_bar("relighting") as bar:
-        for index, name in enumerate(names):
+    with _lend_view(fitted, opened, seconds) as view, progress_bar("relighting") as bar:
+        step = max(1, _PICTURE_BYTES // view.picture_bytes)
+        for first in range(0, len(names), step):
             since = time.perf_counter()
-            radiance = light_view(directions_i3[index : index + 1])[0] * np.float32(2.0**exposure)
+            pictures_ihwc = view.light(directions_i3[first : first + step])
             seconds["relight"] += time.perf_counter() - since
-            since = time.perf_counter()
-            if name.lower().endswith(_FLOAT_FORMATS):
-                write_image(name, radiance)
-            else:
-                write_image(name, to_display(radiance, transfer or own_transfer))
-            seconds["write"] += time.perf_counter() - since
-            bar(index + 1, len(names))
+            for index, radiance in enumerate(pictures_ihwc, start=first):
+                since = time.perf_counter()
+                radiance *= np.float32(2.0**exposure)
+                if names[index].lower().endswith(_FLOAT_FORMATS):
+                    write_image(names[index], radiance)
+                else:
+                    write_image(names[index], to_display(radiance, transfer or view.transfer))
+                seconds["write"] += time.perf_counter() - since
+                bar(index + 1, len(names))
     if as_json:
         print_json({"files": names, "notes": notes, "seconds": seconds, "device": opened.info.label})
         return
@@ -102,10 +108,18 @@ def relight(
     print_facts({"image": ", ".join(names[:3]) + (" ..." if len(names) > 3 else ""), "time": seconds_line(seconds)})
 
 
-def _load_view(
-    path: str, device: Device, seconds: dict[str, float]
-) -> tuple[Callable[[NDArray[np.float64]], NDArray[np.float32]], str]:
-    """Return what makes images of directions, and the stack's transfer.
+@dataclass(frozen=True)
+class _View:
+    """What makes pictures of directions, the bytes of one, and the stack's transfer."""
+
+    light: Callable[[NDArray[np.float64]], NDArray[np.float32]]
+    picture_bytes: int
+    transfer: str
+
+
+@contextmanager
+def _lend_view(path: str, device: Device, seconds: dict[str, float]) -> Iterator[_View]:
+    """Lend a view to relight.
 
     An encoding with a basis of its own relights there: only the light vector is transformed.
     """
@@ -119,11 +133,16 @@ def _load_view(
         view = decode_view(encoded, device)
         seconds["decode"] = time.perf_counter() - since
         if view is not None:
-            return (lambda directions_i3: view.relight(directions_i3, device)), source.transfer
-    coefficients = load_coefficients(path, device, seconds)
-    return (
-        lambda directions_i3: relight_coefficients(coefficients, directions_i3, device=device)
-    ), coefficients.transfer
+            picture_bytes = 4 * math.prod(encoded.shape[1:])
+            yield _View(lambda directions_i3: view.relight(directions_i3, device), picture_bytes, source.transfer)
+            return
+    with lend_coefficients(path, device, seconds) as coefficients:
+        picture_bytes = 4 * math.prod(coefficients.image_shape)
+        yield _View(
+            lambda directions_i3: relight_coefficients(coefficients, directions_i3, device=device),
+            picture_bytes,
+            coefficients.transfer,
+        )
 
 
 def _directions(light: tuple[tuple[float, float, float], ...], lights: str | None) -> NDArray[np.float64]:

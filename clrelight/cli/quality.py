@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,8 +16,12 @@ from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from clrelight.dataset import CoefficientMap, LightStack
     from clrelight.device import Device
+    from clrelight.store import StoredArray
 
 
 @click.command()
@@ -36,8 +43,7 @@ def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
 
     opened = open_device(device)
     seconds: dict[str, float] = {}
-    with open_stack(stack) as source:
-        coefficients = load_coefficients(fitted, opened, seconds)
+    with open_stack(stack) as source, lend_coefficients(fitted, opened, seconds) as coefficients:
         since = time.perf_counter()
         quality = measure(coefficients, source, opened)
         seconds["measure"] = time.perf_counter() - since
@@ -47,12 +53,14 @@ def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
     print_facts({**psnr_lines(quality), "time": seconds_line(seconds)})
 
 
-def load_coefficients(path: str, device: Device, seconds: dict[str, float]) -> CoefficientMap:
-    """Return the coefficients of a fit file, or of an encoded file after decoding; `seconds` gets what it took."""
-    import numpy as np
+@contextmanager
+def lend_coefficients(path: str, device: Device, seconds: dict[str, float]) -> Iterator[CoefficientMap]:
+    """Lend the coefficients of a fit file, or of an encoded file after decoding; `seconds` gets what it took.
 
+    Those of a fit stay in the file until they are read. InputError where one that is read is not finite.
+    """
     from clrelight.codec import decode
-    from clrelight.store import file_schema, read_encoded, read_fit
+    from clrelight.store import file_schema, open_fit, read_encoded
 
     since = time.perf_counter()
     if file_schema(path).startswith("encoded/"):
@@ -62,17 +70,36 @@ def load_coefficients(path: str, device: Device, seconds: dict[str, float]) -> C
             since = time.perf_counter()
             coefficients = source.to_map(decode(encoded, device))
             seconds["decode"] = time.perf_counter() - since
+        _check_finite(path, coefficients.coeffs_khwc)
+        yield coefficients
     else:
-        coefficients = read_fit(path)
-        seconds["read"] = time.perf_counter() - since
-    for k, plane_hwc in enumerate(coefficients.coeffs_khwc):
+        with open_fit(path) as stored:
+            seconds["read"] = time.perf_counter() - since
+            yield replace(stored, coeffs_khwc=_Finite(path, stored.coeffs_khwc))
+
+
+class _Finite:
+    """The coefficients of an open file, each checked when it is read."""
+
+    def __init__(self, path: str, stored_khwc: StoredArray) -> None:
+        self.shape, self.dtype = stored_khwc.shape, stored_khwc.dtype
+        self._path, self._stored = path, stored_khwc
+
+    def read_rows_into(self, first: int, end: int, out: NDArray[np.float32]) -> None:
+        self._stored.read_rows_into(first, end, out)
+        _check_finite(self._path, out, first)
+
+
+def _check_finite(path: str, coeffs_khwc: NDArray[np.float32], first_row: int = 0) -> None:
+    import numpy as np
+
+    for k, plane_hwc in enumerate(coeffs_khwc):
         if not np.isfinite(plane_hwc).all():
             row, column, channel = (int(v) for v in np.argwhere(~np.isfinite(plane_hwc))[0])
             raise InputError(
-                f"{path}: coefficient {k} at row {row}, column {column}, channel {channel} is "
+                f"{path}: coefficient {k} at row {first_row + row}, column {column}, channel {channel} is "
                 f"{plane_hwc[row, column, channel]}, expected a finite number"
             )
-    return coefficients
 
 
 def measure(

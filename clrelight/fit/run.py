@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,9 +22,10 @@ from clrelight.fit.registry import Columns, FitMethod, method_class
 from clrelight.fit.samples import Samples
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, Choice, choose_model
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
+from clrelight.streaming import Buffer, reading_ahead
 
 DEFAULT_MEMORY = 1 << 28
-"""Bytes that one tile of a fit may take: samples, components and coefficients together."""
+"""Bytes that the tiles of a fit may take: that being read, that being fitted, and those that the caller still holds."""
 
 
 @dataclass
@@ -31,7 +35,7 @@ class FitReport:
     Attributes
     ----------
     seconds : dict
-        Per stage: ``plan``, ``read``, ``project``, ``shrink``, ``synthesize``.
+        Per stage: ``plan``, ``read``, ``project``, ``shrink``, ``synthesize``. Of reading it is what was waited for.
     notes : list of str
     condition : float
         Condition of the weighted basis matrix.
@@ -106,7 +110,7 @@ def fit(
     device : Device, optional
         Default: `open_device()`.
     memory_bytes : int
-        Bytes that one tile may take.
+        Bytes that tiles may take.
 
     Returns
     -------
@@ -191,19 +195,20 @@ def collect_fit(
     coeffs_khwc = np.empty((n_coeff, *stack.image_shape), np.float32)
     lambda_hwc = np.empty(stack.image_shape, np.float32) if method.has_lambda else None
     rank_hwc = np.empty(stack.image_shape, np.int32) if method.has_rank else None
-    for tile in fit_tiles(prepared, memory_bytes=memory_bytes):
-        rows = slice(tile.first, tile.end)
-        if rows == slice(0, stack.image_shape[0]):
-            # One tile is the whole map: no second copy.
-            coeffs_khwc, lambda_hwc, rank_hwc = tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc
-        else:
-            coeffs_khwc[:, rows] = tile.coeffs_khwc
-            if lambda_hwc is not None and tile.lambda_hwc is not None:
-                lambda_hwc[rows] = tile.lambda_hwc
-            if rank_hwc is not None and tile.rank_hwc is not None:
-                rank_hwc[rows] = tile.rank_hwc
-        if progress is not None:
-            progress(tile.end, stack.image_shape[0])
+    with closing(fit_tiles(prepared, memory_bytes=memory_bytes)) as tiles:
+        for tile in tiles:
+            rows = slice(tile.first, tile.end)
+            if rows == slice(0, stack.image_shape[0]):
+                # One tile is the whole map: no second copy.
+                coeffs_khwc, lambda_hwc, rank_hwc = tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc
+            else:
+                coeffs_khwc[:, rows] = tile.coeffs_khwc
+                if lambda_hwc is not None and tile.lambda_hwc is not None:
+                    lambda_hwc[rows] = tile.lambda_hwc
+                if rank_hwc is not None and tile.rank_hwc is not None:
+                    rank_hwc[rows] = tile.rank_hwc
+            if progress is not None:
+                progress(tile.end, stack.image_shape[0])
     return CoefficientMap(
         coeffs_khwc,
         prepared.degree,
@@ -218,22 +223,53 @@ def collect_fit(
     )
 
 
-def rows_per_tile(prepared: PreparedFit, memory_bytes: int) -> int:
-    """Return how many rows fit the budget: samples, components and coefficients."""
+def rows_per_tile(prepared: PreparedFit, memory_bytes: int, *, held: int = 1, row_step: int = 1) -> int:
+    """Return how many rows a tile has within the budget; see `fit_tiles`."""
     stack = prepared.stack
     height, width, channel = stack.image_shape
-    sample = np.dtype(stack.images_ihwc.dtype).itemsize
-    column = stack.n_light * sample + 4 * (len(prepared.plan.singular_r) + (prepared.degree + 1) ** 2 + 2)
-    rows = memory_bytes // (column * width * channel)
+    sample = stack.n_light * np.dtype(stack.images_ihwc.dtype).itemsize
+    # Components, the bound and its doubt; and what is handed on: coefficients, lambda or rank.
+    work, result = 4 * (len(prepared.plan.singular_r) + 2), 4 * ((prepared.degree + 1) ** 2 + 1)
+    if memory_bytes // (width * channel * (sample + work + result)) >= height:
+        return height  # one tile: nothing is read ahead
+    row_bytes = width * channel * (2 * sample + work + held * result)
+    rows = memory_bytes // row_bytes
     if rows < 1:
-        raise InputError(
-            f"one row of this fit takes {column * width * channel} bytes, more than the memory budget {memory_bytes}"
-        )
+        raise InputError(f"one row of this fit takes {row_bytes} bytes, more than the memory budget {memory_bytes}")
+    # Whole chunks of the images as well, where there is room for both.
+    chunks = getattr(stack.images_ihwc, "chunks", None)
+    chunk_rows = chunks[1] if chunks else 1
+    for step in (math.lcm(row_step, chunk_rows), row_step):
+        if step <= rows:
+            rows -= rows % step
+            break
     return int(min(rows, height))
 
 
-def fit_tiles(prepared: PreparedFit, *, memory_bytes: int = DEFAULT_MEMORY) -> Iterator[FittedTile]:
-    """Yield the fitted rows from top to bottom; times go to ``prepared.report``."""
+def fit_tiles(
+    prepared: PreparedFit, *, memory_bytes: int = DEFAULT_MEMORY, held: int = 1, row_step: int = 1
+) -> Generator[FittedTile, None, None]:
+    """Yield the fitted rows from top to bottom; times go to ``prepared.report``.
+
+    The next tile is read in a thread meanwhile, into memory that tiles use in turns. Close the generator where it is
+    left before its end (`contextlib.closing`): then the thread has ended.
+
+    Parameters
+    ----------
+    prepared : PreparedFit
+    memory_bytes : int
+        Bytes that tiles may take: samples of the one being read, samples and components of the one being fitted, and
+        the coefficients of those held.
+    held : int
+        A tile's arrays keep their values until so many more have been asked for.
+    row_step : int
+        Tiles have a multiple of this many rows where the budget has room: those of a chunk of where they are written.
+
+    Raises
+    ------
+    InputError
+        If a row does not fit the budget, or samples are negative or not finite.
+    """
     stack, plan, device, report = prepared.stack, prepared.plan, prepared.device, prepared.report
     curve = SampleCurve(stack.peak, stack.transfer)
     scale = curve.operator_scale()
@@ -241,44 +277,64 @@ def fit_tiles(prepared: PreparedFit, *, memory_bytes: int = DEFAULT_MEMORY) -> I
     synthesis = None if plan.synthesis_kr is None else pack_operator(device, plan.synthesis_kr)
     energy_i = device.upload((plan.energy_i * scale**2).astype(np.float32))
     singular_r = device.upload(plan.singular_r.astype(np.float32))
-    height = stack.image_shape[0]
-    step = rows_per_tile(prepared, memory_bytes)
-    for first in range(0, height, step):
-        end = min(first + step, height)
-        since = time.perf_counter()
-        tile_ihwc = stack.read_rows(first, end)
-        since = report.add("read", since)
-        source_ip = device.upload(tile_ihwc.reshape(len(tile_ihwc), -1))
-        columns = source_ip.shape[1]
-        z_rq = device.empty((analysis.shape[0], pad_columns(columns)), np.float32)
-        energy_q = device.empty((z_rq.shape[1],), np.float32)
-        apply_operator(device, analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=energy_i)
-        device.finish()
-        since = report.add("project", since)
-        maps = prepared.method.shrink(device, plan, Columns(source_ip, curve, z_rq, energy_q, singular_r))
-        device.finish()
-        since = report.add("shrink", since)
-        coeffs_kp = _synthesize(device, synthesis, z_rq, columns)
-        shape_hwc = tile_ihwc.shape[1:]
-        tile = FittedTile(
-            first,
-            end,
-            coeffs_kp.reshape(-1, *shape_hwc),
-            None if maps.lambda_q is None else device.download(maps.lambda_q)[:columns].reshape(shape_hwc),
-            None if maps.rank_q is None else device.download(maps.rank_q)[:columns].reshape(shape_hwc),
-        )
-        if stack.mask_hw is not None:
-            _clear_masked(tile, ~stack.mask_hw[first:end])
-        report.add("synthesize", since)
-        yield tile
+    height, width, channel = stack.image_shape
+    step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step)
+    tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
+    # Fresh memory costs a page fault per 4 KiB, as much time as a kernel: tiles share these.
+    samples_of = itertools.cycle([Buffer() for _ in tiles[:2]])
+    coeffs_of = itertools.cycle([Buffer() for _ in tiles[:held]])
+    components, energies = Buffer(), Buffer()
+
+    def read(rows: tuple[int, int]) -> NDArray:
+        if len(tiles) == 1:
+            return stack.read_rows(*rows)
+        shape = (stack.n_light, rows[1] - rows[0], width, channel)
+        return stack.read_rows(*rows, next(samples_of).lend(shape, stack.images_ihwc.dtype))
+
+    since = time.perf_counter()
+    with reading_ahead(read, tiles) as samples:
+        for (first, end), tile_ihwc in zip(tiles, samples, strict=True):
+            since = report.add("read", since)
+            source_ip = device.upload(tile_ihwc.reshape(len(tile_ihwc), -1))
+            columns = source_ip.shape[1]
+            padded = pad_columns(columns)
+            z_rq = _lend(device, components, (analysis.shape[0], padded))
+            energy_q = _lend(device, energies, (padded,))
+            apply_operator(device, analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=energy_i)
+            device.finish()
+            since = report.add("project", since)
+            maps = prepared.method.shrink(device, plan, Columns(source_ip, curve, z_rq, energy_q, singular_r))
+            device.finish()
+            since = report.add("shrink", since)
+            coeffs_kp = _synthesize(device, synthesis, z_rq, columns, next(coeffs_of))
+            shape_hwc = tile_ihwc.shape[1:]
+            tile = FittedTile(
+                first,
+                end,
+                coeffs_kp.reshape(-1, *shape_hwc),
+                None if maps.lambda_q is None else device.download(maps.lambda_q)[:columns].reshape(shape_hwc),
+                None if maps.rank_q is None else device.download(maps.rank_q)[:columns].reshape(shape_hwc),
+            )
+            if stack.mask_hw is not None:
+                _clear_masked(tile, ~stack.mask_hw[first:end])
+            report.add("synthesize", since)
+            yield tile
+            since = time.perf_counter()
+
+
+def _lend(device: Device, buffer: Buffer, shape: tuple[int, ...]) -> DeviceArray:
+    return device.empty(shape, np.float32, buffer.lend(shape, np.float32) if device.shares_memory else None)
 
 
 def _synthesize(
-    device: Device, synthesis: PackedOperator | None, z_rq: DeviceArray, columns: int
+    device: Device, synthesis: PackedOperator | None, z_rq: DeviceArray, columns: int, buffer: Buffer
 ) -> NDArray[np.float32]:
     if synthesis is None:
-        return np.ascontiguousarray(device.download(z_rq)[:, :columns])
-    coeffs_kp = device.empty((synthesis.shape[0], columns), np.float32)
+        z_rp = device.download(z_rq)[:, :columns]
+        coeffs_rp = buffer.lend(z_rp.shape, np.float32)
+        coeffs_rp[...] = z_rp
+        return coeffs_rp
+    coeffs_kp = _lend(device, buffer, (synthesis.shape[0], columns))
     apply_operator(device, synthesis, z_rq, coeffs_kp)
     return device.download(coeffs_kp)
 

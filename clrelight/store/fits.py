@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -36,6 +36,25 @@ class FitSink:
     coeffs_khwc: Sink
     lambda_hwc: Sink | None
     rank_hwc: Sink | None
+
+    def write_rows(
+        self,
+        first: int,
+        coeffs_khwc: NDArray[np.float32],
+        lambda_hwc: NDArray[np.float32] | None,
+        rank_hwc: NDArray[np.int32] | None,
+    ) -> None:
+        """Fill rows from `first` on, chunk by chunk: so the file's bytes do not depend on how many come at a time."""
+        end = first + coeffs_khwc.shape[1]
+        chunk_rows = self.coeffs_khwc.chunks[1]
+        for row in range(first - first % chunk_rows, end, chunk_rows):
+            target = slice(max(row, first), min(row + chunk_rows, end))
+            part = slice(target.start - first, target.stop - first)
+            self.coeffs_khwc.fill((slice(None), target), coeffs_khwc, (slice(None), part))
+            if self.lambda_hwc is not None and lambda_hwc is not None:
+                self.lambda_hwc.fill(target, lambda_hwc, part)
+            if self.rank_hwc is not None and rank_hwc is not None:
+                self.rank_hwc.fill(target, rank_hwc, part)
 
 
 @contextmanager
@@ -84,7 +103,7 @@ def create_fit(
         draft.attributes({"method": method, "degree": int(degree), "peak": float(peak), "transfer": transfer})
         draft.attributes({"name": name, "config": config_text(config)})
         draft.dataset("directions", directions_i3, ("light", "xyz"))
-        map_chunks = chunk_shape((1, *image_shape), 4)[1:]
+        map_chunks = chunks[1:]  # written and read together
         yield FitSink(
             draft.sink("coefficients", shape, np.float32, ("coefficient", *_IMAGE_AXES), chunks),
             draft.sink("lambda", image_shape, np.float32, _IMAGE_AXES, map_chunks) if has_lambda else None,
@@ -107,17 +126,20 @@ def write_fit(path: str | os.PathLike, coefficients: CoefficientMap) -> None:
         has_lambda=coefficients.lambda_hwc is not None,
         has_rank=coefficients.rank_hwc is not None,
     ) as sink:
-        rows = sink.coeffs_khwc.chunks[1]
-        for r0 in range(0, coefficients.image_shape[0], rows):
-            sink.coeffs_khwc[:, r0 : r0 + rows] = np.asarray(coefficients.coeffs_khwc[:, r0 : r0 + rows])
-        for target, values in ((sink.lambda_hwc, coefficients.lambda_hwc), (sink.rank_hwc, coefficients.rank_hwc)):
-            if target is not None and values is not None:
-                target[...] = values
+        step = sink.coeffs_khwc.chunks[1]
+        for row in range(0, coefficients.image_shape[0], step):
+            rows = slice(row, row + step)
+            sink.write_rows(
+                row,
+                np.asarray(coefficients.coeffs_khwc[:, rows]),
+                None if coefficients.lambda_hwc is None else coefficients.lambda_hwc[rows],
+                None if coefficients.rank_hwc is None else coefficients.rank_hwc[rows],
+            )
 
 
 @contextmanager
 def open_fit(path: str | os.PathLike) -> Iterator[CoefficientMap]:
-    """Open a fit; its coefficients are a `StoredArray`, read as they are indexed.
+    """Open a fit; its coefficients, lambdas and ranks are each a `StoredArray`, read as it is indexed.
 
     Raises
     ------
@@ -128,28 +150,31 @@ def open_fit(path: str | os.PathLike) -> Iterator[CoefficientMap]:
     """
     with opening(path, "fit") as opened:
         with refusing(opened.path):
-            coefficients = fit_of(opened, opened.arrays["coefficients"])
+            coefficients = fit_of(opened, opened.arrays.get)
         yield coefficients
 
 
 def read_fit(path: str | os.PathLike) -> CoefficientMap:
     """Read a whole fit into memory; errors as of `open_fit`."""
     with opening(path, "fit") as opened, refusing(opened.path):
-        return fit_of(opened, opened.arrays["coefficients"][...])
+        return fit_of(opened, opened.optional)
 
 
-def fit_of(opened: Opened, coeffs_khwc: Any) -> CoefficientMap:
-    """Return the fit in an open file, with these coefficients; StoreFormatError or InputError if it is not sound."""
+def fit_of(opened: Opened, array: Callable[[str], Any]) -> CoefficientMap:
+    """Return the fit in an open file; `array` gives a dataset by its name, read or not, or None.
+
+    Raises StoreFormatError or InputError if it is not sound.
+    """
     attributes = opened.attributes()
     return CoefficientMap(
-        coeffs_khwc,
+        array("coefficients"),
         attributes["degree"],
         attributes["method"],
         attributes["peak"],
         attributes["transfer"],
         opened.arrays["directions"][...],
         parse_config(attributes["config"], "config"),
-        opened.optional("lambda"),
-        opened.optional("rank"),
+        array("lambda"),
+        array("rank"),
         attributes["name"],
     )

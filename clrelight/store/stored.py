@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import h5py
@@ -39,12 +41,23 @@ class StoredArray:
 
     def __getitem__(self, key: Any) -> NDArray:
         """Read a selection: whatever h5py takes as an index."""
+        with self._reading(key):
+            return self._dataset[key]
+
+    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
+        """Read ``[:, first:end]`` into a C-contiguous array of that shape and this dtype."""
+        key = np.s_[:, first:end]
+        with self._reading(key):
+            self._dataset.read_direct(out, key)
+
+    @contextmanager
+    def _reading(self, key: Any) -> Iterator[None]:
         if not self._dataset:
             raise ValueError(f"{self._path} is closed: read its arrays while it is open")
         try:
             if self._deflated:
                 self._check_chunks(key)
-            return self._dataset[key]
+            yield
         except (OSError, RuntimeError, zlib.error) as error:
             first = (str(error).splitlines() or [type(error).__name__])[0]
             name = self._dataset.name.lstrip("/")

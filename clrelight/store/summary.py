@@ -58,7 +58,7 @@ def _checked(opened: Opened) -> dict[str, Any]:
         case "stack":
             stack_of(opened)
         case "fit":
-            fit_of(opened, opened.arrays["coefficients"])
+            fit_of(opened, opened.arrays.get)
         case "encoded":
             encoded, _ = encoded_of(opened)
             info = {key: value if math.isfinite(value) else None for key, value in encoded.info.items()}

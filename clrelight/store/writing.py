@@ -18,8 +18,8 @@ from clrelight.errors import InputError
 from clrelight.store.durable import Part, naming, replacing
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
 
-IN_MEMORY_BYTES = 256 << 20
-"""Files of fewer bytes are built in memory, where a full disk cannot reach HDF5."""
+IN_MEMORY_BYTES = 64 << 20
+"""Files of fewer bytes are built in memory, which holds them three times, and where a full disk cannot reach HDF5."""
 
 CHUNK_BYTES = 1 << 20
 FAR_OVER_BYTES = 8 << 20
@@ -50,16 +50,29 @@ class Sink:
 
     def __setitem__(self, key: Any, values: ArrayLike) -> None:
         """Write values of exactly the selected shape and this dtype; nothing is converted or broadcast."""
-        values_array = np.asarray(values)
-        selected = self._extent[key].shape
-        if values_array.dtype != self.dtype or values_array.shape != selected:
-            raise TypeError(f"expected {self.dtype} {selected}, got {values_array.dtype} {values_array.shape}")
-        self._target[key] = values_array
-        self._missing -= values_array.size
+        self.fill(key, np.asarray(values), ...)
+
+    def fill(self, key: Any, source: NDArray, part: Any) -> None:
+        """Write ``source[part]`` as ``self[key] = source[part]`` does, without copying it together first."""
+        values, selected = source[part], self._extent[key].shape
+        if values.dtype != self.dtype or values.shape != selected:
+            raise TypeError(f"expected {self.dtype} {selected}, got {values.dtype} {values.shape}")
+        if isinstance(self._target, h5py.Dataset) and source.flags.c_contiguous and part is not ...:
+            self._target.write_direct(source, part, key)
+        else:
+            self._target[key] = values
+        self._missing -= values.size
 
     def __getitem__(self, key: Any) -> NDArray:
         """Read back what was filled, before the file is finished."""
         return self._target[key]
+
+    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
+        """Read back ``[:, first:end]`` into a C-contiguous array of that shape and this dtype."""
+        if isinstance(self._target, h5py.Dataset):
+            self._target.read_direct(out, np.s_[:, first:end])
+        else:
+            out[...] = self._target[:, first:end]
 
     def check_filled(self) -> None:
         """Raise ValueError if fewer elements were written than there are."""
@@ -165,7 +178,8 @@ def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int) -> Itera
 
 @contextmanager
 def _streamed(path: str | os.PathLike, part: Part, n_bytes: int) -> Iterator[Draft]:
-    with h5py.File(part.path, "w", libver="latest", locking=False) as file:
+    # Without a cache every chunk goes to the file when it is written, and a chunk costs one copy less.
+    with h5py.File(part.path, "w", libver="latest", locking=False, rdcc_nbytes=0) as file:
         # HDF5 crashes the process when it closes a file on a full disk: every byte is reserved before the first.
         with naming(path):
             part.reserve(n_bytes + n_bytes // RESERVE_SHARE + RESERVE_BYTES)
