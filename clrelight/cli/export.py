@@ -9,7 +9,7 @@ import click
 from clrelight.cli.options import device_option, json_option
 from clrelight.cli.output import print_facts, print_json, seconds_line
 from clrelight.cli.progress import progress_bar
-from clrelight.cli.quality import load_coefficients
+from clrelight.cli.quality import lend_coefficients
 
 
 @click.command()
@@ -44,15 +44,14 @@ def export(fitted: str, out: str, file_format: str, device: str | None, as_json:
     check_export(out, file_format, [fitted])
     opened = open_device(device)
     seconds: dict[str, float] = {}
-    coefficients = load_coefficients(fitted, opened, seconds)
     blocks: Encoded | None = None
     if file_format == "dds" and file_schema(fitted).startswith("encoded/"):
         encoded = read_encoded(fitted)[0]
         blocks = encoded if encoded.codec == "bc6h" else None
-    since = time.perf_counter()
-    with progress_bar("exporting") as bar:
+    with lend_coefficients(fitted, opened, seconds) as coefficients, progress_bar("exporting") as bar:
+        since = time.perf_counter()
         files = export_textures(coefficients, out, file_format, blocks=blocks, device=opened, progress=bar)
-    seconds["export"] = time.perf_counter() - since
+        seconds["export"] = time.perf_counter() - since
     if as_json:
         print_json(
             {"files": [str(file) for file in files], "format": file_format, "seconds": seconds}
