@@ -54,7 +54,7 @@ def test_against_float64(device, degree, method):
 @pytest.mark.parametrize("columns", [3, 127, 128, 129])
 def test_against_float64_on_a_gpu(device, columns, method):
     stack = make_stack(shape_hwc=(1, columns, 1))
-    check(stack, fit(stack, method, 4))
+    check(stack, fit(stack, method, 2))
 
 
 @pytest.mark.parametrize("method", METHODS)

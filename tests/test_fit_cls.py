@@ -7,7 +7,7 @@ from clrelight.sampling import make_pattern
 from tests.reference import basis
 from tests.reference import fit as reference
 from tests.stacks import BLACK, columns_of, make_stack, samples_of
-from tests.styles import both_styles, gpu_style
+from tests.styles import gpu_style
 
 SOLVERS = ["bisection", "newton"]
 
@@ -39,19 +39,18 @@ def test_against_float64(device, degree, solver):
 
 
 @gpu_style
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("degree", [0, 4, 8])  # 1 and 25 components in registers, 81 in memory
+@pytest.mark.parametrize(("solver", "degree"), [("bisection", 2), ("newton", 2), ("newton", 8)])  # 81 in memory
 def test_against_float64_on_a_gpu(device, degree, solver):
     stack = make_stack()
     bent = check(stack, fit(stack, "cls", degree, options={"solver": solver}))
-    assert bent > (100 if degree == 4 else -1)
+    assert bent > (100 if degree == 2 else -1)
 
 
 @gpu_style
 @pytest.mark.parametrize("columns", [2, 127, 128, 129])  # about a group, and the last one of padding alone
 def test_any_number_of_columns_on_a_gpu(device, columns):
     stack = make_stack(shape_hwc=(1, columns, 1))
-    check(stack, fit(stack, "cls", 4, options={"solver": "newton"}))
+    check(stack, fit(stack, "cls", 2, options={"solver": "newton"}))
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -110,7 +109,6 @@ def test_one_light(device):
     np.testing.assert_allclose(basis_ik @ columns_of(fitted), samples_of(stack), atol=1e-6)
 
 
-@both_styles
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_singular_values_over_twelve_decades(device, solver):
     # Lights in a small patch see high degrees only by their derivatives. Nothing may overflow on the way to lambda.

@@ -40,7 +40,9 @@ def test_the_peak_kernel_does_all_its_steps(device, monkeypatch):
 
 
 @pytest.mark.parametrize("only", ["uint8, n = 9", "decode half"])
-def test_shares_of_the_peaks(device, tmp_path, only):
+def test_shares_of_the_peaks(device, tmp_path, monkeypatch, only):
+    monkeypatch.setattr("clrelight.speed.peak._STEPS", 64)
+    monkeypatch.setattr("clrelight.speed.peak._COPIED_BYTES", 1 << 16)
     file = tmp_path / "kernels.json"
     arguments = ["--columns", "17", "--rounds", "1", "--only", only, "--json", str(file)]
     done = CliRunner().invoke(kernels.main, arguments, catch_exceptions=False)

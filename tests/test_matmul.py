@@ -86,7 +86,7 @@ def test_any_number_of_rows_out(device, n_out):
 
 
 @gpu_style
-@pytest.mark.parametrize("n_out", [1, 3, 16, 17, 49, 64, 65, 131])  # in and about one work-item's, one and more blocks
+@pytest.mark.parametrize("n_out", [1, 16, 17, 49, 131])  # one work-item's, one block, and more
 def test_any_number_of_rows_out_on_a_gpu(device, n_out):
     rng = np.random.default_rng(n_out)
     check(device, rng.standard_normal((n_out, 37)), make_samples(rng, np.uint8, (37, 37)))
