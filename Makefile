@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install bench test lint types speed clean
+.PHONY: install bench test lint types speed growth clean
 
 install: $(VENV)/installed
 
@@ -35,6 +35,11 @@ types: install
 
 speed: install
 	$(BIN)/python -m benchmarks.stages
+
+growth: install
+	@mkdir -p results
+	$(BIN)/clrelight bench --speed --out results/speed.json --report results/speed
+	$(BIN)/python -m benchmarks.growth results/speed.json
 
 clean:
 	rm -rf $(VENV) results build dist
