@@ -109,6 +109,15 @@ def test_tables_hold_the_figures(measured):
             assert len(set(image.convert("L").tobytes())) > 20
 
 
+def test_report_draws_a_record_again(measured, tmp_path):
+    ended = succeed("report", measured[0] / "speed.json", "--out", tmp_path / "again")
+    assert str(tmp_path / "again" / "speed.md") in ended.out
+    assert contents(tmp_path / "again") == contents(measured[0] / "report")
+    (tmp_path / "r.json").write_text("{}")
+    ended = call("report", tmp_path / "r.json", "--out", tmp_path / "no")
+    assert (ended.code, ended.err.count("\n"), (tmp_path / "no").exists()) == (2, 1, False)
+
+
 def test_a_point_that_failed_keeps_its_place_with_a_note(measured, tmp_path):
     record = read_record(measured[0] / "speed.json")
     record["points"][1] = {**record["base"], "threads": 1, "note": "the process was killed: not enough memory"}

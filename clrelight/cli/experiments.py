@@ -198,22 +198,29 @@ def _notes(results: Results) -> list[str]:
 @click.option("--out", type=click.Path(), default="report", show_default=True, help="Folder for tables and pictures.")
 @json_option
 def report(results_file: str, out: str, as_json: bool) -> None:
-    """Write the tables (Markdown, CSV, LaTeX) and pictures (PNG) of a results file.
+    """Write the tables (Markdown, CSV, LaTeX) and pictures (PNG) of a results file, or of what --speed measured.
 
     \b
     Example:
       clrelight report results.h5 --out report
+      clrelight report speed.json --out speed
     """
-    from clrelight.report import write_report
-    from clrelight.store import read_results
+    if Path(results_file).suffix.lower() == ".json":
+        from clrelight.speed.record import read_record
+        from clrelight.speed.report import write_speed_report
 
-    results = read_results(results_file)
-    with progress_bar("drawing") as bar:
-        files = write_report(results, out, progress=bar)
+        files = write_speed_report(read_record(results_file), out)
+    else:
+        from clrelight.report import write_report
+        from clrelight.store import read_results
+
+        results = read_results(results_file)
+        with progress_bar("drawing") as bar:
+            files = write_report(results, out, progress=bar)
     if as_json:
         print_json({"folder": out, "files": [str(file) for file in files]})
         return
-    print_facts({"report": str(Path(out) / "report.md"), "files": len(files)})
+    print_facts({"report": str(Path(out) / files[0].name), "files": len(files)})
 
 
 COMMANDS = (bench, report)

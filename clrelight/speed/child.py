@@ -5,6 +5,7 @@ Each point of a growth has a process of its own, so that its memory is its own, 
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import sys
 from dataclasses import asdict
@@ -30,6 +31,8 @@ def measure_machine(
     (multiply_add, flops), (copy, copied) = peak_run(opened), copy_run()
     runs = {"multiply-add": multiply_add, "copy": copy}
     timings = interleave(runs, finish=opened.finish, rounds=rounds, settle_seconds=settle_seconds)
+    if not missing_peers():
+        facts["versions"] += f", PyWavelets {importlib.metadata.version('PyWavelets')}"
     facts["peak"] = (
         f"{flops / timings.time('multiply-add')[1] / 1e9:.0f} GFLOP/s of multiply-adds on the device, "
         f"{copied / timings.time('copy')[1] / 1e9:.1f} GB/s of a NumPy copy (read and written)"
