@@ -46,6 +46,7 @@ def test_end_to_end_leaves_a_record_and_a_report(measured):
     record = read_record(folder / "speed.json")
     assert printed["points"] == record["points"]
     assert [(point["size"], point["threads"]) for point in record["points"]] == [(16, None), (16, 1)]
+    assert record["environment"]["command"] == "clrelight bench --speed --quick --sizes 16 --threads 1 --rounds 1"
     for name in ("machine", "device", "driver", "versions", "load", "peak"):
         assert record["environment"][name]
 

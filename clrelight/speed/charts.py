@@ -14,7 +14,7 @@ AXES = {"size": "pixels", "lights": "lights", "degree": "degree", "threads": "th
 _OUR_COLOUR, _NUMPY_COLOUR = "#0072B2", "#D55E00"
 _STAGE_COLOURS = dict(zip(STAGES, ("#009E73", "#CC79A7", "#E69F00", "#56B4E9"), strict=True))
 _FILE_STYLES = {"stack": ":", "fit": "-.", "encoded": (0, (1, 3))}
-_HEIGHT = 900  # pixels
+_HEIGHT = 760  # pixels
 _LEGEND = 80
 
 Points = Sequence[Mapping[str, Any]]

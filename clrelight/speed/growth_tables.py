@@ -16,16 +16,16 @@ HEADERS = (
     "lights",
     "degree",
     "threads",
-    *(f"{stage} ms" for stage in STAGES),
-    "total ms",
-    "NumPy total ms",
+    *(f"{stage} s" for stage in STAGES),
+    "total s",
+    "NumPy total s",
     "speed",
     "MB",
     "NumPy MB",
     "PSNR (dB)",
     "NumPy's",
 )
-EXPENDABLE = ("NumPy's", "NumPy MB", *(f"{stage} ms" for stage in STAGES))
+EXPENDABLE = ("NumPy's", "NumPy MB", *(f"{stage} s" for stage in STAGES))
 """What a narrow terminal may leave out, first to last."""
 STAGE_HEADERS = ("stage", "beside", "ms", "peer ms", "speed", "error", "peer's", "error is the")
 
@@ -34,16 +34,16 @@ _AXES = ("size", "lights", "degree", "threads")
 
 
 def point_cells(point: Mapping[str, Any]) -> list[str]:
-    """Return the cells of a point; medians, with quartiles in brackets where they are a ratio."""
+    """Return the cells of a point; medians, with quartiles in brackets for the whole job."""
     place = [f"{point['size']}²", str(point["lights"]), str(point["degree"]), str(point["threads"] or "all")]
     if "note" in point:
         return [*place, *[_NONE] * (len(HEADERS) - len(place) - 1), point["note"]]
     seconds, memory, psnr = point["seconds"], point["memory"], point["psnr"]
     return [
         *place,
-        *(f"{1e3 * seconds[OURS][stage][1]:.0f}" for stage in STAGES),
-        spread(seconds[OURS][TOTAL], 1e3),
-        spread(seconds[NUMPY][TOTAL], 1e3) if NUMPY in seconds else _NONE,
+        *(spread((seconds[OURS][stage][1],) * 3) for stage in STAGES),
+        spread(seconds[OURS][TOTAL]),
+        spread(seconds[NUMPY][TOTAL]) if NUMPY in seconds else _NONE,
         spread(point["speed"][TOTAL]) if "speed" in point else _NONE,
         f"{memory[OURS] / 1e6:.0f}",
         f"{memory[NUMPY] / 1e6:.0f}" if NUMPY in memory else _NONE,

@@ -75,6 +75,14 @@ class Growth:
         if not 1 <= self.rounds <= MOST_ROUNDS:
             raise InputError(f"rounds must be 1 to {MOST_ROUNDS}, got {self.rounds}")
 
+    @property
+    def command(self) -> str:
+        """The command that measures this."""
+        axes = {PLURALS[axis]: ",".join(map(str, getattr(self, axis))) for axis in PLURALS}
+        words = [f"--{name} {values}" for name, values in axes.items() if values]
+        quick = ["--quick"] if self.base == quick_growth().base else []
+        return " ".join(["clrelight bench --speed", *quick, *words, f"--rounds {self.rounds}"])
+
     def points(self) -> list[Point]:
         """Return all points, each once; those of one stack follow each other."""
         return sorted(set(self._points()) or {self.base}, key=lambda p: (p.size, p.lights, p.degree, p.threads or 0))

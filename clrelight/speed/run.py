@@ -69,6 +69,7 @@ def measure_growth(
         stack = place / "stack.h5"
         write_scene(stack, growth.base.size, growth.base.lights)
         machine = run_child({"kind": "machine", "stack": str(stack), "degree": growth.base.degree, **common})
+        machine["environment"] = {"command": growth.command, **machine["environment"]}
         measured: list[dict[str, Any]] = []
         written = growth.base
         warm: set[tuple[int, int]] = set()

@@ -50,9 +50,9 @@ def cells(row: Row) -> list[str]:
 
 
 def spread(values: Quartiles, factor: float = 1.0) -> str:
-    """Return a median with its quartiles in brackets, three digits each."""
+    """Return a median with its quartiles in brackets, three digits each; no brackets where there was but one value."""
     low, middle, high = (f"{factor * value:#.3g}".rstrip(".") for value in values)
-    return f"{middle} ({low}–{high})"
+    return middle if values[0] == values[2] else f"{middle} ({low}–{high})"
 
 
 def to_markdown(rows: Sequence[Row], facts: Mapping[str, str]) -> str:
