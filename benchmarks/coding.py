@@ -16,6 +16,10 @@ from clrelight.codec.registry import Codec
 HALF_GOAL = 5.0
 S3TC_GOAL = 0.4
 
+KLT_RATE = 0.1
+KLT_ENCODE_GOAL, KLT_DECODE_GOAL = 1 / 10, 1 / 3
+"""Speed beside JPEG 2000 at the same rate."""
+
 _OPTIONS: dict[str, dict[str, object]] = {"uniform": {"bits": 8}, "wavelet": {"rate": 4.0}}
 """What codecs are asked for; the others get their defaults."""
 _IMAGE_RMS = "image rms after decoding / peak"
@@ -27,7 +31,10 @@ def codec_stages(work: Workload) -> Iterator[Stage]:
     coeffs_khwc = np.ascontiguousarray(work.fitted.coeffs_khwc)
     yield _half_kernel(work, coeffs_khwc)
     for codec_id in codec_ids():
-        yield from _codec(work, coeffs_khwc, codec_id, _OPTIONS.get(codec_id, {}))
+        if codec_id == "klt":
+            yield from _klt_beside_jpeg2000(work, coeffs_khwc, KLT_RATE)
+        else:
+            yield from _codec(work, coeffs_khwc, codec_id, _OPTIONS.get(codec_id, {}))
 
 
 def _codec(
@@ -60,6 +67,41 @@ def _codec(
         (lambda: halves.astype(np.float32)) if is_half else coeffs_khwc.copy,
         errors,
         _IMAGE_RMS,
+    )
+
+
+def _klt_beside_jpeg2000(work: Workload, coeffs_khwc: NDArray[np.float32], rate: float) -> Iterator[Stage]:
+    """Yield encoding and decoding at one rate by both; of tiny pictures JPEG 2000 gets what pays for its tables."""
+    device = work.device
+    least = 8.0 * 12 * coeffs_khwc.shape[0] * coeffs_khwc.shape[3] / coeffs_khwc.size
+    klt, peer = (
+        codec_class(codec_id).from_config({"rate": asked})
+        for codec_id, asked in (("klt", rate), ("jpeg2000", max(rate, 4 * least)))
+    )
+    encoded, peer_encoded = encode(coeffs_khwc, klt, device), encode(coeffs_khwc, peer, device)
+
+    def errors() -> tuple[float, float]:
+        ours, theirs = (_image_rms(work, coeffs_khwc, decode(each, device)) for each in (encoded, peer_encoded))
+        return ours, theirs
+
+    beside = f"JPEG 2000 at {peer.to_config()['rate']:g} bit"
+    yield Stage(
+        f"encode klt at {rate:g} bit",
+        beside,
+        lambda: encode(coeffs_khwc, klt, device),
+        lambda: encode(coeffs_khwc, peer, device),
+        errors,
+        _IMAGE_RMS,
+        goal=KLT_ENCODE_GOAL,
+    )
+    yield Stage(
+        f"decode klt at {rate:g} bit",
+        beside,
+        lambda: decode(encoded, device),
+        lambda: decode(peer_encoded, device),
+        errors,
+        _IMAGE_RMS,
+        goal=KLT_DECODE_GOAL,
     )
 
 

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from benchmarks.coding import KLT_RATE
 from benchmarks.peers import squared_errors
 from benchmarks.stage import Stage
 from benchmarks.workload import Workload
 from clrelight.basis import evaluate_basis
+from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.metrics import measure_errors, psnr_of
 from clrelight.relight import relight
 
 RELIGHT_GOAL = 0.6
+KLT_RELIGHT_GOAL = 1.0
 PSNR_GOAL = 2.0
 MANY_LIGHTS = 16
 
@@ -21,17 +26,17 @@ _CHECKED_LIGHTS = 8
 
 
 def imaging_stages(work: Workload) -> Iterator[Stage]:
-    """Yield relighting by one light and by many, and the PSNR of all lights."""
+    """Yield relighting by one light and by many, without coefficients too, and the PSNR of all lights."""
     yield _relight(work, 1)
     yield _relight(work, MANY_LIGHTS)
+    yield _relight_view(work, "klt", {"rate": KLT_RATE}, KLT_RELIGHT_GOAL)
+    yield _relight_view(work, "whitened", {"codec": "half"}, None)
     yield _measure_psnr(work)
 
 
 def _relight(work: Workload, lights: int) -> Stage:
     fitted, coeffs_kp = work.fitted, work.fitted.coeffs_khwc.reshape(work.fitted.n_coeff, -1)
-    # Between the lights of the stack, as a user would.
-    directions_i3 = work.stack.directions_i3[:lights] + work.stack.directions_i3[1 : lights + 1]
-    directions_i3 = directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True)
+    directions_i3 = _directions(work, lights)
     basis_ik = evaluate_basis(directions_i3, work.degree)
     exact_is = basis_ik @ coeffs_kp[:, work.checked_s]
     factors = basis_ik.astype(np.float32) if lights > 1 else basis_ik[0].astype(np.float32)
@@ -51,6 +56,38 @@ def _relight(work: Workload, lights: int) -> Stage:
         2.0 * lights * coeffs_kp.size,
         RELIGHT_GOAL if lights == 1 else None,
     )
+
+
+def _relight_view(work: Workload, codec_id: str, config: dict[str, object], goal: float | None) -> Stage:
+    """Return relighting of decoded bytes in their own basis, beside that of the coefficients they decode to."""
+    directions_i3 = _directions(work, 1)
+    encoded = encode(work.fitted.coeffs_khwc, codec_class(codec_id).from_config(config), work.device)
+    view, decoded = decode_view(encoded, work.device), replace(work.fitted, coeffs_khwc=decode(encoded, work.device))
+    assert view is not None
+    coeffs_ks = decoded.coeffs_khwc.reshape(decoded.n_coeff, -1)[:, work.checked_s].astype(np.float64)
+    exact_is = evaluate_basis(directions_i3, work.degree) @ coeffs_ks
+
+    def errors() -> tuple[float, float]:
+        images = (view.relight(directions_i3, work.device), relight(decoded, directions_i3, device=work.device))
+        ours, theirs = (np.abs(image.reshape(1, -1)[:, work.checked_s] - exact_is).max() for image in images)
+        return float(ours), float(theirs)
+
+    name = " ".join([codec_id, *(f"{key} {value}" for key, value in config.items())])
+    return Stage(
+        f"relight 1 light, as {name} decodes",
+        "ours, from the SH coefficients",
+        lambda: view.relight(directions_i3, work.device),
+        lambda: relight(decoded, directions_i3, device=work.device),
+        errors,
+        "largest image error / peak",
+        goal=goal,
+    )
+
+
+def _directions(work: Workload, lights: int) -> NDArray[np.float64]:
+    """Return directions between the lights of the stack, as a user would choose them."""
+    directions_i3 = work.stack.directions_i3[:lights] + work.stack.directions_i3[1 : lights + 1]
+    return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True)
 
 
 def _measure_psnr(work: Workload) -> Stage:
