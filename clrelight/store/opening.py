@@ -19,8 +19,9 @@ from clrelight.store.stored import StoredArray
 from clrelight.store.walk import walk
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
-CACHE_BYTES = 16 << 20
-"""Chunk cache of each dataset: some chunks that a tile of rows shares with the next tile."""
+CACHE_BYTES = 1 << 20
+"""Chunk cache of each dataset: a chunk of several rows, for who reads row by row. Larger chunks are of one row and pass
+it by, which saves a third of the time of reading; that two tiles read a chunk of several rows twice costs less."""
 
 MAX_ATTRIBUTE_BYTES = 1 << 20
 MAX_ATTRIBUTES = 256
