@@ -11,8 +11,7 @@
  * row pitch of large images, and multiplies the tile by each row block with the sums in registers. Sums are flushed
  * every DEPTH rows: |error| <= eps32 (DEPTH + n_in / DEPTH) sum |terms|.
  */
-#include "common/load_tile.clh"
-#include "common/row_blocks.clh"
+#include "common/source_tile.clh"
 
 #ifndef WITH_ENERGY
 #error "WITH_ENERGY must be defined: 0 or 1"
@@ -35,27 +34,9 @@ __kernel void apply_operator_mq(__global float *restrict out_mq,
 
     for (int i0 = 0; i0 < size_i; i0 += CHUNK) {
         const int rows = min(CHUNK, size_i - i0);
-        for (int i = 0; i < rows; i++)
-            load_row((__local float *)(tile + i * TILE_VECTORS), source_ip + (long)(i0 + i) * size_p + first, filled,
-                     curve_v, scale);
+        load_tile(tile, source_ip, i0, rows, first, filled, size_p, curve_v, scale);
 #if WITH_ENERGY
-        for (int v = 0; v < TILE_VECTORS; v += 2) {
-            vecf low_sum = 0.0f, high_sum = 0.0f;
-            for (int start = 0; start < rows; start += DEPTH) {
-                const int end = LESSER(start + DEPTH, rows);
-                vecf low = 0.0f, high = 0.0f;
-                for (int i = start; i < end; i++) {
-                    const vecf a = tile[i * TILE_VECTORS + v], b = tile[i * TILE_VECTORS + v + 1];
-                    const float weight = weight_i[i0 + i];
-                    low = weight * a * a + low;
-                    high = weight * b * b + high;
-                }
-                low_sum += low;
-                high_sum += high;
-            }
-            sums[v] = low_sum;
-            sums[v + 1] = high_sum;
-        }
+        sum_energy(sums, tile, weight_i + i0, rows, 1);
         store_row(energy_q + first, (__local const float *)sums, wanted, i0 > 0);
 #endif
         __global const float *operator = packed_o;

@@ -60,6 +60,7 @@ def test_toml_lists_multiply_out(tmp_path):
         size = 16
         pattern = "grid"
         [method.cls]
+        solver = "bisection"
         iterations = [8, 16]
         energy = [1, 0.5]
         [[codec]]
@@ -111,7 +112,7 @@ def test_an_empty_toml_is_the_paper_without_codecs(tmp_path):
         ('[method.cls]\nenergy = "much"', "cls: energy must be a number, got 'much'"),
         ("[method.cls]\niterations = 8.5", "cls: iterations must be a whole number, got 8.5"),
         ("[method.cls]\niterations = true", "cls: iterations must be a whole number, got True"),
-        ("[method.cls]\niterations = [8, 8]", "twice"),
+        ("[method.cls]\niterations = [32, 32]", "twice"),
         ("[method.cls]\niterations = []", "iterations needs at least one value"),
         ("[method.cls]\nenergy = nan", "positive factor on E_c, got nan"),
         ("degrees = [4.0]", "degrees must be whole numbers or 'auto', got 4.0"),

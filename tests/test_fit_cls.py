@@ -77,6 +77,20 @@ def test_a_few_heavy_lights(device):
     assert check(stack, fit(stack, "cls", 4, weights="solid-angle"), weights, rtol=3.5e-5) > 2000
 
 
+@pytest.mark.parametrize("count", [16, 257, 600])
+@pytest.mark.parametrize("width", [2, 15, 255, 256, 257])
+def test_newton_agrees_with_bisection_run_to_convergence(device, width, count):
+    stack = make_stack(count, shape_hwc=(1, width, 1))
+    newton = fit(stack, "cls", 4)
+    halved = fit(stack, "cls", 4, options={"solver": "bisection", "iterations": 64})
+    assert newton.config["solver"] == "newton"
+    image_ip = basis.real_harmonics(stack.directions_i3, 4) @ (columns_of(newton) - columns_of(halved))
+    assert np.abs(image_ip).max() < 1e-6
+    held, free = newton.lambda_hwc > 1e-3, newton.lambda_hwc == 0
+    np.testing.assert_allclose(newton.lambda_hwc[held], halved.lambda_hwc[held], rtol=1e-4)
+    assert (halved.lambda_hwc[free] < 1e-3).all()
+
+
 def test_weights_of_equal_cells_change_nothing(device):
     stack = make_stack(weights_i=np.full(90, 0.123))
     np.testing.assert_allclose(
@@ -184,7 +198,7 @@ def test_few_halvings_end_where_the_bound_holds(device, iterations):
     stack = make_stack()
     basis_ik, sample_ip = basis.real_harmonics(stack.directions_i3, 4), samples_of(stack)
     _, lambda_p, _ = reference.constrained(basis_ik, sample_ip, np.ones(90))
-    fitted = fit(stack, "cls", 4, options={"iterations": iterations})
+    fitted = fit(stack, "cls", 4, options={"solver": "bisection", "iterations": iterations})
     assert fitted.config["iterations"] == iterations
     energy_p = reference.bound(sample_ip, np.ones(90))
     assert (np.sum(columns_of(fitted) ** 2, axis=0) <= energy_p * (1 + 1e-5)).all()
@@ -197,7 +211,11 @@ def test_more_halvings_are_closer(device):
     _, lambda_p, _ = reference.constrained(basis_ik, samples_of(stack), np.ones(90))
     bent = lambda_p > 0
     error = [
-        np.median(fit(stack, "cls", 4, options={"iterations": n}).lambda_hwc.ravel()[bent] / lambda_p[bent] - 1)
+        np.median(
+            fit(stack, "cls", 4, options={"solver": "bisection", "iterations": n}).lambda_hwc.ravel()[bent]
+            / lambda_p[bent]
+            - 1
+        )
         for n in (1, 6, 10, 16)
     ]
     assert error[0] > 10 * error[1] > 100 * error[2] > 1000 * error[3]

@@ -117,8 +117,10 @@ def with_limits(device, **changed):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_device_with_its_own_memory(device, method):
-    stack = make_stack()
-    assert_same(fit(stack, method, 4, device=with_limits(device, kind="gpu")), fit(stack, method, 4, device=device))
+    # Newton on a CPU is one kernel of its own, equal but for rounding: see test_fit_cls.py.
+    options = {"solver": "bisection"} if method == "cls" else {}
+    there = fit(make_stack(), method, 4, options=options, device=with_limits(device, kind="gpu"))
+    assert_same(there, fit(make_stack(), method, 4, options=options, device=device))
 
 
 @pytest.mark.parametrize("solver", ["bisection", "newton"])
@@ -212,7 +214,7 @@ def test_a_map_knows_how_it_was_made(device):
     assert fitted.config == {
         "energy": 0.5,
         "iterations": 32,
-        "solver": "bisection",
+        "solver": "newton",
         "weights": "solid-angle",
         "sampling": "hemisphere",
     }
@@ -225,7 +227,7 @@ def test_values_are_in_units_of_the_peak(device):
 
 
 def test_stages_are_timed(device):
-    prepared = prepare_fit(make_stack(), "cls", 4)
+    prepared = prepare_fit(make_stack(), "cls", 4, options={"solver": "bisection"})
     collect_fit(prepared)
     assert list(prepared.report.seconds) == ["plan", "read", "project", "shrink", "synthesize"]
     assert min(prepared.report.seconds.values()) > 0

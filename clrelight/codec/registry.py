@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.finite import all_finite
 from clrelight.configurable import Configurable
 from clrelight.conventions import degree_of
 from clrelight.device import Device
@@ -217,7 +218,7 @@ def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> En
         raise InputError(str(error)) from None
     with np.errstate(over="ignore"):  # what float32 cannot hold is infinite now, and refused below
         coeffs = np.ascontiguousarray(given, dtype=np.float32)
-    if not np.isfinite(coeffs).all():
+    if not all_finite(coeffs, device):
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(coeffs))[0])
         raise InputError(
             f"coefficient (k, row, column, channel) = {where} is {coeffs[where]}, expected a finite number"
@@ -238,8 +239,7 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
     coeffs = codec.decode_body(encoded.body, encoded.shape, device)
     if coeffs.shape != encoded.shape or coeffs.dtype != np.float32:
         raise PayloadError(f"codec {encoded.codec} gave {coeffs.dtype} {coeffs.shape} for {encoded.shape}")
-    # Finite is what was encoded; min and max see every NaN and infinity.
-    if not np.isfinite(coeffs.min()) or not np.isfinite(coeffs.max()):
+    if not all_finite(coeffs, device):  # finite is what was encoded
         raise PayloadError(f"the payload decodes to values that are not finite: codec {encoded.codec} did not write it")
     return coeffs
 

@@ -9,18 +9,15 @@ from numpy.typing import NDArray
 
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.fit.columns import LANES, launch_columns
+from clrelight.fit.cls_columns import OnePassFit, fits_one_pass
+from clrelight.fit.cls_float64 import LAMBDA_TOLERANCE, component_rounding, refine_columns
+from clrelight.fit.columns import launch_columns
 from clrelight.fit.plan import FitPlan, Lighting, plan_least_squares
-from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
-from clrelight.matmul import sample_defines
+from clrelight.fit.registry import Columns, FitMethod, OnePass, Shrunk, register
+from clrelight.matmul import SampleCurve
 
 MAX_ITERATIONS = 1000
 
-LAMBDA_TOLERANCE = 2e-5
-"""Relative error of lambda above which a column is solved again in float64."""
-_PROJECTION_ERROR = 0.7
-"""Rounding error of a component, in eps32 times the norm of the samples; at 0.3 a comparison with float64 finds
-lambda off by 1e-4."""
 _CONVERGED_AFTER = {"bisection": 24, "newton": 16}
 """Iterations from which the solver's own error is below the tolerance. Bisection may have fewer: it ends above lambda,
 where the bound holds. Newton ends below, so there they are the least."""
@@ -43,7 +40,7 @@ class ConstrainedLeastSquares(FitMethod):
     energy : float
         Factor on E_c; 1 is the paper's bound, twice the function's energy over the hemisphere.
     solver : str
-        ``"bisection"`` (the paper's search) or ``"newton"``.
+        ``"newton"``, or ``"bisection"``, the paper's search. Both give the same coefficients (float32 rounding apart).
     iterations : int
         Steps of the bisection; 32 is the paper's. Newton ends by itself, and takes 16 or more as a cap.
     """
@@ -54,7 +51,7 @@ class ConstrainedLeastSquares(FitMethod):
     has_lambda = True
     energy: float = 1.0
     iterations: int = 32
-    solver: str = "bisection"
+    solver: str = "newton"
 
     def __post_init__(self) -> None:
         check_energy_factor(self.energy)
@@ -66,7 +63,7 @@ class ConstrainedLeastSquares(FitMethod):
         if self.solver == "newton" and self.iterations < least:
             raise InputError(
                 f"newton needs {least} iterations or more to reach the bound, got {self.iterations}: "
-                "it ends by itself, so more cost nothing"
+                "it ends by itself, so more cost nothing; solver bisection takes fewer"
             )
 
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
@@ -92,8 +89,17 @@ class ConstrainedLeastSquares(FitMethod):
             defines={"PAIRED": int(plan.singular_r.min() ** 4 > _SMALLEST_PRODUCT)},
         )
         if self.iterations >= _CONVERGED_AFTER[self.solver] and device.info.float64:
-            self._refine(device, plan, columns, maps, device.download(doubt_q)[: columns.source_ip.shape[1]])
+            doubt_p = device.download(doubt_q)[: columns.source_ip.shape[1]] * component_rounding(plan)
+            doubtful = np.flatnonzero(doubt_p > LAMBDA_TOLERANCE)
+            if len(doubtful) and maps.lambda_q is not None:
+                refine_columns(device, plan, columns.source_ip, columns.curve, doubtful, maps.lambda_q, z_rq)
         return maps
+
+    def one_pass(self, device: Device, plan: FitPlan, curve: SampleCurve) -> OnePass | None:
+        """Return a fit of columns in one kernel, for Newton on a CPU; see `fits_one_pass`."""
+        if self.solver != "newton" or not fits_one_pass(device, plan):
+            return None
+        return OnePassFit(device, plan, curve, self.iterations)
 
     def find_gains(
         self, plan: FitPlan, z_rp: NDArray[np.float64], energy_p: NDArray[np.float64]
@@ -111,46 +117,6 @@ class ConstrainedLeastSquares(FitMethod):
             if np.all(np.abs(lambda_p - before_p) <= _HOST_TOLERANCE * lambda_p):
                 break
         return plan.singular_r[:, None] / (square_r1 + lambda_p)
-
-    def _refine(
-        self, device: Device, plan: FitPlan, columns: Columns, maps: Shrunk, doubt_p: NDArray[np.float32]
-    ) -> None:
-        """Solve those columns again in float64 whose lambda float32 cannot give to `LAMBDA_TOLERANCE`.
-
-        Near ``E_c = |c(0)|^2`` lambda is ill-conditioned: it follows small components of z, which carry the rounding
-        errors of large sums. The doubt of the first pass is lambda's relative change for an error of z by one unit of
-        the root of E_c; the rounding error of a projection of n_light samples is some eps32 times their norm.
-        """
-        # The norm that counts is that of the weighted samples, sqrt(E_c / mean weight).
-        rounding = _PROJECTION_ERROR * np.finfo(np.float32).eps / np.sqrt(plan.energy_i.mean())
-        doubtful = np.flatnonzero(doubt_p * rounding > LAMBDA_TOLERANCE).astype(np.int32)
-        if not len(doubtful):
-            return
-        padded = np.resize(doubtful, -(-len(doubtful) // LANES) * LANES)
-        padded[len(doubtful) :] = doubtful[-1]
-        scale = columns.curve.operator_scale()
-        source_ip = columns.source_ip
-        device.launch(
-            "fit/cls_float64.cl",
-            "refine_rq",
-            (len(padded) // LANES,),
-            columns.z_rq,
-            maps.lambda_q,
-            source_ip,
-            device.upload(padded),
-            device.upload(np.ascontiguousarray(plan.analysis_ri.T * scale)),
-            device.upload(plan.singular_r),
-            device.upload(plan.energy_i * scale**2),
-            device.upload(columns.curve.table(source_ip.dtype)),
-            1.0 / columns.curve.peak,
-            *source_ip.shape,
-            columns.z_rq.shape[1],
-            defines={
-                **sample_defines(source_ip.dtype),
-                "CURVE": columns.curve.mode(source_ip.dtype),
-                "N_COMPONENT": len(plan.singular_r),
-            },
-        )
 
 
 def plan_constrained(lighting: Lighting, degree: int, energy: float) -> FitPlan:

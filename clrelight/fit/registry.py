@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -51,6 +52,10 @@ class Shrunk:
     rank_q: DeviceArray | None = None
 
 
+OnePass = Callable[[DeviceArray, DeviceArray], Shrunk]
+"""Takes code values, shape (n_light, P), fills coefficients, shape (n_coeff, P), and returns the maps beside them."""
+
+
 class FitMethod(Configurable, ABC):
     """A way to fit coefficients. Subclasses are frozen dataclasses with an `id`; their fields are the options.
 
@@ -77,6 +82,10 @@ class FitMethod(Configurable, ABC):
     def shrink(self, device: Device, plan: FitPlan, columns: Columns) -> Shrunk:
         """Queue the change of the components in place."""
         return Shrunk()
+
+    def one_pass(self, device: Device, plan: FitPlan, curve: SampleCurve) -> OnePass | None:
+        """Return a way from samples to coefficients without the steps between, where there is one for this device."""
+        return None
 
     def find_gains(
         self, plan: FitPlan, z_rp: NDArray[np.float64], energy_p: NDArray[np.float64]

@@ -35,7 +35,8 @@ class FitReport:
     Attributes
     ----------
     seconds : dict
-        Per stage: ``plan``, ``read``, ``project``, ``shrink``, ``synthesize``. Of reading it is what was waited for.
+        Per stage: ``plan``, ``read``, ``project``, ``shrink``, ``synthesize``; or ``fit`` for the last three, where a
+        method has them in one kernel. Of reading it is what was waited for.
     notes : list of str
     condition : float
         Condition of the weighted basis matrix.
@@ -273,6 +274,7 @@ def fit_tiles(
     stack, plan, device, report = prepared.stack, prepared.plan, prepared.device, prepared.report
     curve = SampleCurve(stack.peak, stack.transfer)
     scale = curve.operator_scale()
+    one_pass = prepared.method.one_pass(device, plan, curve)
     analysis = pack_operator(device, plan.analysis_ri * scale)
     synthesis = None if plan.synthesis_kr is None else pack_operator(device, plan.synthesis_kr)
     energy_i = device.upload((plan.energy_i * scale**2).astype(np.float32))
@@ -297,16 +299,21 @@ def fit_tiles(
             since = report.add("read", since)
             source_ip = device.upload(tile_ihwc.reshape(len(tile_ihwc), -1))
             columns = source_ip.shape[1]
-            padded = pad_columns(columns)
-            z_rq = _lend(device, components, (analysis.shape[0], padded))
-            energy_q = _lend(device, energies, (padded,))
-            apply_operator(device, analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=energy_i)
-            device.finish()
-            since = report.add("project", since)
-            maps = prepared.method.shrink(device, plan, Columns(source_ip, curve, z_rq, energy_q, singular_r))
-            device.finish()
-            since = report.add("shrink", since)
-            coeffs_kp = _synthesize(device, synthesis, z_rq, columns, next(coeffs_of))
+            if one_pass is not None:
+                coeffs = _lend(device, next(coeffs_of), ((prepared.degree + 1) ** 2, columns))
+                maps = one_pass(source_ip, coeffs)
+                coeffs_kp = device.download(coeffs)
+            else:
+                padded = pad_columns(columns)
+                z_rq = _lend(device, components, (analysis.shape[0], padded))
+                energy_q = _lend(device, energies, (padded,))
+                apply_operator(device, analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=energy_i)
+                device.finish()
+                since = report.add("project", since)
+                maps = prepared.method.shrink(device, plan, Columns(source_ip, curve, z_rq, energy_q, singular_r))
+                device.finish()
+                since = report.add("shrink", since)
+                coeffs_kp = _synthesize(device, synthesis, z_rq, columns, next(coeffs_of))
             shape_hwc = tile_ihwc.shape[1:]
             tile = FittedTile(
                 first,
@@ -317,7 +324,7 @@ def fit_tiles(
             )
             if stack.mask_hw is not None:
                 _clear_masked(tile, ~stack.mask_hw[first:end])
-            report.add("synthesize", since)
+            report.add("synthesize" if one_pass is None else "fit", since)
             yield tile
             since = time.perf_counter()
 

@@ -1,9 +1,10 @@
 /* Constrained least squares in float64 for chosen columns: projection, Newton for lambda, shrinking (see cls.cl).
  *
- *   z_rq         (R, Q) float         out, at the chosen columns: t(lambda)
- *   lambda_q     (Q) float            in and out, at the chosen columns: lambda
+ *   z_rq         (R, Q) float         out, at the places: t(lambda)
+ *   lambda_n     (N) float            in and out, at the chosen columns: lambda; N at least P
  *   source_ip    (n_light, P) SAMPLE_T
  *   chosen_f     (F) int              columns, F a multiple of 8; repeated ones are legal
+ *   place_f      (F) int              where in z each goes
  *   analysis_ir  (n_light, R) double  samples to components
  *   singular_r   (R) double           sigma, descending
  *   weight_i     (n_light) double     E = sum_i weight_i source_i^2
@@ -19,11 +20,11 @@
 #define MAX_STEPS 60
 #define DEPTH 64 /* lights whose samples are held at a time */
 
-__kernel void refine_rq(__global float *restrict z_rq, __global float *restrict lambda_q,
+__kernel void refine_rq(__global float *restrict z_rq, __global float *restrict lambda_n,
                         __global const SAMPLE_T *restrict source_ip, __global const int *restrict chosen_f,
-                        __global const double *restrict analysis_ir, __global const double *restrict singular_r,
-                        __global const double *restrict weight_i, __global const float *restrict curve_v,
-                        const float scale, const int size_i, const int size_p, const int size_q)
+                        __global const int *restrict place_f, __global const double *restrict analysis_ir,
+                        __global const double *restrict singular_r, __global const double *restrict weight_i,
+                        __global const float *restrict curve_v, const float scale, const int size_i, const int size_p, const int size_q)
 {
     const int8 column = vload8(get_global_id(0), chosen_f);
     const int c[8] = {column.s0, column.s1, column.s2, column.s3, column.s4, column.s5, column.s6, column.s7};
@@ -76,7 +77,7 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
     }
     /* What the first pass found is nearer; Newton also converges from above. */
     double8 found;
-    for (int lane = 0; lane < 8; lane++) ((double *)&found)[lane] = 0.999 * lambda_q[c[lane]];
+    for (int lane = 0; lane < 8; lane++) ((double *)&found)[lane] = 0.999 * lambda_n[c[lane]];
     lambda = found > lambda ? found : lambda;
     for (int k = 0; k < MAX_STEPS; k++) {
         double8 f = 0.0, slope = 0.0;
@@ -91,9 +92,10 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
         lambda = select(lambda, next, moved);
         if (!any(moved)) break;
     }
-    for (int lane = 0; lane < 8; lane++) lambda_q[c[lane]] = ((const double *)&lambda)[lane];
+    __global const int *places = place_f + 8 * get_global_id(0);
+    for (int lane = 0; lane < 8; lane++) lambda_n[c[lane]] = ((const double *)&lambda)[lane];
     for (int r = 0; r < N_COMPONENT; r++) {
         const double8 t = b[r] / (singular_r[r] * singular_r[r] + lambda);
-        for (int lane = 0; lane < 8; lane++) z_rq[(long)r * size_q + c[lane]] = ((const double *)&t)[lane];
+        for (int lane = 0; lane < 8; lane++) z_rq[(long)r * size_q + places[lane]] = ((const double *)&t)[lane];
     }
 }

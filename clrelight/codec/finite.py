@@ -1,0 +1,29 @@
+"""Whether coefficients are finite, at the speed of reading them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.device import Device
+
+_STRETCH = 1 << 15
+
+
+def all_finite(coeffs_khwc: NDArray[np.float32], device: Device) -> bool:
+    """Return whether a float32 array holds neither infinity nor NaN; it is not sent to a device of other memory."""
+    if not device.shares_memory or not coeffs_khwc.flags.c_contiguous:
+        # Minimum and maximum see every NaN and infinity, and make no array of truths.
+        return bool(np.isfinite(coeffs_khwc.min()) and np.isfinite(coeffs_khwc.max()))
+    items = -(-coeffs_khwc.size // _STRETCH)
+    refused_j = device.empty((items,), np.uint8)
+    device.launch(
+        "codec/finite.cl",
+        "find_infinite_j",
+        (items,),
+        refused_j,
+        device.upload(coeffs_khwc.reshape(-1)),
+        coeffs_khwc.size,
+        defines={"STRETCH": _STRETCH},
+    )
+    return not device.download(refused_j).any()
