@@ -42,21 +42,25 @@ def relight(
     check_directions(directions_i3, None)
     if not len(directions_i3):
         raise InputError("relighting needs at least 1 light, got none")
-    basis_ik = evaluate_basis(directions_i3, coefficients.degree)
+    return combine_maps(device, evaluate_basis(directions_i3, coefficients.degree), coefficients)
+
+
+def combine_maps(device: Device, factor_ik: NDArray[np.float64], coefficients: CoefficientMap) -> NDArray[np.float32]:
+    """Return ``sum_k factor_ik c_k`` for each i, (n, height, width, channel) float32; arguments as of `relight`."""
     if isinstance(coefficients.coeffs_khwc, np.ndarray):
         coeffs_kp = np.ascontiguousarray(coefficients.coeffs_khwc).reshape(coefficients.n_coeff, -1)
-        images_ip = multiply_columns(device, basis_ik, coeffs_kp)
-        return images_ip.reshape(len(directions_i3), *coefficients.image_shape)
-    return _relight_tiles(device, basis_ik, coefficients)
+        images_ip = multiply_columns(device, factor_ik, coeffs_kp)
+        return images_ip.reshape(len(factor_ik), *coefficients.image_shape)
+    return _combine_tiles(device, factor_ik, coefficients)
 
 
-def _relight_tiles(device: Device, basis_ik: NDArray[np.float64], coefficients: CoefficientMap) -> NDArray[np.float32]:
-    """Relight coefficients that lie in a file: of them, two tiles of rows are held at a time."""
+def _combine_tiles(device: Device, factor_ik: NDArray[np.float64], coefficients: CoefficientMap) -> NDArray[np.float32]:
+    """Combine coefficients that lie in a file: of them, two tiles of rows are held at a time."""
     height, width, channel = coefficients.image_shape
     step = max(1, _TILE_BYTES // (4 * coefficients.n_coeff * width * channel))
     tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
     buffers = itertools.cycle([Buffer(), Buffer()])
-    images_ihwc = np.empty((len(basis_ik), height, width, channel), np.float32)
+    images_ihwc = np.empty((len(factor_ik), height, width, channel), np.float32)
 
     def read(rows: tuple[int, int]) -> NDArray[np.float32]:
         shape = (coefficients.n_coeff, rows[1] - rows[0], width, channel)
@@ -64,7 +68,7 @@ def _relight_tiles(device: Device, basis_ik: NDArray[np.float64], coefficients: 
 
     with reading_ahead(read, tiles) as pieces:
         for (first, end), coeffs_khwc in zip(tiles, pieces, strict=True):
-            images_ip = multiply_columns(device, basis_ik, coeffs_khwc.reshape(coefficients.n_coeff, -1))
+            images_ip = multiply_columns(device, factor_ik, coeffs_khwc.reshape(coefficients.n_coeff, -1))
             images_ihwc[:, first:end] = images_ip.reshape(-1, end - first, width, channel)
     return images_ihwc
 

@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.options import Numbers, device_option, json_option
+from clrelight.cli.lighting import FLOAT_FORMATS, Exposure, Turn, relight_environment
+from clrelight.cli.options import Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import lend_coefficients
@@ -25,43 +26,73 @@ if TYPE_CHECKING:
 
     from clrelight.device import Device
 
-_FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
-_MAX_STOPS = 64.0
 _PICTURE_BYTES = 1 << 26
 """So many bytes of pictures, and one at least, are made in one pass through the coefficients."""
 _NUMBER_FIELD = re.compile(r"%0?[0-9]?d")
+
+
+class LightOrDirection(Numbers):
+    """Three numbers, or a light file: what is there, or is named as one."""
+
+    def __init__(self) -> None:
+        super().__init__(float, "X,Y,Z", 3)
+        self.name = "X,Y,Z|LIGHT"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the numbers as a tuple, or the path as it is."""
+        if isinstance(value, str) and (value.lower().endswith((".h5", ".hdf5")) or Path(value).is_file()):
+            return value
+        return super().convert(value, param, ctx)
 
 
 @click.command()
 @click.argument("fitted", metavar="FIT_OR_ENC", type=click.Path())
 @click.argument("image", type=click.Path())
 @click.option(
-    "--light", type=Numbers(float, "X,Y,Z", 3), multiple=True, help="Direction to the light; may be repeated."
+    "--light",
+    type=LightOrDirection(),
+    multiple=True,
+    help="Direction to the light; may be repeated. Or a light file: light from everywhere.",
 )
 @click.option("--lights", type=click.Path(), metavar="FILE", help="Directions from a file, as ingest reads them.")
-@click.option("--exposure", type=float, default=0.0, show_default=True, help="Stops: values are scaled by 2^exposure.")
+@click.option(
+    "--exposure",
+    type=Exposure(),
+    default=0.0,
+    show_default=True,
+    help="Stops: values are scaled by 2^exposure. auto (light files): so that hardly anything is clipped.",
+)
+@click.option("--rotate", type=Turn(), help="Turn a light file about z, counterclockwise.")
+@click.option(
+    "--turntable", type=whole_number(1, 1 << 16), metavar="N", help="N images, a light file going round once."
+)
+@click.option("--tonemap", type=click.Choice(["clip", "reinhard"]), help="8-bit images of a light file; default: clip.")
 @click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
 @device_option
 @json_option
 def relight(
     fitted: str,
     image: str,
-    light: tuple[tuple[float, float, float], ...],
+    light: tuple[tuple[float, float, float] | str, ...],
     lights: str | None,
-    exposure: float,
+    exposure: float | None,
+    rotate: float | None,
+    turntable: int | None,
+    tonemap: str | None,
     transfer: str | None,
     device: str | None,
     as_json: bool,
 ) -> None:
-    """Write the view under one light, or under several.
+    """Write the view under one light, under several, or under light from everywhere.
 
     The name decides the format: .exr, .hdr and .tif hold linear radiance as floats, .png, .jpg and others 8-bit
-    display values. For several lights, IMAGE holds a number field such as %03d.
+    display values. For several images, IMAGE holds a number field such as %03d; a turntable may be a .gif.
 
     \b
     Example:
       clrelight relight fit.h5 relit.png --light 0.5,0.2,0.8
       clrelight relight enc.h5 frame%03d.exr --lights turntable.lp
+      clrelight relight fit.h5 grace.png --light grace.h5 --rotate 90 --exposure auto
     """
     import numpy as np
 
@@ -70,11 +101,19 @@ def relight(
     from clrelight.relight import to_display
     from clrelight.store import check_output
 
-    if not abs(exposure) <= _MAX_STOPS:
-        raise InputError(f"exposure must be a number of stops from -{_MAX_STOPS:g} to {_MAX_STOPS:g}, got {exposure}")
-    if transfer and image.lower().endswith(_FLOAT_FORMATS):
+    if transfer and image.lower().endswith(FLOAT_FORMATS):
         raise InputError(f"--transfer is for 8-bit files, but {image} holds linear radiance: leave it out")
-    directions_i3 = _directions(light, lights)
+    if any(isinstance(each, str) for each in light):
+        if len(light) > 1 or lights is not None:
+            raise InputError("a light file is light from everywhere: give one --light, and no --lights beside it")
+        files = [image] if image.lower().endswith(".gif") else _names(image, turntable or 1)
+        relight_environment(
+            fitted, str(light[0]), files, exposure, rotate, turntable, tonemap, transfer, device, as_json
+        )
+        return
+    if exposure is None or rotate is not None or turntable is not None or tonemap is not None:
+        raise InputError("--exposure auto, --rotate, --turntable and --tonemap are for light files (--light LIGHT.h5)")
+    directions_i3 = _directions([each for each in light if not isinstance(each, str)], lights)
     names = _names(image, len(directions_i3))
     for name in names:
         check_output(name, [fitted, lights] if lights else [fitted])
@@ -95,7 +134,7 @@ def relight(
             for index, radiance in enumerate(pictures_ihwc, start=first):
                 since = time.perf_counter()
                 radiance *= np.float32(2.0**exposure)
-                if names[index].lower().endswith(_FLOAT_FORMATS):
+                if names[index].lower().endswith(FLOAT_FORMATS):
                     write_image(names[index], radiance)
                 else:
                     write_image(names[index], to_display(radiance, transfer or view.transfer))
@@ -145,7 +184,7 @@ def _lend_view(path: str, device: Device, seconds: dict[str, float]) -> Iterator
         )
 
 
-def _directions(light: tuple[tuple[float, float, float], ...], lights: str | None) -> NDArray[np.float64]:
+def _directions(light: list[tuple[float, float, float]], lights: str | None) -> NDArray[np.float64]:
     import numpy as np
 
     from clrelight.lights import read_directions, read_lp

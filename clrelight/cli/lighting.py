@@ -1,7 +1,8 @@
-"""``clrelight light``: environment maps as spherical-harmonic coefficients."""
+"""``clrelight light`` and ``irradiance``, and relighting under light files."""
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import re
 import time
@@ -11,14 +12,62 @@ import click
 
 from clrelight.cli.options import device_option, json_option, whole_number
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from clrelight.lighting.light import Light
+
+FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
+"""Images that hold linear radiance as floats."""
 
 _CHANGE = re.compile(r"L?(\d{1,3})[, ]?([+-]?\d{1,3})=(.+)")
 _PRINTED_DEGREE = 2
+_MAX_STOPS = 64.0
+_FRAME_MILLISECONDS = 80
+
+
+class Exposure(click.ParamType):
+    """Stops, or auto."""
+
+    name = "STOPS|auto"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
+        """Return the stops, None for auto."""
+        if value == "auto":
+            return None
+        try:
+            stops = float(value)
+        except ValueError:
+            stops = math.nan
+        if not abs(stops) <= _MAX_STOPS:
+            self.fail(
+                f"exposure must be a number of stops from -{_MAX_STOPS:g} to {_MAX_STOPS:g}, got {value}; light files "
+                "also take auto",
+                param,
+                ctx,
+            )
+        return stops
+
+
+class Turn(click.ParamType):
+    """An angle about z in degrees."""
+
+    name = "DEG"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the angle in degrees."""
+        try:
+            angle = float(value)
+        except ValueError:
+            angle = math.nan
+        if not math.isfinite(angle):
+            self.fail(f"expected an angle about z in degrees, such as 90, got {value!r}", param, ctx)
+        return angle
 
 
 class Change(click.ParamType):
@@ -183,6 +232,211 @@ def light(
         print_coefficients(made)
 
 
+def relight_environment(
+    fitted: str,
+    light_file: str,
+    files: list[str],
+    exposure: float | None,
+    rotate: float | None,
+    turntable: int | None,
+    tonemap: str | None,
+    transfer: str | None,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Write the view under a light file, once or for each turn of a turntable; the arguments are those of `relight`."""
+    import numpy as np
+
+    from clrelight.cli.quality import lend_coefficients
+    from clrelight.device import open_device
+    from clrelight.lighting.hemisphere import share_below
+    from clrelight.lighting.relighting import automatic_exposure, relight_under
+    from clrelight.store import check_output, read_light
+
+    if files[0].lower().endswith(FLOAT_FORMATS) and tonemap is not None:
+        raise InputError(f"--tonemap is for 8-bit files, but {files[0]} holds linear radiance: leave it out")
+    animated = files[0].lower().endswith(".gif")
+    if animated and importlib.util.find_spec("PIL") is None:
+        raise InputError("a .gif needs Pillow: pip install 'clrelight[codecs]', or write .png files")
+    for name in files:
+        check_output(name, [fitted, light_file])
+    lit = turned(read_light(light_file), rotate or 0.0)
+    below = share_below(lit)
+    notes = (
+        []
+        if below <= 0
+        else [f"{below:.1%} of the light comes from below the horizon, where the fit knows nothing: it is cut"]
+    )
+    opened = open_device(device)
+    seconds: dict[str, float] = {}
+    with lend_coefficients(fitted, opened, seconds) as coefficients, progress_bar("relighting") as bar:
+        seconds["relight"] = seconds["write"] = 0.0
+        steps = turntable or 1
+        shown_as = transfer or coefficients.transfer
+        frames: list[NDArray[np.float32]] = []
+        for step in range(steps):
+            since = time.perf_counter()
+            image_hwc = relight_under(coefficients, turned(lit, 360.0 * step / steps), device=opened)
+            if exposure is None:
+                exposure = automatic_exposure(image_hwc)  # of the first image, for all of them
+            image_hwc *= np.float32(2.0**exposure)
+            seconds["relight"] += time.perf_counter() - since
+            since = time.perf_counter()
+            if animated:
+                frames.append(image_hwc)
+            else:
+                _write_view(files[step], image_hwc, tonemap, shown_as)
+            seconds["write"] += time.perf_counter() - since
+            bar(step + 1, steps)
+        if animated:
+            since = time.perf_counter()
+            _write_animation(files[0], frames, tonemap, shown_as)
+            seconds["write"] += time.perf_counter() - since
+    if as_json:
+        facts = {"files": files, "exposure": exposure, "below": below, "notes": notes}
+        print_json({**facts, "seconds": seconds, "device": opened.info.label})
+        return
+    print_notes(notes)
+    shown = ", ".join(files[:3]) + (" ..." if len(files) > 3 else "")
+    print_facts({"image": shown, "exposure": f"{exposure:+.2f} stops", "time": seconds_line(seconds)})
+
+
+def turned(light: Light, degrees: float) -> Light:
+    """Return the light as ``--rotate`` and ``--turntable`` turn it."""
+    from clrelight.lighting.light import turn_about_z
+
+    return turn_about_z(light, math.radians(degrees)) if degrees else light
+
+
+def _display(image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> NDArray[np.uint8]:
+    from clrelight.lighting.relighting import map_tones
+    from clrelight.relight import to_display
+
+    return to_display(map_tones(image_hwc, tonemap or "clip"), transfer)
+
+
+def _write_view(name: str, image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> None:
+    from clrelight.images import write_image
+
+    floats = name.lower().endswith(FLOAT_FORMATS)
+    write_image(name, image_hwc if floats else _display(image_hwc, tonemap, transfer))
+
+
+def _write_animation(name: str, frames: list[NDArray[np.float32]], tonemap: str | None, transfer: str) -> None:
+    import io
+
+    from PIL import Image
+
+    from clrelight.store.durable import replacing
+
+    shown = [_display(frame, tonemap, transfer) for frame in frames]
+    pictures = [Image.fromarray(each[..., 0] if each.shape[2] == 1 else each) for each in shown]
+    content = io.BytesIO()
+    pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:], duration=_FRAME_MILLISECONDS, loop=0)
+    with replacing(name) as part:
+        part.write(content.getvalue())
+
+
+@click.command()
+@click.argument("environments", metavar="FILE...", type=click.Path(), nargs=-1, required=True)
+@click.argument("out", type=click.Path())
+@environment_options
+@click.option(
+    "--method",
+    type=click.Choice(["nine", "brute"]),
+    default="nine",
+    show_default=True,
+    help="From nine coefficients, or by summing the whole map for every normal.",
+)
+@click.option("--size", type=whole_number(1, 4096), default=64, show_default=True, help="Rows of the irradiance map.")
+@click.option(
+    "--map",
+    "shape",
+    type=click.Choice(["latlong", "angular"]),
+    default="latlong",
+    show_default=True,
+    help="Layout of the irradiance map.",
+)
+@device_option
+@json_option
+def irradiance(
+    environments: tuple[str, ...],
+    out: str,
+    layout: str | None,
+    axes: str,
+    transfer: str,
+    method: str,
+    size: int,
+    shape: str,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Write the irradiance that matte surfaces receive, as a map over their normals.
+
+    The map has the view of the environment's own and holds floats (.exr, .hdr, .tif). With --json, the matrix M of each
+    channel for a shader is printed too: E(n) = (n, 1) M (n, 1).
+
+    \b
+    Example:
+      clrelight irradiance grace_probe.hdr irradiance.exr
+      clrelight irradiance grace_probe.hdr exact.exr --method brute --map angular --size 256
+    """
+    import numpy as np
+
+    from clrelight.device import open_device
+    from clrelight.images import write_image
+    from clrelight.lighting import layouts
+    from clrelight.lighting.environment import read_environment
+    from clrelight.lighting.irradiance import (
+        compare_irradiance,
+        evaluate_irradiance,
+        integrate_irradiance,
+        irradiance_matrix,
+    )
+    from clrelight.lighting.projection import project_environment
+    from clrelight.store import check_output
+
+    if not out.lower().endswith(FLOAT_FORMATS):
+        raise InputError(f"irradiance is linear radiance: write it to {', '.join(FLOAT_FORMATS)}, got {out}")
+    check_output(out, environments)
+    seconds: dict[str, float] = {}
+    since = time.perf_counter()
+    environment, notes = read_environment(environments, layout=layout, axes=axes, transfer=transfer)
+    seconds["read"] = time.perf_counter() - since
+    opened = open_device(device)
+    since = time.perf_counter()
+    light = project_environment(environment, _PRINTED_DEGREE, device=opened)
+    seconds["project"] = time.perf_counter() - since
+    width = 2 * size if shape == "latlong" else size
+    view_n3, weights_n = layouts.texel_geometry(shape, size, width)
+    normals_n3 = view_n3 @ layouts.parse_axes(axes)[1].T
+    since = time.perf_counter()
+    values_nc = evaluate_irradiance(light, normals_n3).astype(np.float32)
+    seconds["nine"] = time.perf_counter() - since
+    facts: dict[str, Any] = {"file": out, "method": method, "matrix": irradiance_matrix(light)}
+    if method == "brute":
+        since = time.perf_counter()
+        with progress_bar("integrating") as bar:
+            exact_nc = integrate_irradiance(environment, normals_n3, device=opened, progress=bar)
+        seconds["brute"] = time.perf_counter() - since
+        error = compare_irradiance(values_nc, exact_nc, weights_n, light)
+        facts.update({"nine_error_mean": error.mean, "nine_error_maximum": error.maximum})
+        values_nc = exact_nc
+    values_nc = np.where(weights_n[:, None] > 0, values_nc, np.float32(0.0))  # corners of an angular map
+    since = time.perf_counter()
+    write_image(out, values_nc.reshape(size, width, light.channels))
+    seconds["write"] = time.perf_counter() - since
+    if as_json:
+        print_json({**facts, "coefficients": light.coeffs_kc, "notes": notes, "seconds": seconds})
+        return
+    print_notes(notes)
+    lines = {"irradiance": out, "map": f"{shape}, {width}×{size}", "method": method}
+    if method == "brute":
+        mean, most = facts["nine_error_mean"], facts["nine_error_maximum"]
+        lines["nine are off"] = f"{mean:.2%} of the light on average, {most:.2%} at most"
+    print_facts({**lines, "time": seconds_line(seconds)})
+
+
 def print_coefficients(light: Light) -> None:
     """Print the coefficients up to degree 2 as a table."""
     names = [f"L{l}{m}" for l in range(min(light.degree, _PRINTED_DEGREE) + 1) for m in range(-l, l + 1)]
@@ -231,4 +485,4 @@ def _cut(light: Light, degree: int | None) -> Light:
     return replace(light, coeffs_kc=light.coeffs_kc[: (degree + 1) ** 2].copy())
 
 
-COMMANDS = (light,)
+COMMANDS = (light, irradiance)

@@ -92,7 +92,7 @@ def check_layout(layout: str, height: int, width: int, what: str) -> None:
     """Raise InputError if a picture of this size cannot be of the layout."""
     wide, high = ASPECTS[layout]
     if height < 1 or width * high != height * wide or (width % wide or height % high):
-        raise InputError(f"{what} has {width}×{height} texels, a {layout} map must be {wide}:{high}")
+        raise InputError(f"{what} has {width}×{height} texels, layout {layout} must be {wide}:{high}")
 
 
 def face_order(names: Sequence[str]) -> list[int]:

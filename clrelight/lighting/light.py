@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.basis import MAX_DEGREE
 from clrelight.conventions import coefficient_count, coefficient_index, degree_of
 from clrelight.errors import InputError
 
@@ -119,12 +120,16 @@ def set_coefficients(light: Light, changes: Mapping[tuple[int, int], tuple[float
     One number stands for all channels. Beyond the light's own degree it grows: the coefficients between are 0.
     """
     degree = max([light.degree, *(l for l, _ in changes)])
+    if degree > MAX_DEGREE:
+        raise InputError(f"degree must be 0 to {MAX_DEGREE}, got {degree}")
     coeffs_kc = np.zeros((coefficient_count(degree), light.channels))
     coeffs_kc[: len(light.coeffs_kc)] = light.coeffs_kc
     for (l, m), values in changes.items():
         if abs(m) > l:
             raise InputError(f"there is no coefficient L{l}{m}: |m| is at most {l}")
         if len(values) not in (1, light.channels):
-            raise InputError(f"L{l}{m} needs 1 or {light.channels} numbers, got {len(values)}")
+            raise InputError(
+                f"L{l}{m} needs {'1 or 3 numbers' if light.channels == 3 else '1 number'}, got {len(values)}"
+            )
         coeffs_kc[coefficient_index(l, m)] = values
     return replace(light, coeffs_kc=coeffs_kc)

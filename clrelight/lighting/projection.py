@@ -178,10 +178,11 @@ def project_texels(environment: Environment, degree: int, device: Device) -> NDA
         device.upload(_texel_table(environment.layout, *environment.radiance_hwc.shape[:2], environment.axes)),
         device.upload(radiance_tc),
         device.upload(_recurrence(degree)),
+        degree,
         each,
         n_coeff,
         n_texel,
-        defines={"VECTOR": vector, "BLOCK": _BLOCK, "DEGREE": degree, "CHANNELS": environment.channels},
+        defines={"VECTOR": vector, "BLOCK": _BLOCK, "CHANNELS": environment.channels},
     )
     sums_kc = device.download(partial_gkc).sum(axis=0, dtype=np.float64)
     scale_k = np.full(n_coeff, math.sqrt(2.0))
