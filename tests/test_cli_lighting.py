@@ -2,6 +2,7 @@
 
 import json
 
+import h5py
 import numpy as np
 import pytest
 
@@ -136,6 +137,46 @@ def test_light_writes_what_it_prints(made, tmp_path):
     assert attributes(out)["source"] == "map.exr"
     radiance = read_image(made / "map.exr")
     assert printed["mean"] == pytest.approx(radiance.mean(), rel=0.1)
+
+
+def test_a_light_survives_its_file(tmp_path):
+    coeffs_kc = np.random.default_rng(1).standard_normal((16, 1))
+    light = Light(coeffs_kc, "made by hand", "", {"window": "hann"})
+    write_light(tmp_path / "o.h5", light)
+    back = read_light(tmp_path / "o.h5")
+    np.testing.assert_array_equal(back.coeffs_kc, coeffs_kc)
+    assert (back.source, back.axes, back.config) == (light.source, light.axes, light.config)
+    first = (tmp_path / "o.h5").read_bytes()
+    write_light(tmp_path / "o.h5", light)
+    assert (tmp_path / "o.h5").read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("degree", 4, "attribute degree is 4, but there are 9 coefficients"),
+        ("config", b"[1]", "attribute config must be a JSON object"),
+        ("coefficients", np.nan, "coefficient 4 of channel 1 is nan"),
+        ("coefficients", np.zeros((8, 3)), "a square"),
+        ("coefficients", np.zeros((9, 2)), "light must be float64"),
+    ],
+)
+def test_a_light_file_that_contradicts_itself_is_refused(made, tmp_path, name, value, said):
+    path = tmp_path / "o.h5"
+    path.write_bytes((made / "light.h5").read_bytes())
+    with h5py.File(path, "a") as file:
+        if name == "coefficients" and np.ndim(value) == 0:
+            file[name][4, 1] = value
+        elif name == "coefficients":
+            for each in ("coefficients", "coefficient", "channel"):
+                del file[each]
+            file[name] = value
+        else:
+            file.attrs[name] = np.bytes_(value) if isinstance(value, bytes) else value
+    for words in (("info", path), ("light", tmp_path / "new.h5", "--edit", path)):
+        ended = call(*words)
+        assert (ended.code, ended.err.count("\n")) == (2, 1)
+        assert said in ended.err
 
 
 def test_light_edits_and_scales(made, tmp_path):
