@@ -5,7 +5,8 @@ import pytest
 
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
-from clrelight.lighting.environment import Environment
+from clrelight.fit.run import fit
+from clrelight.lighting.environment import Environment, read_environment
 from clrelight.lighting.hemisphere import hemisphere_autocorrelation, project_onto_hemisphere, share_below
 from clrelight.lighting.light import Light
 from clrelight.lighting.projection import project_environment
@@ -18,6 +19,7 @@ from clrelight.lighting.relighting import (
 )
 from clrelight.sampling import make_pattern
 from tests.reference.basis import real_harmonics, sphere_quadrature
+from tests.stacks import ring_stack
 
 EPS32 = 2.0**-23
 
@@ -116,6 +118,20 @@ def test_a_smooth_view_under_a_smooth_map_is_the_sum_of_its_photographs(device):
     expected = sum_photographs(stack, gather_light(environment, directions_i3))
     image = relight_under(fitted, project_environment(environment, 12), device=device)
     np.testing.assert_allclose(image, expected, rtol=0.03)
+
+
+def test_the_ring_under_grace_is_the_sum_of_its_photographs(real_data, device):
+    pytest.importorskip("embreex", reason="the scene is ray traced")
+    stack = ring_stack()
+    environment, _ = read_environment(real_data / "probes" / "grace_cross.hdr")
+    expected = sum_photographs(stack, gather_light(environment, stack.directions_i3))
+    psnr = []
+    for degree in (2, 8):
+        fitted = fit(stack, "spline", degree=degree, device=device)
+        image = relight_under(fitted, project_environment(environment, 2 * degree, device=device), device=device)
+        psnr.append(-10 * np.log10(np.mean((image - expected) ** 2) / expected.max() ** 2))
+    assert psnr[0] > 28
+    assert psnr[1] > 40
 
 
 def test_tones():

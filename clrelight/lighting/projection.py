@@ -120,7 +120,7 @@ class _LatlongPlan:
     index_ml: tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=2)
 def _latlong_plan(height: int, degree: int) -> _LatlongPlan:
     weight_h = layouts.latitude_weights(height)
     tables = legendre_tables(np.pi * (np.arange(height) + 0.5) / height, degree)
