@@ -19,6 +19,9 @@ ROTATION_UNIT = 127
 """The rotation of the channels is sent as whole numbers of this unit."""
 
 SCALES_PER_OCTAVE = 4
+_COARSER = 1.4
+"""Entries of the table are this much coarser than equal slopes ask: planes are solved against what is left of them."""
+_ROUNDING = 0.3
 _SAMPLED_PIXELS = 16384
 _MAX_ENTRY = 1 << 24
 
@@ -92,13 +95,14 @@ def quantise_axes(vectors_jd: NDArray[np.float64], deviation_j: NDArray[np.float
     """Return the axes in steps that cost the image what a step of the planes costs it.
 
     An error e of an entry of axis j adds ``n_pixel deviation_j^2 e^2`` to the squared error, one of a plane's sample
-    adds e^2: equal slopes of distortion and bits ask for ``step / (deviation sqrt(n_pixel))``.
+    adds e^2: equal slopes of distortion and bits ask for ``step / (deviation sqrt(n_pixel))``. An axis may come out as
+    zeros.
     """
-    ratio = deviation_j * np.sqrt(n_pixel) / step
+    ratio = deviation_j * np.sqrt(n_pixel) / (_COARSER * step)
     scales = np.clip(np.rint(SCALES_PER_OCTAVE * np.log2(np.maximum(ratio, 1.0))), 0, 80).astype(np.uint8)
-    entries = np.rint(vectors_jd * np.exp2(scales[:, None] / SCALES_PER_OCTAVE)).astype(np.int64)
-    kept = entries.any(axis=1)
-    return Axes(entries[kept], scales[kept])
+    exact = vectors_jd * np.exp2(scales[:, None] / SCALES_PER_OCTAVE)
+    entries = (np.sign(exact) * np.floor(np.abs(exact) + _ROUNDING)).astype(np.int64)
+    return Axes(entries, scales)
 
 
 def solve_planes(whitened: Whitened, axes: Axes) -> NDArray[np.float32]:
