@@ -75,7 +75,7 @@ def whiten(coeffs_khwc: NDArray[np.float32], exponent: int, device: Device) -> W
     coeffs_kp = np.ascontiguousarray(coeffs_khwc).reshape(n_coeff, -1)
     z_jp = multiply_columns(device, np.ldexp(forward_jk, -exponent), coeffs_kp)
     z_jpc = z_jp.reshape(len(forward_jk), height * width, channel)
-    sampled = z_jpc[:, :: _stride(height * width)].reshape(-1, channel).astype(np.float64)
+    sampled = z_jpc[:, :: sample_stride(height * width)].reshape(-1, channel).astype(np.float64)
     _, axes = np.linalg.eigh(sampled.T @ sampled)
     rotation_cc = np.rint(ROTATION_UNIT * axes[:, ::-1].T).astype(np.int8)
     turned = np.einsum("jpc,dc->pdj", z_jpc, (rotation_cc / ROTATION_UNIT).astype(np.float32), optimize=True)
@@ -86,7 +86,7 @@ def whiten(coeffs_khwc: NDArray[np.float32], exponent: int, device: Device) -> W
 
 def principal_axes(whitened: Whitened) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the axes (rows, unit length) and the standard deviation of the pixels along each, both descending."""
-    sampled = whitened.pixels_pd[:: _stride(len(whitened.pixels_pd))].astype(np.float64)
+    sampled = whitened.pixels_pd[:: sample_stride(len(whitened.pixels_pd))].astype(np.float64)
     variance, vectors = np.linalg.eigh(sampled.T @ sampled / len(sampled))
     return vectors[:, ::-1].T, np.sqrt(np.maximum(variance[::-1], 0.0))
 
@@ -148,6 +148,6 @@ def _entry_prior() -> NDArray[np.float64]:
     return geometric_prior(np.minimum(middle, 1e6))
 
 
-def _stride(n_pixel: int) -> int:
-    # Odd, so that no column of the image is preferred.
+def sample_stride(n_pixel: int) -> int:
+    """Return which n-th pixels statistics are made of; odd, so that no column of the image is preferred."""
     return max(n_pixel // _SAMPLED_PIXELS, 1) | 1 if n_pixel > _SAMPLED_PIXELS else 1
