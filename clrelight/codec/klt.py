@@ -31,7 +31,7 @@ from clrelight.codec.principal import (
     whiten,
 )
 from clrelight.codec.registry import Codec, check_claim, register
-from clrelight.codec.subbands import Statistics, code_indices
+from clrelight.codec.subbands import Statistics, Thrift, code_indices
 from clrelight.codec.symbols import zero_order_bits
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -39,10 +39,12 @@ from clrelight.errors import InputError, PayloadError
 _VERSION = 2
 _HEAD = struct.Struct("<BBhfHbb")
 _LEVELS = 5
-_ROUNDING = 0.2
+_ROUNDING = 0.4  # the largest index that the encoder may take; see `Thrift`
 _GROUP = 2  # planes that are coded together: more are faster, fewer know more of each other
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
+_THRIFT = 0.18
+"""Squared steps of error that a bit must save for an index not to be taken smaller."""
 _PRICE = 0.1
 """Squared steps of error that a bit must save for an axis to be coded."""
 _MEAN_STEPS = 16  # the mean is quantised this much finer than the planes: its error is in every pixel
@@ -211,7 +213,8 @@ class _Source:
         code_vectors(coder, (count, channel, component), axes.entries_jd.reshape(count, channel, component))
         if not count:
             return axes, (0, 0)
-        code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index, _GROUP)
+        thrift = Thrift(planes / step, _THRIFT)
+        code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index, _GROUP, thrift)
         return axes, _measure_biases(index, planes, step)
 
     def _quantise(self, step: float) -> tuple[Axes, NDArray[np.int32], NDArray[np.float32]]:
