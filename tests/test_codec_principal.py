@@ -8,7 +8,7 @@ from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.errors import InputError, PayloadError
 from tests.commands import call, succeed
-from tests.mutations import check_large_claims, check_mutations
+from tests.mutations import check_large_claims
 from tests.test_codec_klt import image_error, smooth_map
 
 OPTIONS = {"uniform": {"bits": 12}, "wavelet": {"rate": 8.0}, "jpeg2000": {"rate": 8.0}}
@@ -97,7 +97,6 @@ def test_bodies_that_cannot_be(device):
         with pytest.raises(PayloadError):
             kind.decode_body(wrong, encoded.shape, device)
     check_large_claims(device, kind, [body, b"", bytes(40)])
-    assert check_mutations(device, principal("uniform"), (9, 9, 10, 3), 300, 40) > 0
 
 
 def test_command(tmp_path):
