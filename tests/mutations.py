@@ -41,6 +41,8 @@ FREE_BYTES, BYTES_EACH = 1 << 28, 32
 """Address space that decoding may take, and for each coefficient claimed: eight float32 arrays."""
 FREE_SECONDS, SECONDS_EACH = 20.0, 1e-6
 """A decoder that takes longer hangs: a thousand times the usual, whatever else the machine does."""
+WRAPPERS = ("principal", "whitened")
+"""Codecs that hold another one."""
 RELIT = 3
 """Every so many payloads are relit too, by what needs no coefficients."""
 LIGHT = np.array([[0.0, 0.6, 0.8]])
@@ -67,9 +69,9 @@ def check_large_claims(device, codec_class, bodies):
 
 
 def families():
-    """Return the names under which payloads are counted: the codecs, and each of them inside `whitened`."""
-    inner = [name for name in codec_ids() if name not in ("klt", "whitened")]
-    return [name for name in codec_ids() if name != "whitened"] + [f"whitened/{name}" for name in inner]
+    """Return the names under which payloads are counted: the codecs, and each of them inside each of `WRAPPERS`."""
+    plain = [name for name in codec_ids() if name not in WRAPPERS]
+    return plain + [f"{outer}/{name}" for outer in WRAPPERS for name in plain if name != "klt"]
 
 
 def make_payloads(family, device):

@@ -121,7 +121,7 @@ ENCODES = [
     ("fit.h5 @o.h5 --codec s3tc --clamp", "codec s3tc has no option 'clamp'; it has: none"),
     ("fit.h5 @o.h5 --codec s3tc --bytes 5k", "codec s3tc has no option 'rate'"),
     ("fit.h5 @o.h5 --bytes 5k --rate 2", "--bytes says the size already"),
-    ("fit.h5 @o.h5 --basis klt --codec half", "basis klt has its own wavelet coder"),
+    ("fit.h5 @o.h5 --basis klt --codec whitened", "choose another inside principal"),
     ("fit.h5 @o.h5 --basis whitened --codec whitened", "choose another inside whitened"),
     ("fit.h5 @o.h5 --target-psnr 20", "--target-psnr needs --stack"),
     ("fit.h5 @o.h5 --target-psnr 20 --rate 3 --stack stack.h5", "--target-psnr needs --stack"),

@@ -3,7 +3,7 @@ import pytest
 
 from clrelight.codec.entropy import BitCounter, Decoder, Encoder, ModelSet, code_integers
 from clrelight.codec.lifting import list_subbands
-from clrelight.codec.subbands import Statistics, code_indices
+from clrelight.codec.subbands import Statistics, Thrift, code_indices
 from clrelight.codec.symbols import ALPHABET, CLASSES, class_floor, classify, geometric_prior, zero_order_bits
 from clrelight.errors import PayloadError
 
@@ -74,6 +74,23 @@ def test_indices_come_back(shape, scale):
     for index in maps:
         np.testing.assert_array_equal(code_indices(decoder, learnt, bands, shape, None), index)
     decoder.finish()
+
+
+def test_thrift_saves_more_than_it_costs():
+    shape, price = (6, 40, 48), 0.2
+    rng = np.random.default_rng(6)
+    values = (rng.laplace(scale=0.6, size=shape) * (rng.random(shape) < 0.5)).astype(np.float32)
+    nearest = np.rint(values).astype(np.int32)
+    bands, costs = list_subbands(*shape[1:], 3), []
+    for thrift in (None, Thrift(values, price)):
+        index, encoder = nearest.copy(), Encoder()
+        code_indices(encoder, Statistics(), bands, shape, index, 2, thrift)
+        decoder = Decoder(encoder.to_bytes())
+        np.testing.assert_array_equal(code_indices(decoder, Statistics(), bands, shape, None, 2), index)
+        decoder.finish()
+        costs.append(float(((index - values) ** 2).sum()) + price * 8 * encoder.byte_count)
+    assert (np.abs(index) <= np.abs(nearest)).all()
+    assert costs[1] < 0.97 * costs[0]
 
 
 def test_counting_changes_nothing():

@@ -30,7 +30,7 @@ _MAX_DECIBELS = 1000.0
     type=click.Choice(["sh", "whitened", "klt"]),
     default="sh",
     show_default=True,
-    help="Coordinates that are coded: as fitted; in the metric of the image; its principal axes (codec klt).",
+    help="Coordinates that are coded: as fitted; in the metric of the image; its principal axes.",
 )
 @click.option("--bytes", "byte_budget", type=ByteCount(), metavar="BYTES", help="Use no more (klt, wavelet, jpeg2000).")
 @click.option("--target-psnr", type=float, metavar="DB", help="Fewest bytes for this pooled PSNR; needs --stack.")
@@ -41,6 +41,7 @@ _MAX_DECIBELS = 1000.0
 @click.option("--levels", type=int, help="Levels of the wavelet transform (wavelet); default 3.")
 @click.option("--clusters", type=int, help="Clusters of pixels (cpca); default 16.")
 @click.option("--components", type=int, help="Axes of a cluster (cpca); default 8.")
+@click.option("--planes", type=int, help="Principal axes kept (basis klt); default: all but 1e-4 of the energy.")
 @click.option("--block", type=int, help="Side of the coded blocks, 0 for pixels (vq); default 0.")
 @click.option("--clamp", is_flag=True, default=None, help="Clamp what a half float cannot hold (half, bc6h).")
 @click.option("--stack", type=click.Path(), help="Measure PSNR of the decoded result against this stack.")
@@ -79,7 +80,13 @@ def encode(
         raise InputError(f"--target-psnr must be a number of decibels, got {target_psnr}")
     wanted = given(**options)
     if target_psnr is not None:
-        if stack is None or byte_budget is not None or wanted or basis == "whitened":
+        if (
+            stack is None
+            or byte_budget is not None
+            or wanted
+            or basis == "whitened"
+            or (basis == "klt" and codec not in (None, "klt"))
+        ):
             raise InputError("--target-psnr needs --stack to measure against, and no other size or option beside it")
         if not abs(target_psnr) < float("inf"):
             raise InputError(f"--target-psnr must be a number of decibels, got {target_psnr}")
@@ -174,11 +181,16 @@ def _choose(codec: str, basis: str, options: dict[str, Any]) -> Codec:
     """Return the codec in a basis; InputError where the two do not go together."""
     from clrelight.codec import codec_class
 
+    options = dict(options)
     if basis == "whitened":
         return codec_class("whitened").from_config({"codec": codec, "options": options})
-    if basis == "klt" and codec not in ("klt", "wavelet"):
-        raise InputError(f"basis klt has its own wavelet coder (--codec klt); for {codec} take --basis whitened")
-    return codec_class("klt" if basis == "klt" else codec).from_config(options)
+    planes = options.pop("planes", None)
+    if basis == "klt" and codec != "klt":
+        config = {"codec": codec, "options": options, "planes": planes}
+        return codec_class("principal").from_config(config)
+    if planes is not None:
+        raise InputError("--planes is for --basis klt with a codec other than klt, which chooses its own")
+    return codec_class(codec).from_config(options)
 
 
 def _size_facts(encoded: Encoded) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from clrelight.codec.factored import Factored
 from clrelight.codec.half import Half
 from clrelight.codec.jpeg2000 import Jpeg2000
 from clrelight.codec.klt import Klt
+from clrelight.codec.principal_maps import PrincipalMaps
 from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, decode_view, encode, register
 from clrelight.codec.s3tc import S3tc
 from clrelight.codec.uniform import Uniform
@@ -22,6 +23,7 @@ __all__ = [
     "Half",
     "Jpeg2000",
     "Klt",
+    "PrincipalMaps",
     "S3tc",
     "Uniform",
     "Vq",

@@ -31,18 +31,23 @@ from clrelight.codec.principal import (
     whiten,
 )
 from clrelight.codec.registry import Codec, check_claim, register
-from clrelight.codec.subbands import Statistics, code_indices
+from clrelight.codec.subbands import Statistics, Thrift, code_indices
+from clrelight.codec.symbols import zero_order_bits
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
-_VERSION = 1
+_VERSION = 2
 _HEAD = struct.Struct("<BBhfHbb")
 _LEVELS = 5
-_ROUNDING = 0.2
-_GROUP = 8  # planes that are coded together: more are faster, fewer know more of each other
-_DROPPED = 0.15
-"""An axis along which pixels deviate less than this part of a step is not coded."""
-_MEAN_STEPS = 4  # the mean is quantised this much finer than the planes: its error is in every pixel
+_ROUNDING = 0.4  # the largest index that the encoder may take; see `Thrift`
+_GROUP = 2  # planes that are coded together: more are faster, fewer know more of each other
+_TRIED = 0.08
+"""An axis along which pixels deviate less than this part of a step is not tried."""
+_THRIFT = 0.18
+"""Squared steps of error that a bit must save for an index not to be taken smaller."""
+_PRICE = 0.1
+"""Squared steps of error that a bit must save for an axis to be coded."""
+_MEAN_STEPS = 16  # the mean is quantised this much finer than the planes: its error is in every pixel
 _BIAS_UNIT = 1.0 / 256.0
 _LEAST_USED = 0.972
 _AIM = 0.986
@@ -55,8 +60,9 @@ _STEP_RANGE = (2.0**-22, 2.0**3)
 class Klt(Codec):
     """Whitened coordinates, their principal axes over coefficients and channels, 9/7 wavelet, range coding.
 
-    One quantiser step for everything, in a metric where it costs the same image error everywhere; axes that do not pay
-    are dropped; the table of axes is quantised and coded like the planes, which are then solved against it.
+    One quantiser step for everything, in a metric where it costs the same image error everywhere. An axis is coded if
+    what it saves in squared error is worth the bits of its plane and of its row in the table, however few pixels need
+    it; the table is quantised and coded like the planes, which are then solved against it.
 
     Attributes
     ----------
@@ -200,19 +206,54 @@ class _Source:
     def _code(self, coder: BitCounter | Encoder, step: float) -> tuple[Axes, tuple[int, int]]:
         n_coeff, height, width, channel = self._shape
         component = len(hemisphere_metric(n_coeff).forward_jk)
-        kept = self._deviation > _DROPPED * step
-        axes = quantise_axes(self._vectors[kept], self._deviation[kept], height * width, step)
+        axes, index, planes = self._quantise(step)
         count = len(axes.scales_j)
         mean = np.rint(self._whitened.mean_d * (_MEAN_STEPS / step)).astype(np.int64)
         code_vectors(coder, (1, channel, component), mean.reshape(1, channel, component))
         code_vectors(coder, (count, channel, component), axes.entries_jd.reshape(count, channel, component))
         if not count:
             return axes, (0, 0)
-        planes_hwj = solve_planes(self._whitened, axes).reshape(1, height, width, count)
-        planes = forward_transform(np.ascontiguousarray(planes_hwj), np.ones(1, np.float32), _LEVELS, self._device)
-        index = quantise_map(planes, 0, planes_hwj.shape, step, _ROUNDING, self._device)
-        code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index, _GROUP)
-        return axes, _measure_biases(index, self._device.download(planes)[:, :, :width], step)
+        thrift = Thrift(planes / step, _THRIFT)
+        code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index, _GROUP, thrift)
+        return axes, _measure_biases(index, planes, step)
+
+    def _quantise(self, step: float) -> tuple[Axes, NDArray[np.int32], NDArray[np.float32]]:
+        """Return the axes that pay, with the indices and the values (n_axis, height, width) of their planes."""
+        n_pixel = self._shape[1] * self._shape[2]
+        tried = self._deviation > _TRIED * step
+        vectors, deviation = self._vectors[tried], self._deviation[tried]
+        # Each axis alone, in its exact coordinates: what its plane saves, less what its row's rounding costs.
+        rough = quantise_axes(vectors, deviation, n_pixel, step)
+        exact = self._whitened.pixels_pd @ vectors.T.astype(np.float32)
+        index, values = self._transform(exact, step)
+        lost = n_pixel * (deviation / step) ** 2 * ((rough.vectors_jd - vectors) ** 2).sum(axis=1)
+        pays = _saved(index, values / step) - lost > _PRICE * _count_about(rough, index)
+        axes = Axes(rough.entries_jd[pays], rough.scales_j[pays])
+        index, values = self._transform(solve_planes(self._whitened, axes), step)
+        pays = _saved(index, values / step) > _PRICE * _count_about(axes, index)
+        return Axes(axes.entries_jd[pays], axes.scales_j[pays]), index[pays], values[pays]
+
+    def _transform(self, planes_pj: NDArray[np.float32], step: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Return indices and values (n_axis, height, width) of the wavelet coefficients of planes."""
+        _, height, width, _ = self._shape
+        shape = (1, height, width, planes_pj.shape[1])
+        if not planes_pj.size:
+            return np.zeros((0, height, width), np.int32), np.zeros((0, height, width), np.float32)
+        source = np.ascontiguousarray(planes_pj).reshape(shape)
+        planes = forward_transform(source, np.ones(1, np.float32), _LEVELS, self._device)
+        index = quantise_map(planes, 0, shape, step, _ROUNDING, self._device)
+        return index, self._device.download(planes)[:, :, :width]
+
+
+def _saved(index: NDArray[np.int32], values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return by how much each plane's indices lower the squared error of its values, both in steps."""
+    return np.array([(q * (2.0 * v - q)).sum(dtype=np.float64) for q, v in zip(index, values, strict=True)])
+
+
+def _count_about(axes: Axes, index: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Return about the bits of each axis: of its row in the table and of its plane."""
+    pairs = zip(axes.entries_jd, index, strict=True)
+    return np.array([zero_order_bits(np.abs(row)) + zero_order_bits(np.abs(plane)) for row, plane in pairs])
 
 
 def _next_place(tried: list[tuple[float, float]], fine: float, coarse: float, target: float) -> float:

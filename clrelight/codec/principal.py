@@ -19,6 +19,9 @@ ROTATION_UNIT = 127
 """The rotation of the channels is sent as whole numbers of this unit."""
 
 SCALES_PER_OCTAVE = 4
+_COARSER = 1.4
+"""Entries of the table are this much coarser than equal slopes ask: planes are solved against what is left of them."""
+_ROUNDING = 0.3
 _SAMPLED_PIXELS = 16384
 _MAX_ENTRY = 1 << 24
 
@@ -72,7 +75,7 @@ def whiten(coeffs_khwc: NDArray[np.float32], exponent: int, device: Device) -> W
     coeffs_kp = np.ascontiguousarray(coeffs_khwc).reshape(n_coeff, -1)
     z_jp = multiply_columns(device, np.ldexp(forward_jk, -exponent), coeffs_kp)
     z_jpc = z_jp.reshape(len(forward_jk), height * width, channel)
-    sampled = z_jpc[:, :: _stride(height * width)].reshape(-1, channel).astype(np.float64)
+    sampled = z_jpc[:, :: sample_stride(height * width)].reshape(-1, channel).astype(np.float64)
     _, axes = np.linalg.eigh(sampled.T @ sampled)
     rotation_cc = np.rint(ROTATION_UNIT * axes[:, ::-1].T).astype(np.int8)
     turned = np.einsum("jpc,dc->pdj", z_jpc, (rotation_cc / ROTATION_UNIT).astype(np.float32), optimize=True)
@@ -83,7 +86,7 @@ def whiten(coeffs_khwc: NDArray[np.float32], exponent: int, device: Device) -> W
 
 def principal_axes(whitened: Whitened) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the axes (rows, unit length) and the standard deviation of the pixels along each, both descending."""
-    sampled = whitened.pixels_pd[:: _stride(len(whitened.pixels_pd))].astype(np.float64)
+    sampled = whitened.pixels_pd[:: sample_stride(len(whitened.pixels_pd))].astype(np.float64)
     variance, vectors = np.linalg.eigh(sampled.T @ sampled / len(sampled))
     return vectors[:, ::-1].T, np.sqrt(np.maximum(variance[::-1], 0.0))
 
@@ -92,13 +95,14 @@ def quantise_axes(vectors_jd: NDArray[np.float64], deviation_j: NDArray[np.float
     """Return the axes in steps that cost the image what a step of the planes costs it.
 
     An error e of an entry of axis j adds ``n_pixel deviation_j^2 e^2`` to the squared error, one of a plane's sample
-    adds e^2: equal slopes of distortion and bits ask for ``step / (deviation sqrt(n_pixel))``.
+    adds e^2: equal slopes of distortion and bits ask for ``step / (deviation sqrt(n_pixel))``. An axis may come out as
+    zeros.
     """
-    ratio = deviation_j * np.sqrt(n_pixel) / step
+    ratio = deviation_j * np.sqrt(n_pixel) / (_COARSER * step)
     scales = np.clip(np.rint(SCALES_PER_OCTAVE * np.log2(np.maximum(ratio, 1.0))), 0, 80).astype(np.uint8)
-    entries = np.rint(vectors_jd * np.exp2(scales[:, None] / SCALES_PER_OCTAVE)).astype(np.int64)
-    kept = entries.any(axis=1)
-    return Axes(entries[kept], scales[kept])
+    exact = vectors_jd * np.exp2(scales[:, None] / SCALES_PER_OCTAVE)
+    entries = (np.sign(exact) * np.floor(np.abs(exact) + _ROUNDING)).astype(np.int64)
+    return Axes(entries, scales)
 
 
 def solve_planes(whitened: Whitened, axes: Axes) -> NDArray[np.float32]:
@@ -144,6 +148,6 @@ def _entry_prior() -> NDArray[np.float64]:
     return geometric_prior(np.minimum(middle, 1e6))
 
 
-def _stride(n_pixel: int) -> int:
-    # Odd, so that no column of the image is preferred.
+def sample_stride(n_pixel: int) -> int:
+    """Return which n-th pixels statistics are made of; odd, so that no column of the image is preferred."""
     return max(n_pixel // _SAMPLED_PIXELS, 1) | 1 if n_pixel > _SAMPLED_PIXELS else 1

@@ -14,6 +14,7 @@ magnitudes; its sign in a context made of the prediction.
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy import Coder, ModelSet, code_integers
 from clrelight.codec.lifting import Subband
-from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
+from clrelight.codec.symbols import CLASSES, RAW_BITS, class_floor, classify, geometric_prior, symbols_of
 from clrelight.errors import PayloadError
 
 _PHASES = ((0, 0), (1, 1), (0, 1), (1, 0))
@@ -82,6 +83,22 @@ def _magnitude_prior() -> NDArray[np.float64]:
     return geometric_prior(means.ravel())
 
 
+@dataclass(frozen=True)
+class Thrift:
+    """Lets the encoder take smaller indices than the nearest ones where they save bits.
+
+    Attributes
+    ----------
+    values_chw : ndarray, shape (channel, height, width), float32
+        What the indices stand for, in steps.
+    price : float
+        Squared steps of error that a bit must save.
+    """
+
+    values_chw: NDArray[np.float32]
+    price: float
+
+
 def code_indices(
     coder: Coder,
     statistics: Statistics,
@@ -89,6 +106,7 @@ def code_indices(
     shape: tuple[int, int, int],
     index_chw: NDArray[np.int32] | None,
     group: int = 1,
+    thrift: Thrift | None = None,
 ) -> NDArray[np.int32]:
     """Code the indices of one map, and learn from them.
 
@@ -107,6 +125,9 @@ def code_indices(
     group : int
         Channels that are coded together, in the context of the group before. With 1 each channel is predicted from the
         one before; uncorrelated planes, such as those along principal axes, go faster in groups.
+    thrift : Thrift, optional
+        Details are chosen anew, at the bits that they cost in their context, and written to `index_chw`. Only when
+        encoding, with groups of 2 or more.
 
     Returns
     -------
@@ -138,8 +159,9 @@ def code_indices(
                     predicted = np.clip(expected, -_MAX_PREDICTED, _MAX_PREDICTED).astype(np.int32)
             known = None if decoding else indices_chw[place] - predicted
             site = 0 if low else 1 if first == 0 else 2
-            difference, sizes_chw[place] = _code_band(coder, statistics, site, predicted, hints, known)
-            if decoding:
+            exact = None if thrift is None or low else (np.abs(thrift.values_chw[place]), thrift.price)
+            difference, sizes_chw[place] = _code_band(coder, statistics, site, predicted, hints, known, exact)
+            if decoding or exact is not None:
                 indices_chw[place] = predicted + difference
             if first and group == 1:
                 statistics.learn_slope(first, low, indices_chw[before], indices_chw[place])
@@ -161,11 +183,12 @@ def _code_band(
     predicted: NDArray[np.int32],
     hints: list[tuple[NDArray[np.int32], bool]],
     known: NDArray[np.int32] | None,
+    exact: tuple[NDArray[np.float32], float] | None,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Code one subband of some channels; return the differences from the prediction, and their sizes for contexts.
 
     All arrays are (channel, row, column). `hints` are sizes that tell what to expect, and whether they are those of a
-    coarser level. Site 0 is LL.
+    coarser level. Site 0 is LL. `exact` are the sizes that a `Thrift` chooses for, and its price.
     """
     count, height, width = predicted.shape
     # With a border of zeros, and zero where nothing is decoded yet.
@@ -194,6 +217,10 @@ def _code_band(
                 residual = _differentiate(known[part]) if first else known[part] - offset
             elif known is not None:
                 residual = known[part]
+            if exact is not None and residual is not None:
+                activity = _activity(nearby, hinted, expected.shape)
+                contexts = ((2 * site + (not first)) * _PREDICTED + np.abs(np.clip(expected, -2, 2))) * CLASSES
+                residual = _choose(statistics, contexts + classify(activity), residual, exact[0][part], exact[1])
             parts.append((part, offset, expected, _activity(nearby, hinted, expected.shape), residual))
         if not parts:
             continue
@@ -207,6 +234,29 @@ def _code_band(
             values[inner][part] = coded
             sizes[inner][part] = np.minimum(np.abs(residual), _MAX_SIZE)
     return values[inner].astype(np.int32, copy=False), sizes[inner]
+
+
+def _choose(
+    statistics: Statistics,
+    contexts: NDArray[np.integer],
+    nearest: NDArray[np.integer],
+    exact: NDArray[np.float32],
+    price: float,
+) -> NDArray[np.integer]:
+    """Return each index, the next smaller one, or 0: whichever error and bits together cost least."""
+    chosen = nearest.copy()
+    where = np.nonzero(nearest)
+    counts = statistics.magnitudes.counts[contexts[where]]
+    total = np.log2(counts.sum(axis=1))
+    size, wanted = np.abs(nearest[where]), exact[where].astype(np.float64)
+    best, least = size, np.full(len(size), np.inf)
+    for candidate in (size, size - 1, np.zeros_like(size)):
+        symbols = symbols_of(candidate)
+        bits = total - np.log2(counts[np.arange(len(counts)), symbols]) + RAW_BITS[symbols] + (candidate > 0)
+        cost = (wanted - candidate) ** 2 + price * bits
+        best, least = np.where(cost < least, candidate, best), np.minimum(cost, least)
+    chosen[where] = np.sign(nearest[where]) * best
+    return chosen
 
 
 def _activity(

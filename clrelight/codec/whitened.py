@@ -75,4 +75,4 @@ class Whitened(Codec):
         return WhitenedMaps(maps, inverse_kj)
 
 
-_NOT_INSIDE = ("whitened", "klt")
+_NOT_INSIDE = ("principal", "whitened", "klt")
