@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
 from clrelight.codec.entropy import BitCounter, Decoder, Encoder
 from clrelight.codec.factored import Factored
 from clrelight.codec.lifting import (
@@ -30,7 +31,7 @@ from clrelight.codec.principal import (
     solve_planes,
     whiten,
 )
-from clrelight.codec.registry import Codec, check_claim, register
+from clrelight.codec.registry import Codec, register
 from clrelight.codec.subbands import Statistics, Thrift, code_indices
 from clrelight.codec.symbols import zero_order_bits
 from clrelight.device import Device
@@ -98,15 +99,13 @@ class Klt(Codec):
 
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
         """See `Codec`; the step chosen and the number of planes are reported."""
-        source = _Source(coeffs_khwc, device)
+        source, shape = _Source(coeffs_khwc, device), coeffs_khwc.shape
         if self.step is not None:
             body, planes = source.encode(self.step)
-            info = {"step": float(self.step), "planes": float(planes)}
-        else:
-            budget = self.byte_budget if self.byte_budget is not None else (self.rate or 0.0) * coeffs_khwc.size / 8.0
-            body, info = source.encode_within(int(budget))
-        check_claim(coeffs_khwc.shape, body)
-        return body, info
+            return add_ballast(body, shape), {"step": float(self.step), "planes": float(planes)}
+        budget = int(self.byte_budget if self.byte_budget is not None else (self.rate or 0.0) * coeffs_khwc.size / 8.0)
+        body, info = source.encode_within(budget - ballast_overhead(shape))
+        return add_ballast(body, shape, budget), info
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
@@ -116,7 +115,7 @@ class Klt(Codec):
     @classmethod
     def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> Factored:
         """Return the planes and the matrix that make coefficients, or images, of them."""
-        check_claim(shape, body)
+        body = drop_ballast(body, shape)
         n_coeff, height, width, channel = shape
         metric = hemisphere_metric(n_coeff)
         component = len(metric.forward_jk)

@@ -25,9 +25,6 @@ MAX_EXTENT = 1 << 20
 MAX_CHANNELS = 1 << 10
 MAX_COEFFICIENTS = 1 << 32
 
-_FREE_CLAIM = 1 << 24
-_CLAIM_PER_BYTE = 1 << 17
-
 _REGISTRY: dict[str, type[Codec]] = {}
 
 
@@ -154,15 +151,6 @@ class Codec(Configurable, ABC):
     def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> View | None:
         """Return what relights without becoming coefficients first; None where coefficients are all there is."""
         return None
-
-
-def check_claim(shape: tuple[int, int, int, int], body: bytes) -> None:
-    """Raise PayloadError where so few bytes claim so many coefficients that they can only be meant to fill memory.
-
-    For coders that have no least size: 2**17 coefficients a byte are a fifteenth of what the smallest useful rate has.
-    """
-    if int(np.prod(shape, dtype=object)) > _FREE_CLAIM + _CLAIM_PER_BYTE * len(body):
-        raise PayloadError(f"{len(body)} bytes cannot be a map of shape {tuple(shape)}")
 
 
 def register(codec: type[Codec]) -> type[Codec]:

@@ -18,10 +18,11 @@ from clrelight.codec.allocation import (
     spend_by_one_step,
     statistics_for,
 )
+from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
 from clrelight.codec.entropy import Decoder
 from clrelight.codec.lifting import dequantise_map, empty_planes, forward_transform, inverse_transform, list_subbands
 from clrelight.codec.rate import step_of
-from clrelight.codec.registry import Codec, check_claim, register
+from clrelight.codec.registry import Codec, register
 from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -73,7 +74,8 @@ class Wavelet(Codec):
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
         """See `Codec`; `entropy_bits` is the zero-order entropy, subband by subband, of the indices coded."""
         shape = coeffs_khwc.shape
-        available = int(self.rate * coeffs_khwc.size / 8)
+        bound = int(self.rate * coeffs_khwc.size / 8)
+        available = bound - ballast_overhead(shape)
         tables = _Tables.size(shape[0])
         if available < tables:
             least = 8.0 * tables / coeffs_khwc.size
@@ -89,14 +91,12 @@ class Wavelet(Codec):
         codes, payload = spend(maps, exponents, 8 * available, budget)
         biases, entropy = maps.measure(codes)
         body = _Tables(self.levels, biases, exponents, codes).to_bytes() + payload
-        check_claim(shape, body)
-        return body, {"entropy_bits": entropy / coeffs_khwc.size}
+        return add_ballast(body, shape, bound), {"entropy_bits": entropy / coeffs_khwc.size}
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """See `Codec`."""
-        check_claim(shape, body)
-        tables, payload = _Tables.from_bytes(body, shape[0])
+        tables, payload = _Tables.from_bytes(drop_ballast(body, shape), shape[0])
         _, height, width, channels = shape
         bands = list_subbands(height, width, tables.levels)
         biases = (tables.biases[0] / BIAS_SCALE, tables.biases[1] / BIAS_SCALE)

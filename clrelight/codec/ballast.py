@@ -1,0 +1,53 @@
+"""Few bytes cannot claim a great map: a decoder would fill memory before it finds out that they are not meant.
+
+Coders that have no least size add ballast to the bodies of great maps that code to next to nothing, such as black ones:
+2**17 coefficients a byte are a fifteenth of what the smallest useful rate has. Smaller maps are never touched.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from clrelight.errors import InputError, PayloadError
+
+_FREE_COEFFICIENTS = 1 << 24
+_COEFFICIENTS_PER_BYTE = 1 << 17
+_COUNT = struct.Struct("<I")
+
+Shape = tuple[int, int, int, int]
+
+
+def ballast_overhead(shape: Shape) -> int:
+    """Return the bytes that every body of this shape (n_coeff, height, width, channel) has behind what is coded."""
+    return _COUNT.size if _least_bytes(shape) else 0
+
+
+def add_ballast(body: bytes, shape: Shape, budget: int | None = None) -> bytes:
+    """Return the body with zeros as far as it needs them, and their number; InputError if that passes the budget."""
+    least = _least_bytes(shape)
+    if not least:
+        return body
+    if budget is not None and least > budget:
+        raise InputError(f"maps of shape {tuple(shape)} take at least {least} bytes, the budget is {budget}")
+    zeros = max(0, least - len(body) - _COUNT.size)
+    return body + bytes(zeros) + _COUNT.pack(zeros)
+
+
+def drop_ballast(body: bytes, shape: Shape) -> bytes:
+    """Return what was coded; PayloadError if so few bytes cannot be of this shape."""
+    least = _least_bytes(shape)
+    if not least:
+        return body
+    if len(body) < least:
+        raise PayloadError(f"{len(body)} bytes cannot be a map of shape {tuple(shape)}")
+    (zeros,) = _COUNT.unpack_from(body, len(body) - _COUNT.size)
+    end = len(body) - _COUNT.size - zeros
+    if end < 0 or any(body[end : -_COUNT.size]) or (zeros and len(body) != least):
+        raise PayloadError(f"a body of {len(body)} bytes cannot have {zeros} bytes of ballast")
+    return body[:end]
+
+
+def _least_bytes(shape: Shape) -> int:
+    beyond = math.prod(shape) - _FREE_COEFFICIENTS
+    return max(_COUNT.size, -(-beyond // _COEFFICIENTS_PER_BYTE)) if beyond > 0 else 0
