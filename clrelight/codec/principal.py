@@ -108,7 +108,8 @@ def quantise_axes(vectors_jd: NDArray[np.float64], deviation_j: NDArray[np.float
 def solve_planes(whitened: Whitened, axes: Axes) -> NDArray[np.float32]:
     """Return each pixel's coordinates (n_pixel, n_axis) along the axes as the decoder knows them, by least squares."""
     vectors = axes.vectors_jd
-    solution = np.linalg.pinv(vectors)  # (d, j), the axes being near orthonormal
+    # The axes being near orthonormal, their Gram matrix is near the identity, and far smaller than they are.
+    solution = vectors.T @ np.linalg.pinv(vectors @ vectors.T, hermitian=True)
     return whitened.pixels_pd @ solution.astype(np.float32)
 
 

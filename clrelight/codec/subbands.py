@@ -246,13 +246,13 @@ def _choose(
     """Return each index, the next smaller one, or 0: whichever error and bits together cost least."""
     chosen = nearest.copy()
     where = np.nonzero(nearest)
-    counts = statistics.magnitudes.counts[contexts[where]]
-    total = np.log2(counts.sum(axis=1))
+    counts, context = statistics.magnitudes.counts, contexts[where]
+    total = np.log2(counts.sum(axis=1))[context]
     size, wanted = np.abs(nearest[where]), exact[where].astype(np.float64)
     best, least = size, np.full(len(size), np.inf)
     for candidate in (size, size - 1, np.zeros_like(size)):
         symbols = symbols_of(candidate)
-        bits = total - np.log2(counts[np.arange(len(counts)), symbols]) + RAW_BITS[symbols] + (candidate > 0)
+        bits = total - np.log2(counts[context, symbols]) + RAW_BITS[symbols] + (candidate > 0)
         cost = (wanted - candidate) ** 2 + price * bits
         best, least = np.where(cost < least, candidate, best), np.minimum(cost, least)
     chosen[where] = np.sign(nearest[where]) * best
