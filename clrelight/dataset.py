@@ -83,6 +83,11 @@ class LightStack:
             check_radiance(tile_ihwc, first)
         return tile_ihwc
 
+    def check_rows(self, first: int, end: int) -> None:
+        """Raise the InputError of `read_rows` where there is reason to; images are arrays in memory."""
+        if self.images_ihwc.dtype.kind == "f":
+            check_radiance(self.images_ihwc[:, first:end], first)
+
     def select(self, lights_i: NDArray[np.intp]) -> LightStack:
         """Return the stack of these lights only; images stay where they are until read."""
         images = self.images_ihwc

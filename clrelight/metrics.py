@@ -14,11 +14,11 @@ from clrelight.basis import evaluate_basis
 from clrelight.dataset import CoefficientMap, LightStack, read_rows_into
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
-from clrelight.matmul import apply_operator, pack_operator, sample_defines
+from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, tile_defines
 from clrelight.streaming import Buffer, reading_ahead
 
-_CPU_SEGMENT = 512
-_GPU_SEGMENT, _GPU_GROUP = 4096, 256
+_SEGMENT, _GROUP = 4096, 256
+"""Columns that a GPU's group sums, and its work-items."""
 _TILE_BYTES = 1 << 24
 """Coefficients and relit images of one tile of rows."""
 
@@ -86,9 +86,13 @@ def measure_errors(
     step = max(1, _TILE_BYTES // (4 * (stack.n_light + coefficients.n_coeff) * width * channel))
     tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
     coeffs_of, samples_of = (itertools.cycle([Buffer(), Buffer()]) for _ in range(2))
-    relit = Buffer()
+    sum_tile = _SumOfErrors(device, basis, stack)
+    whole = _arrays_in_place(device, coefficients, stack)
 
     def read(rows: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray]:
+        if whole is not None:
+            stack.check_rows(*rows)
+            return whole
         tile_shape = (rows[1] - rows[0], width, channel)
         coeffs_khwc = next(coeffs_of).lend((coefficients.n_coeff, *tile_shape), np.float32)
         samples_ihwc = next(samples_of).lend((stack.n_light, *tile_shape), stack.images_ihwc.dtype)
@@ -96,18 +100,63 @@ def measure_errors(
 
     with reading_ahead(read, tiles) as pieces:
         for (first, end), (coeffs_khwc, samples_ihwc) in zip(tiles, pieces, strict=True):
-            weight_p = np.repeat(mask_hw[first:end].ravel(), channel).astype(np.float32)
-            shape_ip = (stack.n_light, len(weight_p))
-            relit_ip = device.empty(
-                shape_ip, np.float32, relit.lend(shape_ip, np.float32) if device.shares_memory else None
-            )
-            apply_operator(device, basis, device.upload(coeffs_khwc.reshape(-1, len(weight_p))), relit_ip)
-            source_ip = device.upload(samples_ihwc.reshape(shape_ip))
-            error_it = sum_errors(device, relit_ip, source_ip, device.upload(weight_p), stack.peak, stack.transfer)
-            total_i += device.download(error_it).sum(axis=1, dtype=np.float64)
+            held = slice(0, height) if whole is not None else slice(first, end)
+            weight_p = np.repeat(mask_hw[held].ravel(), channel).astype(np.float32)
+            columns = slice((first - held.start) * width * channel, (end - held.start) * width * channel)
+            total_i += sum_tile(coeffs_khwc, samples_ihwc, weight_p, columns)
             if progress is not None:
                 progress(end, height)
     return total_i / count
+
+
+def _arrays_in_place(
+    device: Device, coefficients: CoefficientMap, stack: LightStack
+) -> tuple[NDArray[np.float32], NDArray] | None:
+    """Return coefficients and images where kernels can read them as they lie in memory, a tile at a time."""
+    arrays = coefficients.coeffs_khwc, stack.images_ihwc
+    in_place = all(isinstance(array, np.ndarray) and array.flags.c_contiguous for array in arrays)
+    return arrays if device.shares_memory and in_place else None
+
+
+class _SumOfErrors:
+    """Sums each light's squared errors over some columns, in units of the peak, float64."""
+
+    def __init__(self, device: Device, basis: PackedOperator, stack: LightStack) -> None:
+        self._device, self._basis = device, basis
+        self._peak, self._transfer = stack.peak, stack.transfer
+
+    def __call__(
+        self, coeffs_khwc: NDArray[np.float32], samples_ihwc: NDArray, weight_p: NDArray[np.float32], columns: slice
+    ) -> NDArray[np.float64]:
+        device = self._device
+        coeffs_kp = device.upload(coeffs_khwc.reshape(len(coeffs_khwc), -1))
+        source_ip, weights = device.upload(samples_ihwc.reshape(len(samples_ihwc), -1)), device.upload(weight_p)
+        if self._basis.heights_b is None:
+            relit_ip = device.empty(source_ip.shape, np.float32)
+            apply_operator(device, self._basis, coeffs_kp, relit_ip)
+            error_it = sum_errors(device, relit_ip, source_ip, weights, self._peak, self._transfer)
+        else:
+            tile = tile_defines(device)
+            if len(coeffs_khwc) <= int(str(tile["DEPTH"])):
+                tile["CHUNK"] = tile["DEPTH"]
+            count = -(-(columns.stop - columns.start) // int(str(tile["TILE"])))
+            error_it = device.empty((len(samples_ihwc), count), np.float32)
+            device.launch(
+                "metrics/relit_error.cl",
+                "sum_relit_error_mn",
+                (count,),
+                error_it,
+                coeffs_kp,
+                source_ip,
+                weights,
+                self._basis.packed_o,
+                self._basis.heights_b,
+                1.0 / self._peak,
+                *(columns.start, columns.stop),
+                *(*error_it.shape, *coeffs_kp.shape, self._basis.heights_b.shape[0]),
+                defines={**tile, **sample_defines(source_ip.dtype), "ENCODE": int(self._transfer == "srgb")},
+            )
+        return device.download(error_it).sum(axis=1, dtype=np.float64)
 
 
 def sum_errors(
@@ -118,15 +167,13 @@ def sum_errors(
     peak: float,
     transfer: str,
 ) -> DeviceArray:
-    """Queue the sums of squared errors, in units of the peak, of each light and segment of columns."""
+    """Queue a GPU's sums of squared errors, in units of the peak, of each light and segment of columns."""
     n_light, columns = relit_ip.shape
-    on_gpu = device.style == "gpu"
-    segment = _GPU_SEGMENT if on_gpu else _CPU_SEGMENT
-    error_it = device.empty((n_light, -(-columns // segment)), np.float32)
+    error_it = device.empty((n_light, -(-columns // _SEGMENT)), np.float32)
     device.launch(
-        "gpu/metrics/squared_error.cl" if on_gpu else "metrics/squared_error.cl",
+        "gpu/metrics/squared_error.cl",
         "sum_squared_error_mt",
-        (math.prod(error_it.shape) * _GPU_GROUP,) if on_gpu else error_it.shape,
+        (math.prod(error_it.shape) * _GROUP,),
         error_it,
         relit_ip,
         source_ip,
@@ -136,10 +183,10 @@ def sum_errors(
         columns,
         defines={
             **sample_defines(source_ip.dtype),
-            "SEGMENT": segment,
+            "SEGMENT": _SEGMENT,
             "ENCODE": int(transfer == "srgb"),
-            **({"GROUP": _GPU_GROUP} if on_gpu else {}),
+            "GROUP": _GROUP,
         },
-        local_size=(_GPU_GROUP,) if on_gpu else None,
+        local_size=(_GROUP,),
     )
     return error_it

@@ -11,6 +11,10 @@ from clrelight.codec.slabs import round_up
 from clrelight.device import Device, DeviceArray
 
 _LANES = 8
+_BUFFERS, _SLACK = 10, 32
+"""Rows, and values beyond the end of each, that a CPU's work-item has to work with (in ``wavelet.cl`` too)."""
+_PLANES_AT_ONCE = 4
+"""Work-items of each compute unit of a CPU, so that none waits long for the last."""
 _GROUP = 64
 """Work-items of a GPU's group, along rows."""
 
@@ -76,18 +80,17 @@ def forward_transform(
         orthonormal: see lifting.clh.
     """
     n_coeff, height, width, channels = coeffs_khwc.shape
-    planes, scratch = (empty_planes(coeffs_khwc.shape, device) for _ in range(2))
+    planes = empty_planes(coeffs_khwc.shape, device)
     _launch(
         device,
         "planes_from_coeffs",
-        (width, height, n_coeff * channels),
+        (width, height, n_coeff * channels) if device.style == "gpu" else (height, n_coeff),
         planes,
         device.upload(coeffs_khwc),
         device.upload(np.ascontiguousarray(scale_k, dtype=np.float32)),
         *(height, width, channels, *planes.shape[1:]),
     )
-    for size in _level_sizes(height, width, levels):
-        _run_level("analyse", planes, scratch, size, device)
+    transform_planes("analyse", planes, width, levels, device)
     device.finish()
     return planes
 
@@ -100,20 +103,33 @@ def inverse_transform(
     `scale_k` multiplies each map; what would exceed float32 is clamped to its largest number.
     """
     n_coeff, height, width, channels = shape
-    scratch = empty_planes(shape, device)
-    for size in reversed(_level_sizes(height, width, levels)):
-        _run_level("synthesise", planes, scratch, size, device)
+    transform_planes("synthesise", planes, width, levels, device)
     coeffs = device.empty(shape, np.float32)
     _launch(
         device,
         "coeffs_from_planes",
-        (width, height, n_coeff * channels),
+        (width, height, n_coeff * channels) if device.style == "gpu" else (height, n_coeff),
         coeffs,
         planes,
         device.upload(np.ascontiguousarray(scale_k, dtype=np.float32)),
         *(height, width, channels, *planes.shape[1:]),
     )
     return device.download(coeffs)
+
+
+def transform_planes(verb: str, planes: DeviceArray, width: int, levels: int, device: Device) -> None:
+    """Queue all levels of the transform of planes in place: ``"analyse"``, or its inverse ``"synthesise"``."""
+    count, height, pitch = planes.shape
+    if device.style == "gpu":
+        scratch = device.empty(planes.shape, np.float32)
+        sizes = _level_sizes(height, width, levels)
+        for size in sizes if verb == "analyse" else reversed(sizes):
+            _run_level(verb, planes, scratch, size, device)
+        return
+    workers = min(count, _PLANES_AT_ONCE * device.info.compute_units)
+    rows = _BUFFERS * (pitch + _SLACK) + (height + 1) // 2 * pitch
+    scratch = device.empty((workers, rows), np.float32)
+    _launch(device, f"{verb}_planes", (workers,), planes, scratch, levels, width, *scratch.shape, *planes.shape)
 
 
 def empty_planes(shape: tuple[int, int, int, int], device: Device) -> DeviceArray:
@@ -171,14 +187,12 @@ def _level_sizes(height: int, width: int, levels: int) -> list[tuple[int, int]]:
 def _run_level(verb: str, planes: DeviceArray, scratch: DeviceArray, size: tuple[int, int], device: Device) -> None:
     height, width = size
     count, *pitch = planes.shape
-    # Columns and pairs of one work-item: see the two files.
-    lanes = 1 if device.style == "gpu" else _LANES
-    columns, rows = (-(-width // lanes), (height + 1) // 2, count), (-(-width // (2 * lanes)), height, count)
+    columns, rows = (width, (height + 1) // 2, count), (-(-width // 2), height, count)
     _launch(device, f"{verb}_columns", columns, scratch, planes, height, *pitch)
     _launch(device, f"{verb}_rows", rows, planes, scratch, width, *pitch)
 
 
-def _launch(device: Device, kernel: str, global_size: tuple[int, int, int], *arguments: object) -> None:
+def _launch(device: Device, kernel: str, global_size: tuple[int, ...], *arguments: object) -> None:
     if device.style == "gpu":
         across, *others = global_size
         whole_groups = (round_up(across, _GROUP), *others)

@@ -1,4 +1,4 @@
-/* Sums of squared differences for GPUs: see metrics/squared_error.cl for the equation, the arrays and ENCODE.
+/* Sums of squared differences for GPUs: see metrics/relit_error.cl for the equation, the arrays and ENCODE.
  *
  *   SEGMENT   columns that a group of work-items sums; group t of T times m + t makes error_mt[m][t]
  *   GROUP     its work-items, a power of two that divides SEGMENT

@@ -1,0 +1,112 @@
+/* Sums of squared differences between relit radiance and the stack's own code values, in units of the peak; what is relit
+ * never leaves the cache.
+ *
+ *   error_mn    (M, N) float      sum over the columns of tile n of weight (a - b)^2
+ *   coeffs_kp   (K, P) float      coefficients of linear radiance
+ *   source_mp   (M, P) SAMPLE_T   code values; b = clip(scale source) to [0, 1]
+ *   weight_p    (P) float         1 where the pixel counts, else 0
+ *   packed_o    basis (M, K) in row blocks (matmul.py packs it); a = clip(basis coeffs) to [0, 1], by the transfer
+ *   heights_b   (n_block) int     rows of each block, 1 to 8
+ *   first, end  int               columns where tile 0 begins, and where the last one ends
+ *
+ *   ENCODE      0 linear, 1 sRGB
+ *
+ * float32 error of a sum below eps32 TILE / 8 of it.
+ */
+#include "common/lanes.clh"
+#include "common/types.clh"
+#include "common/transfer.clh"
+#include "common/row_blocks.clh"
+
+#ifndef ENCODE
+#error "ENCODE must be defined"
+#endif
+
+/* NaN stays NaN. */
+#define CLIP(x) ((x) < 0.0f ? 0.0f : (x) > 1.0f ? 1.0f : (x))
+
+static float display_value(const float radiance)
+{
+    const float v = CLIP(radiance);
+#if ENCODE
+    return encode_srgb(v);
+#else
+    return v;
+#endif
+}
+
+/* Sum of weight (a - b)^2 over count columns of one light. */
+static float sum_errors(__local const float *relit, __global const SAMPLE_T *source, __global const float *weight,
+                        const float scale, const int count)
+{
+    int c = 0;
+    float sum = 0.0f;
+#if !ENCODE
+    if (count == TILE) {
+        float given[TILE];
+        float8 sums = 0.0f;
+#if SAMPLE_HALF
+        for (; c < TILE; c += 8) AT(, float8, given + c) = scale * LOAD_SAMPLE8(source, c);
+#else
+        /* A loop of fixed length without calls: compilers vectorise it with the conversion. */
+        for (; c < TILE; c++) given[c] = scale * LOAD_SAMPLE(source, c);
+#endif
+        for (c = 0; c < TILE; c += 8) {
+            const float8 a = AT(__local const, float8, relit + c), b = AT(const, float8, given + c);
+            const float8 d = CLIP(a) - CLIP(b);
+            sums += AT(__global const, float8, weight + c) * d * d;
+        }
+        sum = sums.s0 + sums.s1 + sums.s2 + sums.s3 + sums.s4 + sums.s5 + sums.s6 + sums.s7;
+    }
+#endif
+    for (; c < count; c++) {
+        const float d = display_value(relit[c]) - CLIP(scale * LOAD_SAMPLE(source, c));
+        sum += weight[c] * d * d;
+    }
+    return sum;
+}
+
+/* tile[k][c] = coeffs[k0 + k][column + c] for c < count, else 0. */
+static void load_coeffs(__local float *tile, __global const float *restrict coeffs_kp, const int k0, const int rows,
+                        const int column, const int count, const int size_p)
+{
+    for (int k = 0; k < rows; k++) {
+        __global const float *row = coeffs_kp + (long)(k0 + k) * size_p + column;
+        int c = 0;
+        for (; c + 8 <= count; c += 8) AT(__local, float8, tile + k * TILE + c) = AT(__global const, float8, row + c);
+        for (; c < count; c++) tile[k * TILE + c] = row[c];
+        for (; c < TILE; c++) tile[k * TILE + c] = 0.0f;
+    }
+}
+
+__kernel void sum_relit_error_mn(__global float *restrict error_mn, __global const float *restrict coeffs_kp,
+                                 __global const SAMPLE_T *restrict source_mp, __global const float *restrict weight_p,
+                                 __global const float *restrict packed_o, __global const int *restrict heights_b,
+                                 const float scale, const int first, const int end, const int size_m, const int size_n,
+                                 const int size_k, const int size_p, const int size_b)
+{
+    __local vecf tile[CHUNK * TILE_VECTORS];
+    __local vecf sums[8 * TILE_VECTORS];
+    const int n = get_global_id(0), column = first + n * TILE;
+    const int count = LESSER(TILE, end - column);
+    __global const float *operator = packed_o;
+    int m = 0;
+    for (int b = 0; b < size_b; b++) {
+        const int height = heights_b[b];
+        /* Each light lies in pages of its own, where hardware does not look ahead. */
+        if (count == TILE)
+            for (int r = 0; r < height; r++)
+                PREFETCH_ROW(source_mp + (long)(m + r) * size_p + column, TILE * (int)sizeof(SAMPLE_T));
+        for (int k0 = 0; k0 < size_k; k0 += CHUNK) {
+            const int rows = LESSER(CHUNK, size_k - k0);
+            if (b == 0 || size_k > CHUNK)
+                load_coeffs((__local float *)tile, coeffs_kp, k0, rows, column, count, size_p);
+            apply_block(height, tile, operator + k0 * height, rows, sums, k0 == 0);
+        }
+        for (int r = 0; r < height; r++, m++)
+            error_mn[(long)m * size_n + n] = sum_errors((__local const float *)(sums + r * TILE_VECTORS),
+                                                        source_mp + (long)m * size_p + column, weight_p + column,
+                                                        scale, count);
+        operator += (long)height * size_k;
+    }
+}
