@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.images import IMAGE_EXTENSIONS
+from clrelight.store.durable import replacing
 
 DIRECTIONS_FILE = "light_directions.txt"
 INTENSITIES_FILE = "light_intensities.txt"
@@ -107,6 +109,13 @@ def read_lp(path: Path) -> tuple[list[str], NDArray[np.float64]]:
     if not names:
         raise InputError(f"{path} names no image")
     return names, np.array(directions, dtype=np.float64)
+
+
+def write_lp(path: str | os.PathLike[str], names: Sequence[str], directions_i3: NDArray[np.float64]) -> None:
+    """Write an ``.lp`` file that `read_lp` reads back, directions to 1e-9; InputError if it cannot be written."""
+    lines = [f"{name} {x:.9f} {y:.9f} {z:.9f}\n" for name, (x, y, z) in zip(names, directions_i3, strict=True)]
+    with replacing(path) as part:
+        part.write("".join([f"{len(lines)}\n", *lines]).encode("utf-8"))
 
 
 def read_numbers(path: Path) -> NDArray[np.float64]:

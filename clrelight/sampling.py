@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import check_directions
+from clrelight.dataset import check_directions, split_lights
 from clrelight.errors import InputError
 
 PATTERNS = ("uniform", "grid", "scattered")
@@ -27,8 +27,8 @@ _DUPLICATE_DECIMALS = 9
 _CLIP_TOLERANCE = 1e-13
 
 
-def make_pattern(pattern: str, count: int, seed: int = 0) -> NDArray[np.float64]:
-    """Return `count` light directions of one of `PATTERNS`, all strictly above the horizon.
+def make_pattern(pattern: str, count: int, seed: int = 0, *, sphere: bool = False) -> NDArray[np.float64]:
+    """Return `count` light directions of one of `PATTERNS`, all strictly above the horizon unless `sphere` is True.
 
     Parameters
     ----------
@@ -41,17 +41,19 @@ def make_pattern(pattern: str, count: int, seed: int = 0) -> NDArray[np.float64]
         Number of lights, at least 1. A grid needs a product rows x columns with 2 to 8 columns per row.
     seed : int
         Seed of ``"scattered"``; the other patterns are fixed.
+    sphere : bool
+        Cover the whole sphere, which only ``"uniform"`` can.
 
     Returns
     -------
     ndarray, shape (count, 3), float64
-        Unit vectors with z > 0.
+        Unit vectors; those of the hemisphere have z > 0.
 
     Raises
     ------
     InputError
-        Unknown pattern, a count below 1, a negative seed, or a count that makes no grid (the message names
-        the nearest ones that do).
+        Unknown pattern, a count below 1, a negative seed, a count that makes no grid (the message names the
+        nearest ones that do), or another pattern than ``"uniform"`` on the sphere.
     """
     if pattern not in PATTERNS:
         raise InputError(f"pattern must be one of {', '.join(PATTERNS)}, got {pattern!r}")
@@ -60,7 +62,9 @@ def make_pattern(pattern: str, count: int, seed: int = 0) -> NDArray[np.float64]
     if seed < 0:
         raise InputError(f"seed must be at least 0, got {seed}")
     if pattern == "uniform":
-        return _make_spiral(count)
+        return _make_spiral(count, 2.0 if sphere else 1.0)
+    if sphere:
+        raise InputError(f"{pattern} is a pattern of the hemisphere, uniform one of the sphere too")
     if pattern == "grid":
         return _make_grid(count)
     return _make_patches(count, seed)
@@ -71,9 +75,9 @@ def _from_height(z_i: NDArray, azimuth_i: NDArray) -> NDArray[np.float64]:
     return np.stack([radius_i * np.cos(azimuth_i), radius_i * np.sin(azimuth_i), z_i], axis=1)
 
 
-def _make_spiral(count: int) -> NDArray[np.float64]:
+def _make_spiral(count: int, depth: float) -> NDArray[np.float64]:
     step_i = np.arange(count)
-    return _from_height(1.0 - (step_i + 0.5) / count, step_i * GOLDEN_ANGLE)
+    return _from_height(1.0 - depth * (step_i + 0.5) / count, step_i * GOLDEN_ANGLE)
 
 
 def _grid_rows(count: int) -> int | None:
@@ -247,3 +251,21 @@ def farthest_point_subset(directions_i3: NDArray[np.float64], count: int) -> NDA
         gap_i[chosen[step - 1]] = -1.0
         chosen[step] = np.argmax(gap_i)
     return chosen
+
+
+def split_chosen(
+    directions_i3: NDArray[np.float64], holdout: int | None, lights: int | None
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the lights to fit and those held out; of the former only `lights` well-spread ones, in their order.
+
+    Raises
+    ------
+    InputError
+        As `split_lights`, and where fewer than `lights` are left to fit.
+    """
+    fitted, held = split_lights(len(directions_i3), holdout)
+    if lights is None:
+        return fitted, held
+    if not 1 <= lights <= len(fitted):
+        raise InputError(f"{len(fitted)} of {len(directions_i3)} lights are there to be fitted, got lights {lights}")
+    return fitted[np.sort(farthest_point_subset(directions_i3[fitted], lights))], held

@@ -5,31 +5,38 @@ from __future__ import annotations
 import json
 import math
 import os
+import statistics
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import Codec, decode, encode
-from clrelight.dataset import CoefficientMap, LightStack, split_lights
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.experiment.grid import CodecSetting, Experiment
 from clrelight.experiment.provenance import software_versions, source_commit
-from clrelight.experiment.scenes import shrink_picture, survey_stack
+from clrelight.experiment.scenes import Survey, shrink_picture, survey_stack
 from clrelight.fit import FitMethod
 from clrelight.fit.run import FitReport, collect_fit, prepare_fit
 from clrelight.fit.selection import AUTO
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.relight import relight, to_display
 from clrelight.results import ROW_DTYPE, Results
+from clrelight.sampling import split_chosen
 
 _CORNER = 32
 """Width and height of the maps on which kernels are built before they are timed."""
+
+_LONG = 0.5
+"""Seconds from which on one run tells a time well enough."""
+
+Made = TypeVar("Made")
 
 _IDENTITY = (
     "scene",
@@ -47,7 +54,7 @@ _IDENTITY = (
 )
 
 
-_ASKED_ALWAYS = ("auto", "weights", "sampling", "stack")
+_ASKED_ALWAYS = ("auto", "weights", "sampling", "lights", "stack")
 """What `fit_config` holds beside a method's own options."""
 
 
@@ -77,14 +84,27 @@ class _RefusalError(InputError):
 
 
 class Bench:
-    """One scene of an experiment, with the last fit kept while its codecs are measured."""
+    """One scene of an experiment, with the last fit kept while its codecs are measured.
 
-    def __init__(self, stack: LightStack, experiment: Experiment, device: Device, seed: int = 0) -> None:
-        self.seed = seed
+    With `repeats`, what takes less than `_LONG` seconds is run so many times, and its median time counts. The survey of
+    the stack is made where none is given.
+    """
+
+    def __init__(
+        self,
+        stack: LightStack,
+        experiment: Experiment,
+        device: Device,
+        seed: int = 0,
+        *,
+        repeats: int = 1,
+        survey: Survey | None = None,
+    ) -> None:
+        self.seed, self.repeats = seed, repeats
         self.stack, self.experiment, self.device = stack, experiment, device
-        self.fitted, self.held = split_lights(stack.n_light, experiment.holdout)
-        self.fit_stack = stack if experiment.holdout is None else stack.select(self.fitted)
-        self.survey = survey_stack(stack)
+        self.fitted, self.held = split_chosen(stack.directions_i3, experiment.holdout, experiment.lights)
+        self.fit_stack = stack if len(self.fitted) == stack.n_light else stack.select(self.fitted)
+        self.survey = survey or survey_stack(stack)
         self._fit: tuple[tuple, CoefficientMap, FitMethod, float] | None = None
         self._warm: list[Codec] = []
 
@@ -131,6 +151,8 @@ class Bench:
             **({"auto": auto} if auto else {}),
             "weights": self.experiment.weights,
             "sampling": self.experiment.sampling,
+            # Their number is a field of its own.
+            **({} if self.experiment.lights is None else {"lights": "farthest"}),
             "stack": self.survey.fingerprint,
         }
         known = -1 if isinstance(degree, str) else degree
@@ -156,16 +178,13 @@ class Bench:
         row["seconds_encode"] = row["seconds_decode"] = 0.0
         if setting.codec is not None:
             self._warm_up(setting.codec, coefficients.coeffs_khwc)
-            start = time.perf_counter()
+            codec, coeffs_khwc = setting.codec, coefficients.coeffs_khwc
             try:
-                encoded = encode(coefficients.coeffs_khwc, setting.codec, self.device)
+                encoded, row["seconds_encode"] = self._timed(lambda: encode(coeffs_khwc, codec, self.device))
             except InputError as error:
                 return _append(results, _without_quality(row, str(error)))
-            row["seconds_encode"] = time.perf_counter() - start
-            start = time.perf_counter()
             # From the bytes alone, so that nothing the encoder knows can leak into the measurement.
-            decoded_khwc = decode(encoded.to_bytes(), self.device)
-            row["seconds_decode"] = time.perf_counter() - start
+            decoded_khwc, row["seconds_decode"] = self._timed(lambda: decode(encoded.to_bytes(), self.device))
             row["bits_per_coefficient"], row["encoded_bytes"] = encoded.bits_per_coefficient, encoded.encoded_bytes
             row["entropy_bits"] = encoded.info.get("entropy_bits", math.nan)
             coefficients = replace(coefficients, coeffs_khwc=decoded_khwc)
@@ -196,10 +215,20 @@ class Bench:
             # A kernel is built when it is first launched, which is no part of the time of a fit.
             first_row = replace(self.fit_stack, images_ihwc=self.fit_stack.images_ihwc[:, :1], mask_hw=None)
             collect_fit(replace(prepared, stack=first_row, report=FitReport()))
-            coefficients = collect_fit(prepared)
+            planned = sum(prepared.report.seconds.values())
+            coefficients, seconds = self._timed(lambda: collect_fit(prepared))
             taken = prepared.choice.chosen.method if prepared.choice else prepared.method
-            self._fit = (key, coefficients, taken, sum(prepared.report.seconds.values()))
+            self._fit = (key, coefficients, taken, planned + seconds)
         return self._fit[1], self._fit[2], self._fit[3]
+
+    def _timed(self, work: Callable[[], Made]) -> tuple[Made, float]:
+        """Return what some work makes, and its seconds."""
+        seconds: list[float] = []
+        while not seconds or (len(seconds) < self.repeats and seconds[0] < _LONG):
+            start = time.perf_counter()
+            made = work()
+            seconds.append(time.perf_counter() - start)
+        return made, statistics.median(seconds)
 
     def _warm_up(self, codec: Codec, coeffs_khwc: NDArray[np.float32]) -> None:
         """Build a codec's kernels on a corner of the maps, once for all its rows, apart from the times of any."""

@@ -88,6 +88,8 @@ class Experiment:
         As in `clrelight.fit.fit`.
     ring : mapping
         Arguments of `datasets_synth.ring.render_ring`.
+    lights : int or None
+        Fit so many well-spread lights only (`clrelight.sampling.split_chosen`).
     """
 
     scenes: tuple[str, ...] = (RING,)
@@ -98,6 +100,7 @@ class Experiment:
     weights: str = "uniform"
     sampling: str = "hemisphere"
     ring: Mapping[str, Any] = field(default_factory=dict)
+    lights: int | None = None
 
     def __post_init__(self) -> None:
         for name in ("scenes", "methods", "degrees", "codecs"):
@@ -112,6 +115,8 @@ class Experiment:
                 raise InputError(f"degrees must be auto or 0 to {MAX_DEGREE}, got {degree}")
         if self.holdout is not None and self.holdout < 2:
             raise InputError(f"holdout must be at least 2 (every K-th light is kept out), got {self.holdout}")
+        if self.lights is not None and self.lights < 1:
+            raise InputError(f"lights must be at least 1 (so many are fitted), got {self.lights}")
         for name, known in (("weights", WEIGHTINGS), ("sampling", SAMPLINGS)):
             if getattr(self, name) not in known:
                 raise InputError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
 from collections.abc import Mapping
@@ -23,7 +24,7 @@ from clrelight.fit.selection import AUTO
 from clrelight.results import NO_CODEC
 
 _RING_KEYS = {"size": int, "lights": int, "pattern": str, "seed": int, "dtype": str}
-_TOML_KEYS = ("scenes", "methods", "degrees", "holdout", "weights", "sampling", "ring", "method", "codec")
+_TOML_KEYS = ("scenes", "methods", "degrees", "holdout", "weights", "sampling", "lights", "ring", "method", "codec")
 
 
 def load_experiment(path: str | os.PathLike[str]) -> Experiment:
@@ -39,6 +40,40 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
         return _experiment_of(given, file)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
+
+
+def experiment_text(experiment: Experiment, folder: Path, comment: str = "") -> str:
+    """Return the TOML of an experiment with one method, for a file in `folder`; `load_experiment` reads it back."""
+    if len(experiment.methods) != 1 or experiment.ring:
+        raise ValueError("expected an experiment with one method on stack files")
+    method = experiment.methods[0]
+    scenes = [s if s == RING else os.path.relpath(s, folder).replace(os.sep, "/") for s in experiment.scenes]
+    values: dict[str, Any] = {
+        "scenes": scenes,
+        "methods": [method if isinstance(method, str) else method.id],
+        "degrees": list(experiment.degrees),
+        "holdout": experiment.holdout,
+        "lights": experiment.lights,
+        "weights": experiment.weights,
+        "sampling": experiment.sampling,
+    }
+    lines = [f"# {line}" for line in comment.splitlines()] + _assignments(values)
+    if not isinstance(method, str) and (options := _assignments(method.to_config())):
+        lines += ["", f"[method.{method.id}]", *options]
+    for setting in experiment.codecs:
+        lines += ["", "[[codec]]", *_assignments({"id": setting.id, **setting.config})]
+    return "\n".join(lines) + "\n"
+
+
+def _assignments(values: Mapping[str, Any]) -> list[str]:
+    """Return ``key = value`` lines; what is None has no line, which means the same."""
+    return [f"{key} = {_toml_value(value)}" for key, value in values.items() if value is not None]
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(_assignments(value)) + " }"
+    return json.dumps(value, ensure_ascii=False)  # of text, numbers and lists of them, JSON is TOML
 
 
 def _experiment_of(given: Mapping[str, Any], file: Path) -> Experiment:
@@ -75,6 +110,7 @@ def _experiment_of(given: Mapping[str, Any], file: Path) -> Experiment:
         _typed(str, given, "weights", "uniform"),
         _typed(str, given, "sampling", "hemisphere"),
         ring,
+        _typed(int, given, "lights", None),
     )
 
 
