@@ -30,6 +30,12 @@ ROW_DTYPE = np.dtype(
         ("bits_per_coefficient", "<f8"),
         ("entropy_bits", "<f8"),  # an estimate, where the codec gives one, else NaN
         ("mean_energy", "<f8"),  # mean over columns of the squared norm of the coefficients
+        (
+            "coding_psnr_independent",
+            "<f8",
+        ),  # dB below peak^2, of the coding noise alone: equation (11), before encoding
+        ("coding_psnr_predicted", "<f8"),  # the same with the errors' moments between coefficients; NaN: no model
+        ("coding_psnr", "<f8"),  # measured; inf where nothing is lost
         ("psnr_mean", "<f8"),  # dB, at the fitted lights; inf where identical
         ("psnr_pooled", "<f8"),
         ("psnr_mean_holdout", "<f8"),  # NaN without held-out lights

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.options import ByteCount, device_option, given, json_option
-from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import measure, psnr_lines
 from clrelight.errors import InputError
@@ -73,6 +74,7 @@ def encode(
 
     from clrelight import codec as codecs
     from clrelight.device import open_device
+    from clrelight.experiment.noise import coding_psnr, predicted_psnr
     from clrelight.experiment.target import encode_to_quality
     from clrelight.store import check_output, open_stack, read_fit, write_encoded
 
@@ -102,6 +104,7 @@ def encode(
     coefficients = read_fit(fit_file)
     seconds["read"] = time.perf_counter() - since
     notes: list[str] = []
+    noise = None
     since = time.perf_counter()
     if target_psnr is not None and stack is not None:
         with open_stack(stack) as source:
@@ -113,11 +116,16 @@ def encode(
             size = float(np.prod(coefficients.coeffs_khwc.shape, dtype=np.int64))
             key, value = ("byte_budget", byte_budget) if codec == "klt" else ("rate", 8.0 * byte_budget / size)
             wanted[key] = value
+        chosen = _choose(codec, basis, wanted)
         with progress_bar(f"encoding {codec}"):
-            encoded = codecs.encode(coefficients.coeffs_khwc, _choose(codec, basis, wanted), opened)
+            noise = codecs.predict_noise(coefficients.coeffs_khwc, chosen, opened)
+            seconds["predict"] = time.perf_counter() - since
+            since = time.perf_counter()
+            encoded = codecs.encode(coefficients.coeffs_khwc, chosen, opened)
     seconds["encode"] = time.perf_counter() - since
     facts = {"file": out, **_size_facts(encoded), "config": dict(encoded.config), "device": opened.info.label}
     facts["notes"] = notes
+    facts["coding_noise"] = predicted_psnr(noise)
     if stack is not None:
         with open_stack(stack) as source:
             with progress_bar("decoding"):
@@ -126,6 +134,7 @@ def encode(
                 decoded = replace(coefficients, coeffs_khwc=codecs.decode(encoded.to_bytes(), opened))
                 seconds["decode"] = time.perf_counter() - since
             since = time.perf_counter()
+            facts["coding_noise"] = coding_psnr(noise, coefficients.coeffs_khwc, decoded.coeffs_khwc)
             facts["psnr"] = measure(decoded, source, opened)
             seconds["measure"] = time.perf_counter() - since
     since = time.perf_counter()
@@ -138,7 +147,13 @@ def encode(
     clamped = int(encoded.info.get("clamped", 0))
     print_notes(notes + ([f"{clamped} coefficients were clamped"] if clamped else []))
     print_facts(
-        {"encoded": out, **_size_lines(encoded), **psnr_lines(facts.get("psnr")), "time": seconds_line(seconds)}
+        {
+            "encoded": out,
+            **_size_lines(encoded),
+            **_noise_line(facts["coding_noise"]),
+            **psnr_lines(facts.get("psnr")),
+            "time": seconds_line(seconds),
+        }
     )
 
 
@@ -200,6 +215,12 @@ def _size_facts(encoded: Encoded) -> dict[str, Any]:
         "bits_per_coefficient": encoded.bits_per_coefficient,
         **encoded.info,
     }
+
+
+def _noise_line(noise: dict[str, float]) -> dict[str, str]:
+    words = {"coding_psnr_predicted": "predicted", "coding_psnr": "measured"}
+    known = [f"{decibel(noise[key])} {word}" for key, word in words.items() if not math.isnan(noise.get(key, math.nan))]
+    return {"noise": ", ".join(known) + " (of coding alone, below the peak)"} if known else {}
 
 
 def _size_lines(encoded: Encoded) -> dict[str, str]:

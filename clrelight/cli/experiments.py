@@ -157,7 +157,9 @@ def _bench_grid(what: str, out: str, grid: dict, ring: dict, *, force: bool, dev
         print_json({"file": out, "rows": _rows(results)})
         return
     print_notes(_notes(results))
-    print_table(*summary_rows(results), expendable=("encode (s)", "fit (s)", "kB"))
+    print_table(
+        *summary_rows(results), expendable=("encode (s)", "fit (s)", "noise, predicted (dB)", "noise (dB)", "kB")
+    )
     print_facts({"results": out, "next": f"clrelight report {out} --out report"})
 
 

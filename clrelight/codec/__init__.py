@@ -7,7 +7,17 @@ from clrelight.codec.half import Half
 from clrelight.codec.jpeg2000 import Jpeg2000
 from clrelight.codec.klt import Klt
 from clrelight.codec.principal_maps import PrincipalMaps
-from clrelight.codec.registry import Codec, Encoded, codec_class, codec_ids, decode, decode_view, encode, register
+from clrelight.codec.registry import (
+    Codec,
+    Encoded,
+    codec_class,
+    codec_ids,
+    decode,
+    decode_view,
+    encode,
+    predict_noise,
+    register,
+)
 from clrelight.codec.s3tc import S3tc
 from clrelight.codec.uniform import Uniform
 from clrelight.codec.vq import Vq
@@ -34,5 +44,6 @@ __all__ = [
     "decode",
     "decode_view",
     "encode",
+    "predict_noise",
     "register",
 ]

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy import BitCounter, Encoder
 from clrelight.codec.lifting import Subband, quantise_map
-from clrelight.codec.rate import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, find_code, step_of
+from clrelight.codec.rate import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, find_code, step_of, take_sample
 from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.codec.symbols import zero_order_bits
 from clrelight.device import Device, DeviceArray
 
 ROUNDING = 0.4  # a dead zone of 1.2 steps: best at 0.1 to 1 bit, and 0.02 dB from the best at 4
 ABSENT = 65535  # step code of a map that is zero
-_AIM, _TOLERANCE = 0.996, 0.003  # of the bytes asked: near the middle of what is allowed, and how near is enough
-_MAP_TOLERANCE, _MAP_SLACK = 0.015, 12.0  # of one map's share, and bits; the next maps make up for it
+AIM, _TOLERANCE = 0.996, 0.003  # of the bytes asked: near the middle of what is allowed, and how near is enough
+MAP_TOLERANCE, _MAP_SLACK = 0.015, 12.0  # of one map's share, and bits; the next maps make up for it
 BIAS_SCALE = 256.0
 
 
@@ -28,10 +31,19 @@ class TransformedMaps:
         self._planes, self._shape, self._bands, self._device = planes, shape, bands, device
         self._host = device.download(planes)[:, :, : shape[2]]
 
+    @property
+    def size(self) -> int:
+        """Coefficients in all."""
+        return math.prod(self._shape)
+
     def samples(self) -> dict[int, Sample]:
         """Return a sample of each map that is not zero."""
         every = {k: self._values(k) for k in range(self._shape[0])}
         return {k: Sample(values, ROUNDING) for k, values in every.items() if values.any()}
+
+    def sampled_values(self) -> NDArray[np.float32]:
+        """Return every map's values (n_coeff, place) at the same places, some of each subband."""
+        return np.stack([take_sample(self._values(k)) for k in range(self._shape[0])])
 
     def run(self, coder: BitCounter | Encoder, statistics: Statistics, k: int, code: int) -> None:
         """Code one map."""
@@ -120,8 +132,8 @@ def spend_alike(
     others = [k for k in samples if k not in limited]
     for done, k in enumerate(others):
         spent = 8 * encoder.byte_count
-        target = (budget - (1.0 - _AIM) * asked - spent) / (len(others) - done)
-        tolerance = min(_MAP_TOLERANCE * asked / len(others) + _MAP_SLACK, _TOLERANCE * asked)
+        target = (budget - (1.0 - AIM) * asked - spent) / (len(others) - done)
+        tolerance = min(MAP_TOLERANCE * asked / len(others) + _MAP_SLACK, _TOLERANCE * asked)
         trials = _Trials(maps, encoder, statistics, k)
         code, ratio = find_code(trials.count_bits, samples[k].bits, target, budget - spent, tolerance, ratio, 1)
         if code is not None:
@@ -146,23 +158,24 @@ def _find_limited(maps: TransformedMaps, samples: dict[int, Sample], budget: int
     return sorted(limited)
 
 
+def own_codes(code: int, present: Collection[int], exponents: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Return the codes of the maps' own scales for the code of the largest map; `ABSENT` where it is too coarse."""
+    largest = max((int(exponents[k]) for k in present), default=0)
+    own = code + STEPS_PER_OCTAVE * (largest - exponents.astype(np.int64))
+    own = np.where(own > COARSEST_CODE, ABSENT, own)
+    absent = np.setdiff1d(np.arange(len(own)), list(present))
+    own[absent] = ABSENT
+    return own
+
+
 def spend_by_one_step(
     maps: TransformedMaps, exponents: NDArray[np.integer], asked: int, budget: int
 ) -> tuple[NDArray[np.int64], bytes]:
     """Spend by one step, in the coefficients' own unit, for all maps; see `spend_alike`."""
     samples = maps.samples()
-    largest = max((int(exponents[k]) for k in samples), default=0)
-
-    def codes_of(code: int) -> NDArray[np.int64]:
-        """Return the codes of the maps' own scales for the code of the largest map."""
-        own = code + STEPS_PER_OCTAVE * (largest - exponents.astype(np.int64))
-        own = np.where(own > COARSEST_CODE, ABSENT, own)
-        absent = np.setdiff1d(np.arange(len(own)), list(samples))
-        own[absent] = ABSENT
-        return own
 
     def run(coder: BitCounter | Encoder, code: int) -> None:
-        codes, shared = codes_of(code), Statistics()
+        codes, shared = own_codes(code, samples, exponents), Statistics()
         for k in coding_order(codes):
             if codes[k] != ABSENT:
                 maps.run(coder, statistics_for(int(codes[k]), shared), k, int(codes[k]))
@@ -173,13 +186,13 @@ def spend_by_one_step(
         return counter.bits
 
     def guess(code: int) -> float:
-        codes = codes_of(code)
+        codes = own_codes(code, samples, exponents)
         return sum(sample.bits(int(codes[k])) for k, sample in samples.items() if codes[k] != ABSENT)
 
     # The range coder needs some more than the bits counted, mostly where contexts are many and symbols few.
     margin = 0
     while margin < budget:
-        target = budget - (1.0 - _AIM) * asked - margin
+        target = budget - (1.0 - AIM) * asked - margin
         code, _ = find_code(count, guess, target, budget - margin, _TOLERANCE * asked, 0.8, 0)
         if code is None:
             break
@@ -187,6 +200,6 @@ def spend_by_one_step(
         run(encoder, code)
         excess = 8 * encoder.byte_count - budget
         if excess <= 0:
-            return codes_of(code), encoder.to_bytes()
+            return own_codes(code, samples, exponents), encoder.to_bytes()
         margin = max(2 * margin, excess + 32)
     return np.full(len(exponents), ABSENT, np.int64), b""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec import blocks
 from clrelight.codec.half import OVERFLOW
+from clrelight.codec.noise import Noise, sample_blocks
 from clrelight.codec.registry import Codec, register
 from clrelight.codec.slabs import group_size, round_up
 from clrelight.device import Device
@@ -63,6 +64,10 @@ class Bc6h(Codec):
             if not device.shares_memory:
                 blocks_gbj[groups] = fetched
         return blocks_gbj.tobytes(), {"clamped": float(clamped)}
+
+    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise:
+        """See `Codec`; blocks know nothing of each other, so that a sample of them tells of all."""
+        return self.try_on(sample_blocks(coeffs_khwc, 4), device)
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:

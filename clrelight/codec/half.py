@@ -9,10 +9,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.noise import Noise, sample_columns
 from clrelight.codec.registry import Codec, register
 from clrelight.codec.slabs import slabs
 from clrelight.device import Device, DeviceArray
 from clrelight.errors import InputError, PayloadError
+
+LARGEST = 65504.0
+"""Largest binary16."""
 
 OVERFLOW = 65520.0
 """Least magnitude that rounds to infinity: halfway between the largest binary16, 65504, and 2**16."""
@@ -57,6 +61,14 @@ class Half(Codec):
             clamped = int(np.count_nonzero(large))
         return halves_p.tobytes(), {"clamped": float(clamped)}
 
+    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise:
+        """Return the paper's relative noise: errors even over the spacing of halves at each coefficient, independent.
+
+        From a sample of the columns.
+        """
+        sample_khwc = sample_columns(coeffs_khwc)
+        return Noise.of_coefficients(np.diag(rounding_variance(sample_khwc).mean(axis=(1, 2, 3))))
+
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """Return the coefficients, exactly what was stored; PayloadError on a wrong length, infinity or NaN."""
@@ -68,6 +80,18 @@ class Half(Codec):
         if _convert("decode_half_p", coeffs_khwc.reshape(-1), halves_p, device, clamp=False):
             raise PayloadError("codec half: the body holds an infinity or a NaN")
         return coeffs_khwc
+
+
+def rounding_variance(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the expected squared error of each value as a half, from nothing but its binade, float64.
+
+    A twelfth of the squared spacing: 2**-10 of the binade's lower end, and 2**-24 below 2**-14. What rounds to 0 loses
+    its square, what is clamped that of its excess.
+    """
+    magnitude = np.abs(values.astype(np.float64))
+    spacing = np.ldexp(1.0, np.maximum(np.frexp(magnitude)[1] - 11, -24))
+    variance = np.where(magnitude < 2.0**-25, magnitude, spacing / np.sqrt(12.0)) ** 2
+    return np.where(magnitude >= OVERFLOW, (magnitude - LARGEST) ** 2, variance)
 
 
 def _convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, clamp: bool) -> bool:

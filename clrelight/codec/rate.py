@@ -23,13 +23,17 @@ def step_of(code: int) -> float:
     return float(np.float32(2.0 ** (code / STEPS_PER_OCTAVE - FINEST)))
 
 
+def take_sample(planes_chw: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return some of a map's values, at the same places of every map of its shape."""
+    # One stride for the flattened map, odd so that it meets all columns: every subband gets its share.
+    return planes_chw.reshape(-1)[:: max(planes_chw.size // _SAMPLES, 1) | 1]
+
+
 class Sample:
     """Some of a map's wavelet coefficients, to guess from."""
 
     def __init__(self, planes_chw: NDArray[np.float32], rounding: float) -> None:
-        # One stride for the flattened map, odd so that it meets all columns: every subband gets its share.
-        stride = max(planes_chw.size // _SAMPLES, 1) | 1
-        self._magnitudes = np.abs(planes_chw.reshape(-1)[::stride])
+        self._magnitudes = np.abs(take_sample(planes_chw))
         self._factor = planes_chw.size / self._magnitudes.size
         self._rounding = rounding
         self.bits = functools.lru_cache(maxsize=64)(self._bits)
@@ -77,7 +81,7 @@ def find_code(
     tried: list[tuple[float, int, float]] = []  # (distance from the target, code, bits)
     allowed: list[tuple[float, int]] = []
     fine, coarse = finest - 1, COARSEST_CODE + 1  # known to take more, and not more, than the target
-    code = _solve(guess_bits, target / ratio, finest, COARSEST_CODE)
+    code = solve_code(guess_bits, target / ratio, finest, COARSEST_CODE)
     for trial in range(_MAX_TRIALS):
         bits = count_bits(code)
         tried = sorted([*tried, (abs(bits - target), code, bits)])
@@ -113,10 +117,10 @@ def _next_code(
         if min(bits_a, bits_b, target) > 0.0 and bits_a != bits_b:
             slope = (code_b - code_a) / (np.log(bits_b) - np.log(bits_a))
             return round(code_a + slope * (np.log(target) - np.log(bits_a)))
-    return _solve(guess_bits, target / ratio, finest, COARSEST_CODE)
+    return solve_code(guess_bits, target / ratio, finest, COARSEST_CODE)
 
 
-def _solve(bits: Callable[[int], float], target: float, fine: int, coarse: int) -> int:
+def solve_code(bits: Callable[[int], float], target: float, fine: int, coarse: int) -> int:
     """Return the finest code of at most `target` bits, by bisection."""
     while fine < coarse:
         middle = (fine + coarse) // 2

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.finite import all_finite
+from clrelight.codec.metric import MAX_METRIC_DEGREE
+from clrelight.codec.noise import Noise, second_moments
 from clrelight.configurable import Configurable
 from clrelight.conventions import degree_of
 from clrelight.device import Device
@@ -147,6 +149,17 @@ class Codec(Configurable, ABC):
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """Return the coefficients from the bytes alone; PayloadError if they do not make sense."""
 
+    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise | None:
+        """Return the noise to expect of `encode_body`, in a small part of its time; None where there is no model."""
+        return None
+
+    def try_on(self, sample_khwc: NDArray[np.float32], device: Device) -> Noise:
+        """Return the noise of a sample, for codecs that code its parts as they code them among all others."""
+        body, _ = self.encode_body(sample_khwc, device)
+        decoded_khwc = self.decode_body(body, sample_khwc.shape, device)
+        errors_kp = (decoded_khwc - sample_khwc.astype(np.float64)).reshape(len(sample_khwc), -1)
+        return Noise.of_coefficients(second_moments(errors_kp))
+
     @classmethod
     def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> View | None:
         """Return what relights without becoming coefficients first; None where coefficients are all there is."""
@@ -175,6 +188,25 @@ def codec_class(codec_id: str) -> type[Codec]:
     return _REGISTRY[codec_id]
 
 
+def _checked(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
+    """Return coefficients as codecs take them; InputError where they are none."""
+    given = np.asarray(coeffs_khwc)
+    if given.dtype.kind not in "fiu":
+        raise InputError(f"coefficients must be real numbers, got {given.dtype}")
+    try:
+        check_shape(given.shape)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    with np.errstate(over="ignore"):  # what float32 cannot hold is infinite now, and refused below
+        coeffs = np.ascontiguousarray(given, dtype=np.float32)
+    if not all_finite(coeffs, device):
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(coeffs))[0])
+        raise InputError(
+            f"coefficient (k, row, column, channel) = {where} is {coeffs[where]}, expected a finite number"
+        )
+    return coeffs
+
+
 def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> Encoded:
     """Encode a coefficient map.
 
@@ -197,22 +229,23 @@ def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> En
     InputError
         If the shape is impossible, a coefficient is not finite, or the codec cannot hold one.
     """
-    given = np.asarray(coeffs_khwc)
-    if given.dtype.kind not in "fiu":
-        raise InputError(f"coefficients must be real numbers, got {given.dtype}")
-    try:
-        check_shape(given.shape)
-    except ValueError as error:
-        raise InputError(str(error)) from None
-    with np.errstate(over="ignore"):  # what float32 cannot hold is infinite now, and refused below
-        coeffs = np.ascontiguousarray(given, dtype=np.float32)
-    if not all_finite(coeffs, device):
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(coeffs))[0])
-        raise InputError(
-            f"coefficient (k, row, column, channel) = {where} is {coeffs[where]}, expected a finite number"
-        )
+    coeffs = _checked(coeffs_khwc, device)
     body, info = codec.encode_body(coeffs, device)
     return Encoded(codec.id, codec.to_config(), tuple(coeffs.shape), body, info)
+
+
+def predict_noise(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> Noise | None:
+    """Return the noise that `encode` will leave in a coefficient map, without encoding it; see `Noise`.
+
+    None where the codec has no model of its noise, or the degree none of its hemisphere.
+
+    Raises
+    ------
+    InputError
+        As `encode` does.
+    """
+    coeffs = _checked(coeffs_khwc, device)
+    return codec.predict_noise(coeffs, device) if degree_of(len(coeffs)) <= MAX_METRIC_DEGREE else None
 
 
 def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:

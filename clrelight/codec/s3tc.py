@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.blocks import as_maps, block_counts, from_maps, group_slabs, maps_shape
+from clrelight.codec.noise import Noise, sample_blocks
 from clrelight.codec.registry import Codec, register
 from clrelight.codec.slabs import group_size, round_up
 from clrelight.device import Device
@@ -48,6 +49,10 @@ class S3tc(Codec):
             if not device.shares_memory:
                 blocks_gjb[groups] = fetched
         return blocks_gjb.tobytes(), {}
+
+    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise:
+        """See `Codec`; blocks know nothing of each other, so that a sample of them tells of all."""
+        return self.try_on(sample_blocks(coeffs_khwc, 4), device)
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:

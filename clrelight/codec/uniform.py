@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import uniform_search as search
+from clrelight.codec.noise import Noise, sample_columns, second_moments
 from clrelight.codec.registry import Codec, register
 from clrelight.codec.slabs import slabs
 from clrelight.device import Device
@@ -57,6 +58,18 @@ class Uniform(Codec):
         table = quantiser.low_k.tobytes() + quantiser.step_k.tobytes()
         info = {"entropy_bits": _entropy_bits(codes_kp) + 8.0 * len(table) / coeffs_kp.size}
         return bytes([self.bits]) + table + _pack(codes_kp.reshape(-1), self.bits, device).tobytes(), info
+
+    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise:
+        """See `Codec`; the levels are the ones that will be used, the noise is that of a sample of the columns.
+
+        Inside the interval that is about a twelfth of the squared step; what is clipped adds its excess.
+        """
+        quantiser = search.choose_quantiser(coeffs_khwc.reshape(len(coeffs_khwc), -1), self.bits, device)
+        sample_kp = sample_columns(coeffs_khwc).reshape(len(coeffs_khwc), -1).astype(np.float64)
+        low_k, step_k = (values.astype(np.float64)[:, None] for values in (quantiser.low_k, quantiser.step_k))
+        codes_kp = np.rint((sample_kp - low_k) / np.where(step_k > 0.0, step_k, 1.0))
+        levels_kp = low_k + np.clip(codes_kp, 0, 2**self.bits - 1) * step_k
+        return Noise.of_coefficients(second_moments(levels_kp - sample_kp))
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from typing import ClassVar
@@ -20,7 +21,9 @@ from clrelight.codec.allocation import (
 )
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
 from clrelight.codec.entropy import Decoder
+from clrelight.codec.expectation import expect_codes, expect_moments
 from clrelight.codec.lifting import dequantise_map, empty_planes, forward_transform, inverse_transform, list_subbands
+from clrelight.codec.noise import Noise
 from clrelight.codec.rate import step_of
 from clrelight.codec.registry import Codec, register
 from clrelight.codec.subbands import Statistics, code_indices
@@ -74,24 +77,42 @@ class Wavelet(Codec):
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
         """See `Codec`; `entropy_bits` is the zero-order entropy, subband by subband, of the indices coded."""
         shape = coeffs_khwc.shape
-        bound = int(self.rate * coeffs_khwc.size / 8)
-        available = bound - ballast_overhead(shape)
+        asked, budget = self._spendable(shape)
+        maps, exponents = self._transform(coeffs_khwc, device)
+        spend = spend_alike if self.allocation == "map" else spend_by_one_step
+        codes, payload = spend(maps, exponents, asked, budget)
+        biases, entropy = maps.measure(codes)
+        body = _Tables(self.levels, biases, exponents, codes).to_bytes() + payload
+        return add_ballast(body, shape, self._bound(shape)), {"entropy_bits": entropy / coeffs_khwc.size}
+
+    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise:
+        """See `Codec`; quantiser noise and what dead zones swallow, at the steps that the rate should ask for."""
+        asked, budget = self._spendable(coeffs_khwc.shape)
+        maps, exponents = self._transform(coeffs_khwc, device)
+        codes, spread = expect_codes(maps, exponents, asked, budget, self.allocation)
+        return Noise.of_coefficients(expect_moments(maps, codes, spread, exponents))
+
+    def _bound(self, shape: tuple[int, ...]) -> int:
+        """Return the bytes asked for in all."""
+        return int(self.rate * math.prod(shape) / 8)
+
+    def _spendable(self, shape: tuple[int, ...]) -> tuple[int, int]:
+        """Return the bits asked for in all, and what side tables leave of them."""
+        available = self._bound(shape) - ballast_overhead(shape)
         tables = _Tables.size(shape[0])
         if available < tables:
-            least = 8.0 * tables / coeffs_khwc.size
+            least = 8.0 * tables / math.prod(shape)
             raise InputError(
                 f"{self.rate:g} bits per coefficient are too few for maps of shape {shape}: "
                 f"their side tables alone take {least:.4g}"
             )
-        exponents = _exponents(coeffs_khwc)
+        return 8 * available, 8 * (available - tables)
+
+    def _transform(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[TransformedMaps, NDArray[np.int32]]:
+        """Return the maps in subbands, and the powers of two that they were divided by."""
+        shape, exponents = coeffs_khwc.shape, _exponents(coeffs_khwc)
         planes = forward_transform(coeffs_khwc, np.ldexp(np.float32(1.0), -exponents), self.levels, device)
-        maps = TransformedMaps(planes, shape, list_subbands(shape[1], shape[2], self.levels), device)
-        budget = 8 * (available - tables)
-        spend = spend_alike if self.allocation == "map" else spend_by_one_step
-        codes, payload = spend(maps, exponents, 8 * available, budget)
-        biases, entropy = maps.measure(codes)
-        body = _Tables(self.levels, biases, exponents, codes).to_bytes() + payload
-        return add_ballast(body, shape, bound), {"entropy_bits": entropy / coeffs_khwc.size}
+        return TransformedMaps(planes, shape, list_subbands(shape[1], shape[2], self.levels), device), exponents
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:

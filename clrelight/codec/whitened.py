@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.factored import WhitenedMaps
 from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.noise import Noise
 from clrelight.codec.registry import Codec, codec_class, register
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -47,12 +48,18 @@ class Whitened(Codec):
 
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
         """See `Codec`; what the inner codec reports is passed on."""
-        # The same product, with the matrix that leads into the metric.
-        forward = hemisphere_metric(len(coeffs_khwc), "singular").forward_jk
         inner = codec_class(self.codec).from_config(self.options)
-        body, info = inner.encode_body(WhitenedMaps(coeffs_khwc, forward).to_coeffs(device), device)
+        body, info = inner.encode_body(_whiten(coeffs_khwc, device), device)
         name = self.codec.encode("ascii")
         return bytes([len(name)]) + name + body, info
+
+    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise | None:
+        """See `Codec`; the inner codec's, in whitened coordinates, where errors weigh the same in the image."""
+        inner = codec_class(self.codec).from_config(self.options)
+        noise = inner.predict_noise(_whiten(coeffs_khwc, device), device)
+        if noise is None:
+            return None
+        return Noise(noise.covariance_jj, hemisphere_metric(len(coeffs_khwc), "singular").inverse_kj @ noise.basis_kj)
 
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
@@ -73,6 +80,11 @@ class Whitened(Codec):
         inverse_kj = hemisphere_metric(shape[0], "singular").inverse_kj
         maps = inner.decode_body(body[1 + body[0] :], (inverse_kj.shape[1], *shape[1:]), device)
         return WhitenedMaps(maps, inverse_kj)
+
+
+def _whiten(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
+    # The same product as back, with the matrix that leads into the metric.
+    return WhitenedMaps(coeffs_khwc, hemisphere_metric(len(coeffs_khwc), "singular").forward_jk).to_coeffs(device)
 
 
 _NOT_INSIDE = ("principal", "whitened", "klt")

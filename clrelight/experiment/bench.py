@@ -15,11 +15,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec import Codec, decode, encode
+from clrelight.codec import Codec, decode, encode, predict_noise
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.experiment.grid import CodecSetting, Experiment
+from clrelight.experiment.noise import coding_psnr
 from clrelight.experiment.provenance import software_versions, source_commit
 from clrelight.experiment.scenes import Survey, shrink_picture, survey_stack
 from clrelight.fit import FitMethod
@@ -176,10 +177,12 @@ class Bench:
         row["entropy_bits"] = math.nan
         row["bits_per_coefficient"], row["encoded_bytes"] = 32.0, coefficients.coeffs_khwc.nbytes
         row["seconds_encode"] = row["seconds_decode"] = 0.0
+        row["coding_psnr_independent"] = row["coding_psnr_predicted"] = row["coding_psnr"] = math.inf
         if setting.codec is not None:
             self._warm_up(setting.codec, coefficients.coeffs_khwc)
             codec, coeffs_khwc = setting.codec, coefficients.coeffs_khwc
             try:
+                noise = predict_noise(coeffs_khwc, codec, self.device)
                 encoded, row["seconds_encode"] = self._timed(lambda: encode(coeffs_khwc, codec, self.device))
             except InputError as error:
                 return _append(results, _without_quality(row, str(error)))
@@ -187,6 +190,8 @@ class Bench:
             decoded_khwc, row["seconds_decode"] = self._timed(lambda: decode(encoded.to_bytes(), self.device))
             row["bits_per_coefficient"], row["encoded_bytes"] = encoded.bits_per_coefficient, encoded.encoded_bytes
             row["entropy_bits"] = encoded.info.get("entropy_bits", math.nan)
+            for name, value in coding_psnr(noise, coeffs_khwc, decoded_khwc).items():
+                row[name] = value
             coefficients = replace(coefficients, coeffs_khwc=decoded_khwc)
         start = time.perf_counter()
         mse_i = measure_errors(coefficients, self.stack, device=self.device)
@@ -268,7 +273,8 @@ def _append(results: Results, row: np.void) -> Results:
 def _without_quality(row: np.void, reason: str) -> np.void:
     """Return the row of a fit or codec that refused: a result too, with the reason as its note."""
     unknown = ("bits_per_coefficient", "entropy_bits", "seconds_encode", "seconds_decode", "seconds_measure")
-    for name in (*unknown, "psnr_mean", "psnr_pooled", "psnr_mean_holdout", "psnr_pooled_holdout"):
+    of_coding = ("coding_psnr_independent", "coding_psnr_predicted", "coding_psnr")
+    for name in (*unknown, *of_coding, "psnr_mean", "psnr_pooled", "psnr_mean_holdout", "psnr_pooled_holdout"):
         row[name] = math.nan
     row["encoded_bytes"] = 0
     row["note"] = _fixed(reason, ROW_DTYPE["note"])

@@ -15,7 +15,7 @@ from clrelight.report.contact_sheet import AMPLIFICATION, MAX_SETTINGS, contact_
 from clrelight.report.markup import escape_markdown, to_markdown
 from clrelight.report.rows import file_suffixes, parse_picture_key, parse_profile_key, scene_names, scene_rows, text
 from clrelight.report.size_chart import quality_vs_size
-from clrelight.report.tables import Table, all_rows, repeated_rows, table_i, table_iii
+from clrelight.report.tables import Table, all_rows, noise_table, repeated_rows, table_i, table_iii
 from clrelight.results import Results
 
 
@@ -97,6 +97,15 @@ def _scene_parts(results: Results, scene: str, suffix: str) -> Iterator[Part]:
             partial(contact_sheet, results, scene, degree),
             "the results hold no pictures, or no reference to set them against",
         )
+    yield Part(
+        f"noise{suffix}",
+        "Noise: predicted and measured",
+        "What coding alone adds to the images, in dB below the squared peak, as a mean over the hemisphere, nothing "
+        "clipped. Equation 11 takes the coefficients' errors to be independent; where its number is far below the "
+        "predicted one, they are not. A dash is a codec without a model.",
+        partial(noise_table, results, scene),
+        "no row of a codec holds its noise",
+    )
     yield Part(
         f"quality_vs_size{suffix}",
         "Quality against size",

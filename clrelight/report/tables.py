@@ -176,6 +176,9 @@ ALL_COLUMNS = (
     Column("entropy_bits", "entropy bits", 3),
     Column("kilobytes", "kB", 1),
     Column("mean_energy", "mean ‖c‖²", 2, r"mean $\|c\|^2$"),
+    Column("coding_psnr_independent", "coding noise, eq. 11 (dB)", 2),
+    Column("coding_psnr_predicted", "coding noise, predicted (dB)", 2),
+    Column("coding_psnr", "coding noise (dB)", 2),
     Column("psnr_mean", "PSNR mean, fitted", 2),
     Column("psnr_pooled", "PSNR pooled, fitted", 2),
     Column("psnr_mean_holdout", "PSNR mean, held out", 2),
@@ -216,6 +219,30 @@ def all_rows(results: Results, scene: str | None = None) -> Table:
     return _table_of(f"All rows{of}: sizes with every side table, PSNR in dB, seconds", ALL_COLUMNS, rows)
 
 
+NOISE_COLUMNS = (
+    Column("method", "method"),
+    Column("degree", "degree"),
+    Column("setting", "codec"),
+    Column("options", "options"),
+    Column("bits_per_coefficient", "bits/coefficient", 3),
+    Column("mean_energy", "mean ‖c‖²", 2, r"mean $\|c\|^2$"),
+    Column("coding_psnr_independent", "eq. 11 (dB)", 2),
+    Column("coding_psnr_predicted", "predicted (dB)", 2),
+    Column("coding_psnr", "measured (dB)", 2),
+)
+
+
+def noise_table(results: Results, scene: str) -> Table | None:
+    """Return the noise that each codec was predicted to add to the images, and the one that it did; None without any.
+
+    In dB below the squared peak, mean over the whole hemisphere, nothing clipped.
+    """
+    rows = [row for row in scene_rows(results, scene) if text(row["codec"]) != NO_CODEC]
+    if all(np.isnan(row["coding_psnr"]) for row in rows):
+        return None
+    return _table_of(f"Coding noise of {scene}: predicted before encoding, and measured, in dB", NOISE_COLUMNS, rows)
+
+
 SUMMARY_COLUMNS = (
     Column("scene", "scene"),
     Column("method", "method"),
@@ -225,6 +252,8 @@ SUMMARY_COLUMNS = (
     Column("bits_per_coefficient", "bits per coeff.", 3),
     Column("kilobytes", "kB", 1),
     Column("psnr_mean", "PSNR mean (dB)", 2),
+    Column("coding_psnr_predicted", "noise, predicted (dB)", 2),
+    Column("coding_psnr", "noise (dB)", 2),
     Column("psnr_pooled_holdout", "held out, pooled (dB)", 2),
     Column("seconds_fit", "fit (s)", 3),
     Column("seconds_encode", "encode (s)", 3),
