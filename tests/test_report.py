@@ -43,6 +43,8 @@ def make_rows(scene="ring", degree=6, methods=tuple(PLAIN_DB), codecs=CODECS, he
         row["mean_energy"] = ENERGY.get(method, 1.0)
         row["psnr_mean"] = PLAIN_DB.get(method, 30.0) - loss
         row["psnr_pooled"] = row["psnr_mean"] - 0.5
+        noise = (INF, INF, INF) if codec == "none" else (30.125, 40.25, 40.5)
+        row["coding_psnr_independent"], row["coding_psnr_predicted"], row["coding_psnr"] = noise
         row["psnr_mean_holdout"] = row["psnr_mean"] - 1.0 if held_out else NAN
         row["psnr_pooled_holdout"] = row["psnr_mean"] - 1.25 if held_out else NAN
         row["seconds_fit"], row["seconds_encode"] = 0.125, 0.0625
@@ -155,8 +157,8 @@ def test_all_rows_keeps_every_row_in_a_fixed_order():
 def test_summary_has_held_out_lights_only_where_there_are_some():
     headers, rows = summary_rows(Results(make_rows()))
     assert len(rows) == 40
-    assert {len(row) for row in rows} == {len(headers)} == {9}
-    assert rows[0] == ["ring", "uls", "6", "plain", "32.000", "1354.8", "31.21", "0.125", "0.062"]
+    assert {len(row) for row in rows} == {len(headers)} == {11}
+    assert rows[0] == ["ring", "uls", "6", "plain", "32.000", "1354.8", "31.21", "∞", "∞", "0.125", "0.062"]
     assert rows[5][3] == "wavelet 4 bit"
     headers, rows = summary_rows(Results(make_rows(held_out=True)))
     assert rows[0][headers.index("held out, pooled (dB)")] == "29.96"
@@ -330,11 +332,11 @@ def test_the_report_writes_every_part(ring, written):
     assert paths[0].name == "report.md"
     names = {path.relative_to(out.resolve()).as_posix() for path in paths}
     assert names == {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
-    tables = {f"tables/{name}.{end}" for name in ("table_1", "table_3", "all_rows") for end in ("md", "csv", "tex")}
+    tables = {f"tables/{name}.{end}" for name in ("table_1", "table_3", "noise", "all_rows") for end in ("md", "csv", "tex")}
     pictures = {f"figures/{name}.png" for name in ("figure_7", "figure_15", "contact_sheet", "quality_vs_size")}
     assert names == tables | pictures | {"report.md"}
     assert [path.name for path in out.parent.iterdir()] == ["folder"]
-    for name, columns, rows in (("table_1", 3, 2), ("table_3", 6, 4), ("all_rows", 15, 40)):
+    for name, columns, rows in (("table_1", 3, 2), ("table_3", 6, 4), ("noise", 8, 36), ("all_rows", 18, 40)):
         check_latex((out / "tables" / f"{name}.tex").read_text(encoding="utf-8"), columns, rows)
     parsed = numbers_of(out / "tables" / "all_rows.csv")
     for key in ("psnr_mean", "bits_per_coefficient", "mean_energy", "psnr_pooled"):
@@ -354,7 +356,7 @@ def test_the_page_says_what_was_measured_and_links_only_what_exists(written):
         assert words in page
     assert "cpu: PoCL" in page
     links = re.findall(r"\]\(([^)]+)\)", page)
-    assert len(links) == 10
+    assert len(links) == 12
     assert all((out / link).is_file() for link in links)
     assert "32.21" in page
     assert "Left out" not in page
@@ -388,7 +390,7 @@ def test_what_is_missing_is_left_out_with_a_line(tmp_path):
     for heading in ("Table III", "Figure 15", "Figure 7", "Contact sheet"):
         assert len(re.findall(rf"- {heading}.*: left out, .*\.", left_out)) == 1
     assert r"bare\|scene" in page
-    assert steps == [(i, 7) for i in range(8)]
+    assert steps == [(i, 8) for i in range(9)]
 
 
 def test_several_scenes_degrees_and_held_out_lights(tmp_path):

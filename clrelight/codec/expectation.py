@@ -17,8 +17,8 @@ from clrelight.codec.subbands import Statistics
 _MAPS_PER_TRIAL = 16
 _SAVING = (0.48, 0.033)
 """How much of a sample's zero-order entropy context modelling saves, and how much less of it a bit per coefficient."""
-_SCATTER = 0.011
-"""Standard deviation of coded to guessed bits among maps of 1 bit per coefficient; more bits scatter less."""
+_SCATTER = 1.6
+"""Standard deviation, among maps, of the ratio of coded to guessed bits, where the sample had one bit."""
 _DRAWS = 16
 
 Codes = NDArray[np.int64]
@@ -49,7 +49,7 @@ def expect_codes(
             fall = here - guess(code + STEPS_PER_OCTAVE // 4)
             if 0 < code < COARSEST_CODE and fall > 0:
                 # The search lets a map's bits be anything within its tolerance.
-                deviation = np.sqrt(MAP_TOLERANCE**2 / 3.0 + _SCATTER**2 * maps.size / (len(exponents) * here))
+                deviation = np.sqrt(MAP_TOLERANCE**2 / 3.0 + _SCATTER**2 / (here * samples[k].share))
                 spread[k] = deviation * here * (STEPS_PER_OCTAVE // 4) / fall
         return codes, spread
     codes = _choose_one_step(guesses, exponents, target)

@@ -34,14 +34,14 @@ class Sample:
 
     def __init__(self, planes_chw: NDArray[np.float32], rounding: float) -> None:
         self._magnitudes = np.abs(take_sample(planes_chw))
-        self._factor = planes_chw.size / self._magnitudes.size
+        self.share = self._magnitudes.size / planes_chw.size
         self._rounding = rounding
         self.bits = functools.lru_cache(maxsize=64)(self._bits)
 
     def _bits(self, code: int) -> float:
         """Return about the zero-order entropy of the map's indices at a step."""
         indices = (self._magnitudes * np.float32(1.0 / step_of(code)) + np.float32(self._rounding)).astype(np.int32)
-        return self._factor * zero_order_bits(indices)
+        return zero_order_bits(indices) / self.share
 
 
 def find_code(
