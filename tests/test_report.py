@@ -332,7 +332,9 @@ def test_the_report_writes_every_part(ring, written):
     assert paths[0].name == "report.md"
     names = {path.relative_to(out.resolve()).as_posix() for path in paths}
     assert names == {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
-    tables = {f"tables/{name}.{end}" for name in ("table_1", "table_3", "noise", "all_rows") for end in ("md", "csv", "tex")}
+    tables = {
+        f"tables/{name}.{end}" for name in ("table_1", "table_3", "noise", "all_rows") for end in ("md", "csv", "tex")
+    }
     pictures = {f"figures/{name}.png" for name in ("figure_7", "figure_15", "contact_sheet", "quality_vs_size")}
     assert names == tables | pictures | {"report.md"}
     assert [path.name for path in out.parent.iterdir()] == ["folder"]
