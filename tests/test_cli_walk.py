@@ -135,7 +135,7 @@ def test_every_codec_there_and_back(ring, fitted, tmp_path, codec):
     bits = 8 * told["encoded_bytes"] / (16 * 32 * 32 * 3)
     np.testing.assert_allclose([told["bits_per_coefficient"], facts["bits_per_coefficient"]], bits, rtol=1e-12)
     assert (facts["codec"], json.loads(facts["config"])) == (codec, told["config"])
-    assert told["seconds"].keys() == {"read", "encode", "decode", "measure", "write"}
+    assert told["seconds"].keys() == {"read", "predict", "encode", "decode", "measure", "write"}
     assert told["device"]
     decoded = succeed("decode", out, back, "--json").json
     assert decoded["seconds"].keys() == {"read", "decode", "write"}

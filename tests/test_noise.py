@@ -1,5 +1,6 @@
 """The noise a codec adds: what is predicted before encoding, against what decoding then shows."""
 
+import functools
 import math
 
 import numpy as np
@@ -39,17 +40,10 @@ def hemisphere(count=24):
     )
 
 
-@pytest.fixture(scope="module")
-def fitted(device):
+@functools.cache
+def fitted(method):
     """Return the ring's coefficients by a method, of degree 4."""
-    made = {}
-
-    def coefficients(method):
-        if method not in made:
-            made[method] = fit(ring_stack(), method, degree=4, device=device).coeffs_khwc
-        return made[method]
-
-    return coefficients
+    return fit(ring_stack(), method, degree=4).coeffs_khwc
 
 
 def make_map(shape=(9, 24, 20, 3), seed=0):
@@ -59,7 +53,7 @@ def make_map(shape=(9, 24, 20, 3), seed=0):
 
 
 @pytest.mark.parametrize(("method", "name", "options"), GRID, ids=str)
-def test_prediction_on_the_ring_is_within_a_decibel(fitted, device, method, name, options):
+def test_prediction_on_the_ring_is_within_a_decibel(device, method, name, options):
     coeffs_khwc = fitted(method)
     codec = codec_class(name).from_config(options)
     predicted = predict_noise(coeffs_khwc, codec, device).image_error()
@@ -67,7 +61,7 @@ def test_prediction_on_the_ring_is_within_a_decibel(fitted, device, method, name
     assert abs(decibels(predicted) - decibels(measured)) <= 1.0
 
 
-def test_errors_of_large_coefficients_are_not_independent(fitted, device):
+def test_errors_of_large_coefficients_are_not_independent(device):
     """What equation (11) leaves out: the maps of an unbounded fit are nearly multiples of each other."""
 
     def excess(method, name):

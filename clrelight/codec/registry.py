@@ -150,7 +150,7 @@ class Codec(Configurable, ABC):
         """Return the coefficients from the bytes alone; PayloadError if they do not make sense."""
 
     def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise | None:
-        """Return the noise to expect of `encode_body`, in a small part of its time; None where there is no model."""
+        """Return the noise to expect of `encode_body`, found in less than its time; None where there is no model."""
         return None
 
     def try_on(self, sample_khwc: NDArray[np.float32], device: Device) -> Noise:
