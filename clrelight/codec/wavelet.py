@@ -92,11 +92,11 @@ class Wavelet(Codec):
         codes, spread = expect_codes(maps, exponents, asked, budget, self.allocation)
         return Noise.of_coefficients(expect_moments(maps, codes, spread, exponents))
 
-    def _bound(self, shape: tuple[int, ...]) -> int:
+    def _bound(self, shape: tuple[int, int, int, int]) -> int:
         """Return the bytes asked for in all."""
         return int(self.rate * math.prod(shape) / 8)
 
-    def _spendable(self, shape: tuple[int, ...]) -> tuple[int, int]:
+    def _spendable(self, shape: tuple[int, int, int, int]) -> tuple[int, int]:
         """Return the bits asked for in all, and what side tables leave of them."""
         available = self._bound(shape) - ballast_overhead(shape)
         tables = _Tables.size(shape[0])
