@@ -163,7 +163,7 @@ def test_skies_against_quadrature(sky, elevation):
         return zenith * luminance(sky, np.arccos(directions_i3[:, 2]), angles, np.pi / 2 - sun)
 
     light = sky_light(sky, elevation, azimuth, zenith=zenith, degree=6)
-    expected = project_upper(radiance, 6, 300)
+    expected = project_upper(radiance, 6, 220)
     np.testing.assert_allclose(light.coeffs_kc[:, 0], expected, rtol=0, atol=1e-5 * zenith)
     shown_i3 = make_pattern("uniform", 50)
     np.testing.assert_allclose(zenith * sky_luminance(shown_i3, sky, elevation, azimuth), radiance(shown_i3), rtol=1e-9)

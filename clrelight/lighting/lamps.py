@@ -66,6 +66,8 @@ def cast_shadow(light: Light, direction: Sequence[float], angle: float) -> Light
     """
     if not 0.0 < angle <= 180.0:
         raise InputError(f"the angle of a shadow must be above 0 and at most 180 degrees, got {angle:g}")
+    if light.degree > MAX_DEGREE // 2:
+        raise InputError(f"a shadow needs a light of degree {MAX_DEGREE // 2} or less, got {light.degree}")
     _unit(direction, light.degree)
     visible_k = cap_visibility(direction, angle, 2 * light.degree)
     shadows = [*light.config.get("shadows", []), [*(float(v) for v in direction), angle]]
@@ -111,7 +113,8 @@ def blend_lights(
     for weight, light in zip(weight_i, lights, strict=True):
         coeffs_kc[: len(light.coeffs_kc)] += weight * light.coeffs_kc
     source = "blend of " + ", ".join(light.source or "a light" for light in lights)
-    return Light(coeffs_kc, source, "", {"blend": weight_i.tolist(), "power": power})
+    axes = {light.axes for light in lights}
+    return Light(coeffs_kc, source, axes.pop() if len(axes) == 1 else "", {"blend": weight_i.tolist(), "power": power})
 
 
 def _unit(direction: Sequence[float] | NDArray[np.float64], degree: int) -> NDArray[np.float64]:

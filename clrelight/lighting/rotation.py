@@ -174,10 +174,14 @@ def _quarter_turns(degree: int) -> list[NDArray[np.float64]]:
 
 
 def rotate_light(light: Light, matrix: NDArray[np.float64]) -> Light:
-    """Return the light as it is after the rotation: what came from d comes from ``matrix @ d``; float64."""
+    """Return the light as it is after the rotation: what came from d comes from ``matrix @ d``; float64.
+
+    Its configuration keeps the rotation, since its axes speak of the light before.
+    """
     blocks = rotation_blocks(matrix, light.degree)
     turned = [block @ light.coeffs_kc[l * l : (l + 1) * (l + 1)] for l, block in enumerate(blocks)]
-    return replace(light, coeffs_kc=np.concatenate(turned))
+    total = matrix @ np.asarray(light.config.get("rotation", np.eye(3)), dtype=np.float64)
+    return replace(light, coeffs_kc=np.concatenate(turned), config={**light.config, "rotation": total.tolist()})
 
 
 def rotate_maps(
