@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.lighting import FLOAT_FORMATS, Exposure, Turn, relight_environment
+from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
+from clrelight.cli.lighting import FLOAT_FORMATS, Exposure, relight_environment
 from clrelight.cli.options import Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
@@ -62,9 +63,12 @@ class LightOrDirection(Numbers):
     show_default=True,
     help="Stops: values are scaled by 2^exposure. auto (light files): so that hardly anything is clipped.",
 )
-@click.option("--rotate", type=Turn(), help="Turn a light file about z, counterclockwise.")
+@click.option("--rotate", type=Turn(), help=f"Turn a light file: {ROTATION_HELP}")
 @click.option(
     "--turntable", type=whole_number(1, 1 << 16), metavar="N", help="N images, a light file going round once."
+)
+@click.option(
+    "--about", type=Numbers(float, "0,1,0", 3), metavar="X,Y,Z", help="Axis of the turntable; default: 0,0,1."
 )
 @click.option("--tonemap", type=click.Choice(["clip", "reinhard"]), help="8-bit images of a light file; default: clip.")
 @click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
@@ -76,8 +80,9 @@ def relight(
     light: tuple[tuple[float, float, float] | str, ...],
     lights: str | None,
     exposure: float | None,
-    rotate: float | None,
+    rotate: Rotation | None,
     turntable: int | None,
+    about: tuple[float, float, float] | None,
     tonemap: str | None,
     transfer: str | None,
     device: str | None,
@@ -107,12 +112,16 @@ def relight(
         if len(light) > 1 or lights is not None:
             raise InputError("a light file is light from everywhere: give one --light, and no --lights beside it")
         files = [image] if image.lower().endswith(".gif") else _names(image, turntable or 1)
+        if about is not None and (turntable is None or not any(about)):
+            raise InputError("--about X,Y,Z is the axis of --turntable N, and not all zero")
         relight_environment(
-            fitted, str(light[0]), files, exposure, rotate, turntable, tonemap, transfer, device, as_json
+            fitted, str(light[0]), files, exposure, rotate, turntable, about, tonemap, transfer, device, as_json
         )
         return
-    if exposure is None or rotate is not None or turntable is not None or tonemap is not None:
-        raise InputError("--exposure auto, --rotate, --turntable and --tonemap are for light files (--light LIGHT.h5)")
+    if exposure is None or any(each is not None for each in (rotate, turntable, about, tonemap)):
+        raise InputError(
+            "--exposure auto, --rotate, --turntable, --about and --tonemap are for light files (--light LIGHT.h5)"
+        )
     directions_i3 = _directions([each for each in light if not isinstance(each, str)], lights)
     names = _names(image, len(directions_i3))
     for name in names:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.options import device_option, json_option, whole_number
+from clrelight.cli.lamps import ROTATION_HELP, Lamp, Rotation, Turn, lamp_options, make_lamp, note_horizon, rotate_by
+from clrelight.cli.options import Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
@@ -52,22 +53,6 @@ class Exposure(click.ParamType):
                 ctx,
             )
         return stops
-
-
-class Turn(click.ParamType):
-    """An angle about z in degrees."""
-
-    name = "DEG"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the angle in degrees."""
-        try:
-            angle = float(value)
-        except ValueError:
-            angle = math.nan
-        if not math.isfinite(angle):
-            self.fail(f"expected an angle about z in degrees, such as 90, got {value!r}", param, ctx)
-        return angle
 
 
 class Change(click.ParamType):
@@ -147,13 +132,23 @@ def environment_options(command: Any) -> Any:
 )
 @click.option("--edit", type=click.Path(), metavar="LIGHT", help="Take the coefficients of a light file instead.")
 @environment_options
-@click.option("--degree", type=whole_number(0, 100), help="Largest degree; default 6, or that of --edit.")
+@lamp_options
+@click.option("--degree", type=whole_number(0, 100), help="Largest degree; default 6, or that of --edit or --blend.")
 @click.option(
     "--method",
     type=click.Choice(["auto", "direct", "separable"]),
     default="auto",
     show_default=True,
     help="How maps are projected: any layout on the device, or FFT and Legendre sums for latlong.",
+)
+@click.option("--rotate", type=Turn(), help=f"Turn the light: {ROTATION_HELP}")
+@click.option(
+    "--shadow",
+    "shadows",
+    type=Numbers(float, "0,0,1,20", 4),
+    multiple=True,
+    metavar="X,Y,Z,ANGLE",
+    help="Take away what then comes from within ANGLE degrees of a direction.",
 )
 @click.option("--window", type=Window(), help="Against ringing: gaussian, hann or lanczos, such as hann or hann:8.")
 @click.option("--scale", type=float, default=1.0, show_default=True, help="Factor on all values.")
@@ -168,8 +163,19 @@ def light(
     layout: str | None,
     axes: str,
     transfer: str,
+    sky: str | None,
+    sun: tuple[float, float] | None,
+    zenith: float | None,
+    cap: tuple[float, float, float, float] | None,
+    directional: tuple[float, float, float] | None,
+    colour: tuple[float, ...] | None,
+    blend: tuple[tuple[str, tuple[float, float, float]], ...],
+    at: tuple[float, float, float] | None,
+    power: float | None,
     degree: int | None,
     method: str,
+    rotate: Rotation | None,
+    shadows: tuple[tuple[float, float, float, float], ...],
     window: tuple[str, float | None] | None,
     scale: float,
     changes: tuple[tuple[tuple[int, int], tuple[float, ...]], ...],
@@ -184,27 +190,39 @@ def light(
       clrelight light grace.h5 --env grace_probe.hdr --degree 6 --window hann
       clrelight light cube.h5 --env sky.dds --axes left,forward,up
       clrelight light edited.h5 --edit grace.h5 --set L1-1=-0.4 --print
+      clrelight light sky.h5 --sky clear --sun 35,120 --zenith 4.5 --shadow 0,1,0.3,40
     """
     from dataclasses import replace
 
+    from clrelight.lighting.lamps import cast_shadow
     from clrelight.lighting.light import apply_window, set_coefficients
     from clrelight.lighting.projection import measure_lobes
     from clrelight.store import check_output, read_light, write_light
 
-    sources = {"--env FILE": environments, "--edit LIGHT": edit}
+    lamp = Lamp(sky, sun, zenith, cap, directional, colour, blend, at, power)
+    sources = {"--env FILE": environments, "--edit LIGHT": edit, **lamp.sources}
     if sum(map(bool, sources.values())) != 1:
         raise InputError(f"give the light by one of {', '.join(sources)}")
+    _check_map_options(bool(environments))
     if not abs(scale) < math.inf:
         raise InputError(f"--scale must be a finite number, got {scale}")
-    check_output(out, [*environments, *([edit] if edit else [])])
+    lamp.check()
+    check_output(out, [*environments, *([edit] if edit else []), *(file for file, _ in blend)])
     seconds: dict[str, float] = {}
     notes: list[str] = []
-    if edit is None:
+    if environments:
         made = _project(
             environments, layout, axes, transfer, 6 if degree is None else degree, method, device, notes, seconds
         )
     else:
-        made = _cut(read_light(edit), degree)
+        since = time.perf_counter()
+        made = _cut(read_light(edit) if edit else make_lamp(lamp, degree), degree)
+        seconds["make"] = time.perf_counter() - since
+    if rotate is not None:
+        made = rotate_by(made, rotate)
+    note_horizon(lamp, rotate, notes)
+    for *direction, angle in shadows:
+        made = cast_shadow(made, direction, angle)
     made = replace(made, coeffs_kc=scale * made.coeffs_kc)
     if window is not None:
         made = apply_window(made, *window)
@@ -232,13 +250,22 @@ def light(
         print_coefficients(made)
 
 
+def _check_map_options(with_map: bool) -> None:
+    """Refuse options of maps where there is none: --axes would not turn a sky, for one."""
+    context = click.get_current_context()
+    for name in ("layout", "axes", "transfer", "method"):
+        if not with_map and context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
+            raise InputError(f"--{name} is for maps (--env); --rotate turns any light")
+
+
 def relight_environment(
     fitted: str,
     light_file: str,
     files: list[str],
     exposure: float | None,
-    rotate: float | None,
+    rotate: Rotation | None,
     turntable: int | None,
+    about: tuple[float, float, float] | None,
     tonemap: str | None,
     transfer: str | None,
     device: str | None,
@@ -260,7 +287,7 @@ def relight_environment(
         raise InputError("a .gif needs Pillow: pip install 'clrelight[codecs]', or write .png files")
     for name in files:
         check_output(name, [fitted, light_file])
-    lit = turned(read_light(light_file), rotate or 0.0)
+    lit = read_light(light_file) if rotate is None else rotate_by(read_light(light_file), rotate)
     below = share_below(lit)
     notes = (
         []
@@ -276,7 +303,8 @@ def relight_environment(
         frames: list[NDArray[np.float32]] = []
         for step in range(steps):
             since = time.perf_counter()
-            image_hwc = relight_under(coefficients, turned(lit, 360.0 * step / steps), device=opened)
+            turn: Rotation = ("axis", (*(about or (0.0, 0.0, 1.0)), 360.0 * step / steps))
+            image_hwc = relight_under(coefficients, rotate_by(lit, turn) if step else lit, device=opened)
             if exposure is None:
                 exposure = automatic_exposure(image_hwc)  # of the first image, for all of them
             image_hwc *= np.float32(2.0**exposure)
@@ -299,13 +327,6 @@ def relight_environment(
     print_notes(notes)
     shown = ", ".join(files[:3]) + (" ..." if len(files) > 3 else "")
     print_facts({"image": shown, "exposure": f"{exposure:+.2f} stops", "time": seconds_line(seconds)})
-
-
-def turned(light: Light, degrees: float) -> Light:
-    """Return the light as ``--rotate`` and ``--turntable`` turn it."""
-    from clrelight.lighting.light import turn_about_z
-
-    return turn_about_z(light, math.radians(degrees)) if degrees else light
 
 
 def _display(image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> NDArray[np.uint8]:

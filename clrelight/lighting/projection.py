@@ -70,16 +70,17 @@ def project_environment(
 
 
 def project_latlong(
-    radiance_hwc: NDArray[np.float32], degree: int, matrix: NDArray[np.float64] | None = None
+    radiance_hwc: NDArray[np.floating], degree: int, matrix: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
     """Project a lat-long map with sums over azimuth first, then over rows (frequency-space-environment-maps, 6.1).
 
-    ``L_m(theta) = integral L e^(-i m phi) dphi`` is one FFT per row in float32; ``L_lm`` then sums rows in float64 with
-    Fejer's weights. Radiance band-limited to `degree` comes back exactly from 2 degree + 1 rows and columns on.
+    ``L_m(theta) = integral L e^(-i m phi) dphi`` is one FFT per row in the map's precision; ``L_lm`` then sums rows in
+    float64 with Fejer's weights. Radiance band-limited to `degree` comes back exactly from 2 degree + 1 rows and
+    columns on.
 
     Parameters
     ----------
-    radiance_hwc : ndarray, shape (height, width, channel), float32
+    radiance_hwc : ndarray, shape (height, width, channel), float32 or float64
     degree : int
     matrix : ndarray, shape (3, 3), optional
         Axes of `layouts.parse_axes` with up as z or -z; default: right, forward, up.
