@@ -46,6 +46,8 @@ _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
 _THRIFT = 0.18
 """Squared steps of error that a bit must save for an index not to be taken smaller."""
+_MAX_TRIED = 1 << 24
+"""Values of the planes that are tried at once: what bounds memory."""
 _PRICE = 0.1
 """Squared steps of error that a bit must save for an axis to be coded."""
 _MEAN_STEPS = 16  # the mean is quantised this much finer than the planes: its error is in every pixel
@@ -212,28 +214,31 @@ class _Source:
         code_vectors(coder, (count, channel, component), axes.entries_jd.reshape(count, channel, component))
         if not count:
             return axes, (0, 0)
-        thrift = Thrift(planes / step, _THRIFT)
+        thrift = Thrift(planes, _THRIFT)
         code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index, _GROUP, thrift)
-        return axes, _measure_biases(index, planes, step)
+        return axes, _measure_biases(index, planes)
 
     def _quantise(self, step: float) -> tuple[Axes, NDArray[np.int32], NDArray[np.float32]]:
-        """Return the axes that pay, with the indices and the values (n_axis, height, width) of their planes."""
+        """Return the axes that pay, with their planes: indices, and values in steps, (n_axis, height, width)."""
         n_pixel = self._shape[1] * self._shape[2]
         tried = self._deviation > _TRIED * step
         vectors, deviation = self._vectors[tried], self._deviation[tried]
         # Each axis alone, in its exact coordinates: what its plane saves, less what its row's rounding costs.
         rough = quantise_axes(vectors, deviation, n_pixel, step)
-        exact = self._whitened.pixels_pd @ vectors.T.astype(np.float32)
-        index, values = self._transform(exact, step)
         lost = n_pixel * (deviation / step) ** 2 * ((rough.vectors_jd - vectors) ** 2).sum(axis=1)
-        pays = _saved(index, values / step) - lost > _PRICE * _count_about(rough, index)
-        axes = Axes(rough.entries_jd[pays], rough.scales_j[pays])
+        worth = -lost
+        at_once = max(_MAX_TRIED // n_pixel, 1)
+        for some in (slice(first, first + at_once) for first in range(0, len(vectors), at_once)):
+            exact = self._whitened.pixels_pd @ vectors[some].T.astype(np.float32)
+            index, values = self._transform(exact, step)
+            worth[some] += _saved(index, values) - _PRICE * _count_about(rough.entries_jd[some], index)
+        axes = Axes(rough.entries_jd[worth > 0.0], rough.scales_j[worth > 0.0])
         index, values = self._transform(solve_planes(self._whitened, axes), step)
-        pays = _saved(index, values / step) > _PRICE * _count_about(axes, index)
+        pays = _saved(index, values) > _PRICE * _count_about(axes.entries_jd, index)
         return Axes(axes.entries_jd[pays], axes.scales_j[pays]), index[pays], values[pays]
 
     def _transform(self, planes_pj: NDArray[np.float32], step: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Return indices and values (n_axis, height, width) of the wavelet coefficients of planes."""
+        """Return the wavelet coefficients of planes: indices, and values in steps, (n_axis, height, width)."""
         _, height, width, _ = self._shape
         shape = (1, height, width, planes_pj.shape[1])
         if not planes_pj.size:
@@ -241,7 +246,9 @@ class _Source:
         source = np.ascontiguousarray(planes_pj).reshape(shape)
         planes = forward_transform(source, np.ones(1, np.float32), _LEVELS, self._device)
         index = quantise_map(planes, 0, shape, step, _ROUNDING, self._device)
-        return index, self._device.download(planes)[:, :, :width]
+        values = self._device.download(planes)[:, :, :width]
+        values *= np.float32(1.0 / step)
+        return index, values
 
 
 def _saved(index: NDArray[np.int32], values: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -249,9 +256,9 @@ def _saved(index: NDArray[np.int32], values: NDArray[np.float32]) -> NDArray[np.
     return np.array([(q * (2.0 * v - q)).sum(dtype=np.float64) for q, v in zip(index, values, strict=True)])
 
 
-def _count_about(axes: Axes, index: NDArray[np.int32]) -> NDArray[np.float64]:
+def _count_about(entries_jd: NDArray[np.int64], index: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return about the bits of each axis: of its row in the table and of its plane."""
-    pairs = zip(axes.entries_jd, index, strict=True)
+    pairs = zip(entries_jd, index, strict=True)
     return np.array([zero_order_bits(np.abs(row)) + zero_order_bits(np.abs(plane)) for row, plane in pairs])
 
 
@@ -267,13 +274,13 @@ def _next_place(tried: list[tuple[float, float]], fine: float, coarse: float, ta
     return float(place)
 
 
-def _measure_biases(index: NDArray[np.int32], planes: NDArray[np.float32], step: float) -> tuple[int, int]:
+def _measure_biases(index: NDArray[np.int32], planes: NDArray[np.float32]) -> tuple[int, int]:
     """Return by how much |q| = 1 and |q| > 1 lie above the mean of what they stand for, in 1/256 of a step."""
     sizes = np.abs(index)
     biases = []
     for chosen in (sizes == 1, sizes > 1):
         values = np.abs(planes[chosen])
-        excess = float(sizes[chosen].mean()) - float(values.mean(dtype=np.float64)) / step if values.size else 0.0
+        excess = float(sizes[chosen].mean()) - float(values.mean(dtype=np.float64)) if values.size else 0.0
         biases.append(int(np.clip(np.rint(excess / _BIAS_UNIT), -128, 127)))
     return biases[0], biases[1]
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy import Coder, ModelSet, code_integers
 from clrelight.codec.lifting import Subband
-from clrelight.codec.symbols import CLASSES, RAW_BITS, class_floor, classify, geometric_prior, symbols_of
+from clrelight.codec.symbols import CLASSES, DIRECT, class_floor, classify, geometric_prior
 from clrelight.errors import PayloadError
 
 _PHASES = ((0, 0), (1, 1), (0, 1), (1, 0))
@@ -243,16 +243,18 @@ def _choose(
     exact: NDArray[np.float32],
     price: float,
 ) -> NDArray[np.integer]:
-    """Return each index, the next smaller one, or 0: whichever error and bits together cost least."""
+    """Return each index, the next smaller one, or 0: whichever error and bits together cost least.
+
+    Only for symbols of their own: where large indices abound, one less saves next to nothing.
+    """
     chosen = nearest.copy()
-    where = np.nonzero(nearest)
+    where = np.nonzero((nearest != 0) & (np.abs(nearest) < DIRECT))
     counts, context = statistics.magnitudes.counts, contexts[where]
     total = np.log2(counts.sum(axis=1))[context]
     size, wanted = np.abs(nearest[where]), exact[where].astype(np.float64)
     best, least = size, np.full(len(size), np.inf)
     for candidate in (size, size - 1, np.zeros_like(size)):
-        symbols = symbols_of(candidate)
-        bits = total - np.log2(counts[context, symbols]) + RAW_BITS[symbols] + (candidate > 0)
+        bits = total - np.log2(counts[context, candidate]) + (candidate > 0)
         cost = (wanted - candidate) ** 2 + price * bits
         best, least = np.where(cost < least, candidate, best), np.minimum(cost, least)
     chosen[where] = np.sign(nearest[where]) * best
