@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import tables
-from benchmarks.environment import describe_environment
 from benchmarks.timing import Timings, interleave
 from clrelight.cli.output import print_facts
 from clrelight.cli.tables import print_table
@@ -33,6 +32,7 @@ from clrelight.lighting.irradiance import compare_irradiance, evaluate_irradianc
 from clrelight.lighting.projection import project_environment
 from clrelight.lighting.relighting import gather_light, relight_under, sum_photographs
 from clrelight.metrics import psnr_of
+from clrelight.speed.environment import describe_environment
 from clrelight.store import open_stack
 from datasets_synth.ring import render_ring
 

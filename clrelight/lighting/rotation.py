@@ -205,7 +205,8 @@ def rotate_maps(
     degree = degree_of(len(coeffs_khwc))
     coeffs_kp = np.ascontiguousarray(coeffs_khwc, dtype=np.float32).reshape(coefficient_count(degree), -1)
     turned_kp = np.empty_like(coeffs_kp)
-    for l, block in enumerate(rotation_blocks(matrix, degree)):
+    turned_kp[0] = coeffs_kp[0]
+    for l, block in enumerate(rotation_blocks(matrix, degree)[1:], start=1):
         own = slice(l * l, (l + 1) * (l + 1))
         turned_kp[own] = multiply_columns(opened, block, coeffs_kp[own])
     return turned_kp.reshape(coeffs_khwc.shape)
