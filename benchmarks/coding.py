@@ -11,10 +11,14 @@ from benchmarks.stage import Stage
 from benchmarks.workload import Workload
 from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.codec.half import STRETCH, launch_conversion
+from clrelight.codec.lifting import forward_transform, inverse_transform, transform_planes
 from clrelight.codec.registry import Codec
 
 HALF_GOAL = 5.0
 S3TC_GOAL = 0.4
+TRANSFORM_GOAL = 0.4
+
+TRANSFORM_LEVELS = 3
 
 KLT_RATE = 0.1
 KLT_ENCODE_GOAL, KLT_DECODE_GOAL = 1 / 10, 1 / 3
@@ -30,6 +34,7 @@ def codec_stages(work: Workload) -> Iterator[Stage]:
     """Yield encoding and decoding of the CLS fit by each codec that is registered."""
     coeffs_khwc = np.ascontiguousarray(work.fitted.coeffs_khwc)
     yield _half_kernel(work, coeffs_khwc)
+    yield _transform(work, coeffs_khwc)
     for codec_id in codec_ids():
         if codec_id == "klt":
             yield from _klt_beside_jpeg2000(work, coeffs_khwc, KLT_RATE)
@@ -102,6 +107,36 @@ def _klt_beside_jpeg2000(work: Workload, coeffs_khwc: NDArray[np.float32], rate:
         errors,
         _IMAGE_RMS,
         goal=KLT_DECODE_GOAL,
+    )
+
+
+def _transform(work: Workload, coeffs_khwc: NDArray[np.float32]) -> Stage:
+    device, width = work.device, coeffs_khwc.shape[2]
+    ones_k = np.ones(len(coeffs_khwc), np.float32)
+    planes = forward_transform(coeffs_khwc, ones_k, 0, device)  # planes, not transformed yet
+    copy_khwc = np.empty_like(coeffs_khwc)
+
+    def there_and_back() -> None:
+        transform_planes("analyse", planes, width, TRANSFORM_LEVELS, device)
+        transform_planes("synthesise", planes, width, TRANSFORM_LEVELS, device)
+
+    def copy_twice() -> None:
+        np.copyto(copy_khwc, coeffs_khwc)
+        np.copyto(copy_khwc, coeffs_khwc)
+
+    def errors() -> tuple[float, None]:
+        forward = forward_transform(coeffs_khwc, ones_k, TRANSFORM_LEVELS, device)
+        back_khwc = inverse_transform(forward, coeffs_khwc.shape, ones_k, TRANSFORM_LEVELS, device)
+        return float(np.abs(back_khwc - coeffs_khwc).max() / np.abs(coeffs_khwc).max()), None
+
+    return Stage(
+        f"9/7 transform of {TRANSFORM_LEVELS} levels and back, in place",
+        "two NumPy copies of the coefficients",
+        there_and_back,
+        copy_twice,
+        errors,
+        "largest error / largest value",
+        goal=TRANSFORM_GOAL,
     )
 
 

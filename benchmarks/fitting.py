@@ -8,15 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import exact
-from benchmarks.peers import NewtonFit
+from benchmarks.peers import NewtonFit, RootFit
 from benchmarks.stage import Stage
 from benchmarks.workload import Workload
 from clrelight.dataset import CoefficientMap
 from clrelight.fit.run import PreparedFit, collect_fit, prepare_fit
-from clrelight.matmul import apply_operator, pack_operator
+from clrelight.matmul import SampleCurve, apply_operator, multiply_columns, pack_operator
 
-PROJECTION_GOAL = 1 / 1.5
-FIT_GOAL = 1 / 3
+PROJECTION_GOALS = {"uint8": 0.9, "float16": 0.9, "float32": 0.75}
+SMALL_PROJECTION_GOAL = 0.7
+FIT_GOAL = 1 / 1.4
+"""A CLS fit beside the projection alone, both from a stack in memory to as many numbers in new memory."""
+BISECTION_GOAL = 1 / 3
+NUMPY_GOAL, ROOT_GOAL = 2.5, 1000.0
+ROOT_COLUMNS = 64
 NEWTON_STEPS = 16
 
 _MATMUL = "NumPy float32 matmul"
@@ -57,22 +62,24 @@ def _projection(work: Workload, degree: int, dtype: str) -> Stage:
         ),
         "largest error / largest value",
         2.0 * analysis_ri.size * work.columns,
-        PROJECTION_GOAL if dtype == "uint8" and degree == work.degree else None,
+        PROJECTION_GOALS[dtype] if degree == work.degree else SMALL_PROJECTION_GOAL,
     )
 
 
 def fit_stages(work: Workload) -> Iterator[Stage]:
     """Yield whole fits, uint8 stack to coefficients in host memory, beside the matmul of a projection."""
     uls, ceb = _prepare(work, "uls"), _prepare(work, "ceb")
-    bisection = _prepare(work, "cls", {"iterations": 32})
+    bisection = _prepare(work, "cls", {"solver": "bisection", "iterations": 32})
     newton = _prepare(work, "cls", {"solver": "newton", "iterations": NEWTON_STEPS})
     exact_uls_ks = exact.fit_uls(uls.plan, work.samples_is)
     exact_cls_ks = exact.fit_cls(bisection.plan, work.samples_is)
     newton_name = f"fit CLS, Newton {NEWTON_STEPS}"
     yield _fit(work, "fit ULS", uls, _compare(work, exact_uls_ks))
-    yield _fit(work, "fit CLS, 32 bisections", bisection, _compare(work, exact_cls_ks), goal=FIT_GOAL)
+    yield _fit(work, "fit CLS, 32 bisections", bisection, _compare(work, exact_cls_ks), goal=BISECTION_GOAL)
     yield _fit(work, newton_name, newton, _compare(work, exact_cls_ks))
+    yield _fit_beside_projection(work, newton_name, newton, exact_cls_ks)
     yield _fit_beside_numpy(work, newton_name, newton, exact_cls_ks)
+    yield _fit_beside_root_finder(work, newton_name, newton, exact_cls_ks)
     yield _fit(work, "fit CEB", ceb, _compare_ranks(work, ceb), "largest image error / peak where ranks agree")
 
 
@@ -102,6 +109,41 @@ def _fit(
     )
 
 
+def _fit_beside_projection(work: Workload, name: str, prepared: PreparedFit, exact_ks: NDArray[np.float64]) -> Stage:
+    stack, compare = work.stack, _compare(work, exact_ks)
+    curve = SampleCurve(stack.peak, stack.transfer)
+    codes_ip = stack.images_ihwc.reshape(stack.n_light, -1)
+    analysis_ri = prepared.plan.analysis_ri * curve.operator_scale()
+    return Stage(
+        name,
+        "ours, the projection alone",
+        lambda: collect_fit(prepared),
+        lambda: multiply_columns(work.device, analysis_ri, codes_ip),
+        lambda: (compare(collect_fit(prepared)), None),
+        _IMAGE_ERROR,
+        goal=FIT_GOAL,
+    )
+
+
+def _fit_beside_root_finder(work: Workload, name: str, prepared: PreparedFit, exact_ks: NDArray[np.float64]) -> Stage:
+    compare, peer = _compare(work, exact_ks), RootFit(prepared.plan)
+    some = np.arange(min(ROOT_COLUMNS, len(work.checked_s))) * len(work.checked_s) // ROOT_COLUMNS
+    samples_is = np.ascontiguousarray(work.samples_is[:, some])
+    return Stage(
+        name,
+        "SciPy brentq for each pixel and channel",
+        lambda: collect_fit(prepared),
+        lambda: peer(samples_is),
+        lambda: (
+            compare(collect_fit(prepared)),
+            float(np.abs(work.basis_ik @ (peer(samples_is) - exact_ks[:, some])).max()),
+        ),
+        _IMAGE_ERROR,
+        goal=ROOT_GOAL,
+        peer_share=len(some) / work.columns,
+    )
+
+
 def _fit_beside_numpy(work: Workload, name: str, prepared: PreparedFit, exact_ks: NDArray[np.float64]) -> Stage:
     peer = NewtonFit(prepared.plan, NEWTON_STEPS)
     compare = _compare(work, exact_ks)
@@ -115,6 +157,7 @@ def _fit_beside_numpy(work: Workload, name: str, prepared: PreparedFit, exact_ks
             float(work.image_error(peer(work.images_ip)[:, work.checked_s], exact_ks).max()),
         ),
         _IMAGE_ERROR,
+        goal=NUMPY_GOAL,
     )
 
 

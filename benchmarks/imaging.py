@@ -15,7 +15,7 @@ from benchmarks.workload import Workload
 from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.metrics import measure_errors, psnr_of
-from clrelight.relight import relight
+from clrelight.relight import relight, relight_array
 
 RELIGHT_GOAL = 0.6
 KLT_RELIGHT_GOAL = 1.0
@@ -28,6 +28,7 @@ _CHECKED_LIGHTS = 8
 def imaging_stages(work: Workload) -> Iterator[Stage]:
     """Yield relighting by one light and by many, without coefficients too, and the PSNR of all lights."""
     yield _relight(work, 1)
+    yield _relight_halves(work)
     yield _relight(work, MANY_LIGHTS)
     yield _relight_view(work, "klt", {"rate": KLT_RATE}, KLT_RELIGHT_GOAL)
     yield _relight_view(work, "whitened", {"codec": "half"}, None)
@@ -55,6 +56,31 @@ def _relight(work: Workload, lights: int) -> Stage:
         "largest image error / peak",
         2.0 * lights * coeffs_kp.size,
         RELIGHT_GOAL if lights == 1 else None,
+    )
+
+
+def _relight_halves(work: Workload) -> Stage:
+    """Return relighting of coefficients kept as binary16, beside float32 ones: the error is that of their rounding."""
+    coeffs_khwc, directions_i3 = np.ascontiguousarray(work.fitted.coeffs_khwc), _directions(work, 1)
+    coeffs_kp, halves_khwc = coeffs_khwc.reshape(len(coeffs_khwc), -1), coeffs_khwc.astype(np.float16)
+    basis_ik = evaluate_basis(directions_i3, work.degree)
+    factors = basis_ik[0].astype(np.float32)
+    exact_is = basis_ik @ coeffs_kp[:, work.checked_s]
+
+    def errors() -> tuple[float, float]:
+        images = (relight_array(halves_khwc, directions_i3, device=work.device), factors @ coeffs_kp)
+        ours, theirs = (np.abs(image.reshape(1, -1)[:, work.checked_s] - exact_is).max() for image in images)
+        return float(ours), float(theirs)
+
+    return Stage(
+        "relight 1 light, float16",
+        "NumPy float32 matrix-vector",
+        lambda: relight_array(halves_khwc, directions_i3, device=work.device),
+        lambda: factors @ coeffs_kp,
+        errors,
+        "largest image error / peak, the rounding to binary16 in it",
+        2.0 * coeffs_kp.size,
+        RELIGHT_GOAL,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.basis import evaluate_basis
-from clrelight.conventions import linear_to_srgb
+from clrelight.conventions import degree_of, linear_to_srgb
 from clrelight.dataset import CoefficientMap, check_directions, read_rows_into
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
@@ -38,11 +38,33 @@ def relight(
     ndarray, shape (n_light, height, width, channel), float32
         Linear radiance in units of the peak, not clipped.
     """
-    device = device or open_device()
+    return combine_maps(device or open_device(), _evaluate_lights(directions_i3, coefficients.degree), coefficients)
+
+
+def relight_array(
+    coeffs_khwc: NDArray, directions_i3: NDArray[np.float64], *, device: Device | None = None
+) -> NDArray[np.float32]:
+    """Return what `relight` does, of coefficients in memory as float32 or, in half the memory, as float16.
+
+    Parameters
+    ----------
+    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32 or float16
+    directions_i3 : ndarray, shape (n_light, 3), float64
+    device : Device, optional
+    """
+    if coeffs_khwc.dtype not in (np.float32, np.float16):
+        raise InputError(f"coefficients must be float32 or float16, got {coeffs_khwc.dtype}")
+    basis_ik = _evaluate_lights(directions_i3, degree_of(len(coeffs_khwc)))
+    coeffs_kp = np.ascontiguousarray(coeffs_khwc).reshape(len(coeffs_khwc), -1)
+    images_ip = multiply_columns(device or open_device(), basis_ik, coeffs_kp)
+    return images_ip.reshape(len(basis_ik), *coeffs_khwc.shape[1:])
+
+
+def _evaluate_lights(directions_i3: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     check_directions(directions_i3, None)
     if not len(directions_i3):
         raise InputError("relighting needs at least 1 light, got none")
-    return combine_maps(device, evaluate_basis(directions_i3, coefficients.degree), coefficients)
+    return evaluate_basis(directions_i3, degree)
 
 
 def combine_maps(device: Device, factor_ik: NDArray[np.float64], coefficients: CoefficientMap) -> NDArray[np.float32]:

@@ -34,6 +34,8 @@ class Stage:
         Floating-point operations of the work, where it is made of little else.
     goal : float, optional
         Speed beside the peer that the project asks for.
+    peer_share : float
+        Part of the work that a slow peer does; its time is divided by it.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Stage:
     error_unit: str
     flops: float | None = None
     goal: float | None = None
+    peer_share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,7 @@ def measure(stage: Stage, device: Device, *, rounds: int, settle_seconds: float 
     timings = interleave(
         runs, finish=device.finish, rounds=rounds, most_seconds=SLOW_SECONDS, settle_seconds=settle_seconds
     )
+    timings.seconds["peer"][:] /= stage.peer_share
     if stage.flops is not None:
         gigaflops = stage.flops / timings.time("ours")[1] / 1e9
         peak_share = timings.speed("ours", "peak")[1] * stage.flops / peak_flops
