@@ -1,7 +1,14 @@
+import getpass
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # PoCL's cache of kernels is not made for several processes that build at once.
+    _cache = f"clrelight-tests-{getpass.getuser()}-{os.environ['PYTEST_XDIST_WORKER']}"
+    os.environ["POCL_CACHE_DIR"] = str(Path(tempfile.gettempdir(), _cache))
 
 
 @pytest.fixture
