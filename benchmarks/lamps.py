@@ -17,7 +17,6 @@ from benchmarks import tables
 from benchmarks.timing import interleave
 from clrelight.basis import evaluate_basis
 from clrelight.cli.output import print_facts
-from clrelight.cli.tables import print_table
 from clrelight.conventions import coefficient_count
 from clrelight.device import Device, open_device
 from clrelight.lighting import layouts
@@ -59,13 +58,7 @@ def main(rounds: int, device: str | None, markdown: Path | None, picture: str | 
     errors_cs = monte_carlo_errors()
     parts = {"rotation": rotation_table(opened, rounds), "montecarlo": monte_carlo_table(errors_cs)}
     print_facts(describe_environment(opened))
-    for headers, rows in parts.values():
-        click.echo()
-        print_table(headers, rows)
-    for name, (headers, rows) in parts.items() if markdown is not None else ():
-        lines = ["| " + " | ".join(headers) + " |", "|" + "---|" * len(headers)]
-        lines += ["| " + " | ".join(row) + " |" for row in rows]
-        tables.replace_block(markdown, "\n".join(lines), f"<!-- {name} -->", f"<!-- /{name} -->")
+    tables.show_parts(parts, markdown)
     if picture is not None:
         draw(picture, errors_cs)
 

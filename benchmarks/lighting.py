@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from benchmarks import tables
 from benchmarks.timing import Timings, interleave
 from clrelight.cli.output import print_facts
-from clrelight.cli.tables import print_table
 from clrelight.dataset import LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
@@ -65,13 +64,7 @@ def main(rounds: int, data: Path | None, device: str | None, markdown: Path | No
         parts["relighting"] = relighting_table(opened, data)
     facts = describe_environment(opened)
     print_facts(facts)
-    for headers, rows in parts.values():
-        click.echo()
-        print_table(headers, rows)
-    for name, (headers, rows) in parts.items() if markdown is not None else ():
-        lines = ["| " + " | ".join(headers) + " |", "|" + "---|" * len(headers)]
-        lines += ["| " + " | ".join(row) + " |" for row in rows]
-        tables.replace_block(markdown, "\n".join(lines), f"<!-- {name} -->", f"<!-- /{name} -->")
+    tables.show_parts(parts, markdown)
 
 
 def projection_table(device: Device, rounds: int) -> Table:

@@ -16,7 +16,15 @@ from clrelight.lighting.sky import SKIES, sky_light, sky_luminance
 from clrelight.sampling import make_pattern
 from tests.reference.basis import real_harmonics, sphere_quadrature
 from tests.reference.lighting import latlong_direction
-from tests.reference.sky import TWO_LOBES, luminance, odd_orders_turned, project_upper, two_lobes
+from tests.reference.sky import (
+    GENERAL_TYPES,
+    TWO_LOBES,
+    general_luminance,
+    luminance,
+    odd_orders_turned,
+    project_upper,
+    two_lobes,
+)
 
 
 def latlong_projection(function, degree, height):
@@ -187,6 +195,16 @@ def test_type_12_is_the_clear_sky():
     clear, general = (sky_light(sky, 25.0, 10.0, degree=8).coeffs_kc for sky in ("clear", "12"))
     np.testing.assert_allclose(clear, general, rtol=0, atol=2e-4 * clear[0, 0])
     assert abs(clear - general).max() > 0
+
+
+@pytest.mark.parametrize("number", range(1, 16))
+def test_types_of_the_general_sky(number):
+    shown_i3 = make_pattern("uniform", 50)
+    sun_3 = np.array([0.0, 0.8, 0.6])
+    angles = np.arccos(np.clip(shown_i3 @ sun_3, -1, 1))
+    expected = general_luminance(GENERAL_TYPES[number - 1], np.arccos(shown_i3[:, 2]), angles, np.arccos(0.6))
+    relative = sky_luminance(shown_i3, str(number), np.degrees(np.arcsin(0.6)), 90.0)
+    np.testing.assert_allclose(relative, expected, rtol=1e-9)
 
 
 def test_general_skies_that_need_no_sun():

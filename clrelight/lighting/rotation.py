@@ -88,7 +88,7 @@ def rotation_blocks(matrix: NDArray[np.float64], degree: int) -> list[NDArray[np
 def _next_block(first: NDArray[np.float64], before: NDArray[np.float64], l: int) -> NDArray[np.float64]:
     """Return the block of degree l from that of degree l - 1 (tables 1 and 2 of the corrections).
 
-    Rows are orders m, columns orders n. The paper's P(i, a, n) are rows a of ``P[i]``.
+    Rows are orders m, columns orders n. The paper's P(i, a, n) are ``products[i][a + l - 1]``.
     """
     products = {}
     for i in (-1, 0, 1):
@@ -99,31 +99,27 @@ def _next_block(first: NDArray[np.float64], before: NDArray[np.float64], l: int)
         product[:, 0] = high * before[:, 0] + low * before[:, -1]
         products[i] = product
 
-    def p(i: int, order: int) -> NDArray[np.float64]:
-        return products[i][order + l - 1]
-
+    # Orders s = 1 .. l and -1 .. -l at once: rows of P whose order is s - 1, 1 - s, and so on.
+    s = np.arange(1, l + 1)[:, None]
+    up, down = slice(l - 1, 2 * l - 1), slice(l - 1, None, -1)
+    near = 0.5 * np.sqrt((l + s - 1) * (l + s))
+    first_up, first_down, last_up, last_down = (products[i][rows].copy() for i in (1, -1) for rows in (up, down))
+    first_down[0] = last_down[0] = 0.0
+    first_up[0] *= math.sqrt(2.0)
+    last_up[0] *= math.sqrt(2.0)
+    positive, negative = near * (first_up - last_down), near * (first_down + last_up)
+    same = np.sqrt(l * l - s[:-1] ** 2)
+    positive[:-1] += same * products[0][l:]
+    negative[:-1] += same * products[0][: l - 1][::-1]
+    if l > 2:
+        far = 0.5 * np.sqrt((l - s[:-2] - 1) * (l - s[:-2]))
+        positive[:-2] -= far * (products[1][l + 1 :] + products[-1][: l - 2][::-1])
+        negative[:-2] -= far * (products[1][: l - 2][::-1] - products[-1][l + 1 :])
+    level = l * products[0][l - 1]
+    level = level - math.sqrt(0.5 * l * (l - 1)) * (products[1][l] + products[-1][l - 2])
     n = np.arange(-l, l + 1)
     scale_n = np.where(np.abs(n) < l, (l + n) * (l - n), 2 * l * (2 * l - 1)) ** -0.5
-    block = np.empty((2 * l + 1, 2 * l + 1))
-    root2 = math.sqrt(2.0)
-    for m in range(-l, l + 1):
-        size, side = abs(m), 1 if m >= 0 else -1
-        if m == 0:
-            row = l * p(0, 0) - math.sqrt(0.5 * l * (l - 1)) * (p(1, 1) + p(-1, -1))
-        else:
-            # For m < 0 the paper's rows change places and the sign of the second.
-            down = p(1, m - side) if size > 1 or side > 0 else np.zeros(len(n))
-            across = p(-1, side - m) if size > 1 or side < 0 else np.zeros(len(n))
-            if size == 1:
-                down, across = root2 * down, root2 * across
-            row = 0.5 * math.sqrt((l + size - 1) * (l + size)) * (down - side * across)
-            if size < l:
-                row = row + math.sqrt((l + m) * (l - m)) * p(0, m)
-            if size < l - 1:
-                outer = p(1, m + side) + side * p(-1, -m - side)
-                row = row - 0.5 * math.sqrt((l - size - 1) * (l - size)) * outer
-        block[m + l] = row * scale_n
-    return block
+    return np.concatenate([negative[::-1], level[None], positive]) * scale_n
 
 
 def rotation_blocks_zyz(matrix: NDArray[np.float64], degree: int) -> list[NDArray[np.float64]]:

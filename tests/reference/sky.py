@@ -22,6 +22,33 @@ def luminance(sky, zenith_angle, angle_from_sun, sun_zenith_angle):
     return gradation * scatter(angle_from_sun) / scatter(sun_zenith_angle)
 
 
+# CIE S 011: groups of the gradation (a, b) and of the indicatrix (c, d, e), and which of them each type takes.
+_GRADATIONS = {
+    "I": (4, -0.7),
+    "II": (1.1, -0.8),
+    "III": (0, -1),
+    "IV": (-1, -0.55),
+    "V": (-1, -0.32),
+    "VI": (-1, -0.15),
+}
+_INDICATRICES = [(0, -1, 0), (2, -1.5, 0.15), (5, -2.5, 0.3), (10, -3, 0.45), (16, -3, 0.3), (24, -2.8, 0.15)]
+GENERAL_TYPES = [
+    *("I1", "I2", "II1", "II2", "III1", "III2", "III3", "III4"),
+    *("IV2", "IV3", "IV4", "V4", "V5", "VI5", "VI6"),
+]
+
+
+def general_luminance(groups, zenith_angle, angle_from_sun, sun_zenith_angle):
+    """Return L / Lz of a type given by its groups, such as V4."""
+    (a, b), (c, d, e) = _GRADATIONS[groups[:-1]], _INDICATRICES[int(groups[-1]) - 1]
+
+    def scatter(g):
+        return 1 + c * (np.exp(d * g) - np.exp(d * np.pi / 2)) + e * np.cos(g) ** 2
+
+    gradation = (1 + a * np.exp(b / np.cos(zenith_angle))) / (1 + a * np.exp(b))
+    return gradation * scatter(angle_from_sun) / scatter(sun_zenith_angle)
+
+
 def two_lobes(directions_i3):
     """Return ``max(0, 5 cos θ - 4) + max(0, -4 sin(θ - π) cos(φ - 2.5) - 3)``."""
     x, y, z = directions_i3.T
