@@ -88,7 +88,8 @@ class _RefusalError(InputError):
 class Bench:
     """One scene of an experiment, with the last fit kept while its codecs are measured.
 
-    With `repeats`, what does not take long is run so many times, and its median time counts. The survey of the stack is made where none is given. Pictures and profiles are left out where it is not `illustrated`.
+    With `repeats`, what does not take long is run so many times, and its median time counts. The survey of the stack is
+    made where none is given. Pictures and profiles are left out where it is not `illustrated`.
     """
 
     def __init__(

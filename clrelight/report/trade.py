@@ -154,11 +154,13 @@ def trade_chart(trials: Sequence[Trial], name: str) -> Any:
             )
         edge = [(_shown(t, cost), _shown(t, value)) for t in front(usable, cost, value)]
         axes.step(*zip(*edge, strict=True), where="post", color=canvas.FAINT, linewidth=5, alpha=0.6, zorder=0)
-        canvas.plain_log_axis(axes, min(x for x, _ in points) / 1.25, max(x for x, _ in points) * 1.25, base=10)
+        axes.set_xscale("log")
         if value == "psnr":
             axes.set_ylim(max(best - _SHOWN_DB, min(y for _, y in points) - 0.5), best + 0.5)
         else:
             axes.set_yscale("log")
+            _mark_decades(axes.yaxis)
+        _mark_decades(axes.xaxis)
         axes.set_xlabel(_TITLES[cost])
         axes.set_ylabel(_TITLES[value])
         axes.grid(True)
@@ -171,8 +173,24 @@ def trade_chart(trials: Sequence[Trial], name: str) -> Any:
         Line2D([], [], linestyle="", marker="o", color=canvas.INK, markerfacecolor="white", label="fewer lights")
     )
     handles.append(Line2D([], [], color=canvas.FAINT, linewidth=5, alpha=0.6, label="front"))
-    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=len(handles), frameon=False)
+    figure.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.05, 0.0),
+        ncols=len(handles),
+        frameon=False,
+        columnspacing=1.2,
+        handletextpad=0.4,
+    )
     return figure
+
+
+def _mark_decades(axis: Any) -> None:
+    """Label powers of ten with plain numbers, for the panels are too narrow for more."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 _TITLES = {"seconds": "fit, encode and decode (s)", "size": "kB", "psnr": "PSNR (dB)"}
