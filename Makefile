@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install bench test lint types speed growth clean
+.PHONY: install bench test lint types speed growth trade clean
 
 install: $(VENV)/installed
 
@@ -40,6 +40,10 @@ growth: install
 	@mkdir -p results
 	$(BIN)/clrelight bench --speed --out results/speed.json --report results/speed
 	$(BIN)/python -m benchmarks.growth results/speed.json
+
+trade: install
+	rm -rf results/trade
+	$(BIN)/python -m benchmarks.trade_page
 
 clean:
 	rm -rf $(VENV) results build dist

@@ -8,7 +8,19 @@ import sys
 import click
 
 from clrelight import __version__
-from clrelight.cli import coding, experiments, export, files, fitting, images, light_plans, lighting, machines, quality
+from clrelight.cli import (
+    coding,
+    experiments,
+    export,
+    files,
+    fitting,
+    images,
+    light_plans,
+    lighting,
+    machines,
+    quality,
+    trade,
+)
 from clrelight.cli.interrupts import watch_interrupts
 from clrelight.errors import InputError, KernelBuildError
 
@@ -31,7 +43,7 @@ def cli() -> None:
     """
 
 
-for module in (machines, files, light_plans, fitting, coding, images, export, lighting, quality, experiments):
+for module in (machines, files, light_plans, fitting, coding, images, export, lighting, quality, experiments, trade):
     for command in module.COMMANDS:
         cli.add_command(command)
 

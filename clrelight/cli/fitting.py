@@ -12,8 +12,11 @@ from clrelight.cli.options import DegreeType, device_option, given, holdout_opti
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import measure, psnr_lines
+from clrelight.errors import InputError
 
 if TYPE_CHECKING:
+    from clrelight.experiment import Experiment
+    from clrelight.fit import FitMethod
     from clrelight.fit.run import FittedTile, PreparedFit
     from clrelight.store import FitSink
 
@@ -34,11 +37,14 @@ if TYPE_CHECKING:
 @click.option("--per", help="What shares one lambda (spline): stack or channel.")
 @click.option("--weights", default="uniform", show_default=True, help="uniform or solid-angle.")
 @click.option("--sampling", default="hemisphere", show_default=True, help="hemisphere or scattered (section V-D).")
+@click.option("--config", type=click.Path(), metavar="FILE.toml", help="All of this from a file, as trade writes it.")
 @click.option("--measure/--no-measure", "measured", default=True, help="Whether to measure PSNR after fitting.")
 @memory_option("256MiB", "one tile of the fit")
 @device_option
 @json_option
+@click.pass_context
 def fit(
+    context: click.Context,
     stack: str,
     out: str,
     method: str,
@@ -46,6 +52,7 @@ def fit(
     holdout: int | None,
     weights: str,
     sampling: str,
+    config: str | None,
     measured: bool,
     memory: int,
     device: str | None,
@@ -58,20 +65,28 @@ def fit(
     Example:
       clrelight fit stack.h5 fit.h5 --method cls --degree 6 --holdout 5
       clrelight fit stack.h5 fit.h5 --method auto --degree auto
+      clrelight fit stack.h5 fit.h5 --config trade.toml
     """
-    from clrelight.dataset import CoefficientMap, split_lights
+    from clrelight.dataset import CoefficientMap
     from clrelight.device import open_device
     from clrelight.fit.run import prepare_fit
+    from clrelight.sampling import split_chosen
     from clrelight.store import check_output, create_fit, open_stack
 
-    check_output(out, [stack])
+    check_output(out, [stack, *([config] if config else [])])
+    model: str | FitMethod = method
+    lights = None
+    if config is not None:
+        asked = _read_config(context, config, [*options, "method", "degree", "holdout", "weights", "sampling"])
+        model, degree, holdout, lights = asked.methods[0], asked.degrees[0], asked.holdout, asked.lights
+        weights, sampling = asked.weights, asked.sampling
     opened = open_device(device)
     with open_stack(stack) as source:
-        fitted, held = split_lights(source.n_light, holdout)
-        chosen = source if holdout is None else source.select(fitted)
-        with progress_bar("choosing a model" if "auto" in (method, degree) else "preparing"):
+        fitted, held = split_chosen(source.directions_i3, holdout, lights)
+        chosen = source if len(fitted) == source.n_light else source.select(fitted)
+        with progress_bar("choosing a model" if "auto" in (model, degree) else "preparing"):
             prepared = prepare_fit(
-                chosen, method, degree, options=given(**options), weights=weights, sampling=sampling, device=opened
+                chosen, model, degree, options=given(**options), weights=weights, sampling=sampling, device=opened
             )
         report, kind, n_coeff = prepared.report, prepared.method, (prepared.degree + 1) ** 2
         facts: dict[str, Any] = {
@@ -104,7 +119,7 @@ def fit(
             # Before the file stands: where measuring fails, or is interrupted, an old file stays.
             if measured:
                 since = time.perf_counter()
-                facts["psnr"] = measure(CoefficientMap(sink.coeffs_khwc, **about), source, opened, holdout)
+                facts["psnr"] = measure(CoefficientMap(sink.coeffs_khwc, **about), source, opened, (fitted, held))
                 report.add("measure", since)
             since = time.perf_counter()
         report.add("write", since)
@@ -123,6 +138,20 @@ def fit(
             "device": opened.info.label,
         }
     )
+
+
+def _read_config(context: click.Context, config: str, settled: list[str]) -> Experiment:
+    """Return the one fit that a TOML file asks for; InputError if it asks for several, or the command line does too."""
+    from clrelight.experiment import load_experiment
+
+    for name in settled:
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            raise InputError(f"--{name}: {config} says itself what to fit")
+    asked = load_experiment(config)
+    for what, values in (("method", asked.methods), ("degree", asked.degrees)):
+        if len(values) != 1:
+            raise InputError(f"{config} holds {len(values)} {what}s, a fit has one")
+    return asked
 
 
 def _fill(sink: FitSink, prepared: PreparedFit, memory: int) -> None:

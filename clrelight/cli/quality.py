@@ -103,16 +103,16 @@ def _check_finite(path: str, coeffs_khwc: NDArray[np.float32], first_row: int = 
 
 
 def measure(
-    coefficients: CoefficientMap, stack: LightStack, device: Device, holdout: int | None = None
+    coefficients: CoefficientMap,
+    stack: LightStack,
+    device: Device,
+    split: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
 ) -> dict[str, float]:
-    """Return PSNRs at the lights that the coefficients were fitted to and, apart, at those that they have not seen."""
-    from clrelight.dataset import split_by_fit, split_lights
+    """Return PSNRs at the fitted lights and, apart, at those held out; by default all that were not fitted."""
+    from clrelight.dataset import split_by_fit
     from clrelight.metrics import measure_errors, summarize_errors
 
-    if holdout is None:
-        fitted, held = split_by_fit(stack, coefficients)
-    else:
-        fitted, held = split_lights(stack.n_light, holdout)
+    fitted, held = split_by_fit(stack, coefficients) if split is None else split
     with progress_bar("measuring") as bar:
         mse_i = measure_errors(coefficients, stack, device=device, progress=bar)
     quality: dict[str, float] = {}

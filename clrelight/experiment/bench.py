@@ -36,6 +36,8 @@ _CORNER = 32
 
 _LONG = 0.5
 """Seconds from which on one run tells a time well enough."""
+_BUILDING = 3.0
+"""The same of a fit, whose first run may build a kernel that the first row did not need."""
 
 Made = TypeVar("Made")
 
@@ -87,8 +89,8 @@ class _RefusalError(InputError):
 class Bench:
     """One scene of an experiment, with the last fit kept while its codecs are measured.
 
-    With `repeats`, what takes less than `_LONG` seconds is run so many times, and its median time counts. The survey of
-    the stack is made where none is given.
+    With `repeats`, what does not take long is run so many times, and its median time counts. The survey of the stack is
+    made where none is given. Pictures and profiles are left out where it is not `illustrated`.
     """
 
     def __init__(
@@ -100,8 +102,9 @@ class Bench:
         *,
         repeats: int = 1,
         survey: Survey | None = None,
+        illustrated: bool = True,
     ) -> None:
-        self.seed, self.repeats = seed, repeats
+        self.seed, self.repeats, self.illustrated = seed, repeats, illustrated
         self.stack, self.experiment, self.device = stack, experiment, device
         self.fitted, self.held = split_chosen(stack.directions_i3, experiment.holdout, experiment.lights)
         self.fit_stack = stack if len(self.fitted) == stack.n_light else stack.select(self.fitted)
@@ -202,6 +205,8 @@ class Bench:
         if len(self.held):
             at_held = summarize_errors(mse_i[self.held])
             row["psnr_mean_holdout"], row["psnr_pooled_holdout"] = at_held.psnr_mean, at_held.psnr_pooled
+        if not self.illustrated:
+            return _append(results, row)
         pictures, profiles = self._illustrate(results, coefficients, method, degree, setting)
         return replace(_append(results, row), pictures=pictures, profiles=profiles)
 
@@ -221,15 +226,15 @@ class Bench:
             first_row = replace(self.fit_stack, images_ihwc=self.fit_stack.images_ihwc[:, :1], mask_hw=None)
             collect_fit(replace(prepared, stack=first_row, report=FitReport()))
             planned = sum(prepared.report.seconds.values())
-            coefficients, seconds = self._timed(lambda: collect_fit(prepared))
+            coefficients, seconds = self._timed(lambda: collect_fit(prepared), _BUILDING)
             taken = prepared.choice.chosen.method if prepared.choice else prepared.method
             self._fit = (key, coefficients, taken, planned + seconds)
         return self._fit[1], self._fit[2], self._fit[3]
 
-    def _timed(self, work: Callable[[], Made]) -> tuple[Made, float]:
-        """Return what some work makes, and its seconds."""
+    def _timed(self, work: Callable[[], Made], long: float = _LONG) -> tuple[Made, float]:
+        """Return what some work makes, and its seconds; work that takes `long` or more is done once."""
         seconds: list[float] = []
-        while not seconds or (len(seconds) < self.repeats and seconds[0] < _LONG):
+        while not seconds or (len(seconds) < self.repeats and seconds[0] < long):
             start = time.perf_counter()
             made = work()
             seconds.append(time.perf_counter() - start)

@@ -56,7 +56,7 @@ def run_experiment(
     check_output(out, [scene for scene in experiment.scenes if scene != RING])
     check_names(experiment)
     device = device or open_device()
-    results = Results(np.empty(0, ROW_DTYPE)) if force else _earlier_results(out)
+    results = earlier_results(out, force)
     done = {row_key(row) for row in results.table}
     report = progress or (lambda what, count, total: None)
     planned = list(itertools.product(experiment.methods, experiment.degrees, experiment.codecs))
@@ -80,8 +80,9 @@ def run_experiment(
     return results
 
 
-def _earlier_results(out: str | os.PathLike[str]) -> Results:
-    return read_results(out) if Path(out).exists() else Results(np.empty(0, ROW_DTYPE))
+def earlier_results(out: str | os.PathLike[str], force: bool) -> Results:
+    """Return the results that `out` holds; none where it is not there, or to start anew."""
+    return read_results(out) if Path(out).exists() and not force else Results(np.empty(0, ROW_DTYPE))
 
 
 def _report_light(report: Progress, count: int, total: int, light: int, lights: int) -> None:

@@ -1,0 +1,130 @@
+"""``clrelight trade``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clrelight.cli.options import ByteCount, Names, Numbers, device_option, given, json_option, whole_number
+from clrelight.cli.output import decibel, print_facts, print_json
+from clrelight.cli.progress import progress_bar
+from clrelight.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from clrelight.experiment.front import Trial
+
+
+@click.command()
+@click.argument("stack", metavar="STACK.h5", type=click.Path())
+@click.option("--out", type=click.Path(), default="trade.h5", show_default=True, help="Results file.")
+@click.option("--report", "report_to", type=click.Path(), metavar="DIR", help="Folder for tables, CSV and chart.")
+@click.option("--budget-seconds", type=float, help="At most so long for fitting, encoding and decoding.")
+@click.option("--budget-bytes", type=ByteCount(), metavar="BYTES", help="At most so large.")
+@click.option("--min-psnr", type=float, metavar="DB", help="At least this pooled PSNR at held-out lights.")
+@click.option(
+    "--config", type=click.Path(), metavar="FILE.toml", help="Where the setting to use is written; default: OUT.toml."
+)
+@click.option("--methods", type=Names(), help="Fits; default uls,cls,ceb,spline.")
+@click.option("--degrees", type=Numbers(int, "4,6,8"), help="SH degrees, tried upwards; default 2,3,4,5,6,8,10.")
+@click.option("--iterations", type=Numbers(int, "8,32"), help="Bisection steps of cls; default 4,8,16,32.")
+@click.option("--lights", type=Numbers(int, "24,48"), help="Fewer lights to fit; default a half and a quarter.")
+@click.option("--codecs", type=Names(), help="Codecs beside float32; default half,klt,wavelet,s3tc.")
+@click.option("--rates", type=Numbers(float, "0.1,1"), help="Bits per coefficient; default 1,0.5,0.25,0.1.")
+@click.option("--holdout", type=whole_number(2), metavar="K", default=5, show_default=True,
+              help="Every K-th light is in no fit, and measures all.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Start anew although the results file exists.")
+@device_option
+@json_option
+def trade(
+    stack: str,
+    out: str,
+    report_to: str | None,
+    budget_seconds: float | None,
+    budget_bytes: int | None,
+    min_psnr: float | None,
+    config: str | None,
+    force: bool,
+    device: str | None,
+    as_json: bool,
+    **axes: Any,
+) -> None:
+    """Measure what each choice costs in quality, time and bytes, and answer a budget.
+
+    Varied are method, degree, the search of cls, the number of lights, precision, codec and rate; what is beaten
+    clearly is not varied further. The same command goes on where it stopped. With a budget or a least PSNR, the setting
+    to use is printed, and written for fit --config and for bench; where nothing measured keeps within them, the nearest
+    is named (exit code 2; the results stay).
+
+    \b
+    Example:
+      clrelight trade stack.h5 --report trade
+      clrelight trade stack.h5 --budget-bytes 50k --budget-seconds 2
+    """
+    from clrelight.device import open_device
+    from clrelight.experiment.front import Limits
+    from clrelight.experiment.toml import experiment_text
+    from clrelight.experiment.trade import Axes, sweep_trade
+    from clrelight.report import canvas
+    from clrelight.report.folder import check_folder
+    from clrelight.report.markup import to_strings
+    from clrelight.report.trade import front_table, step_table, write_trade_report
+    from clrelight.store import check_output, open_stack
+    from clrelight.store.durable import replacing
+
+    limits = Limits(budget_seconds, budget_bytes, min_psnr)
+    varied = Axes(**given(**axes))
+    target = Path(config or Path(out).with_suffix(".toml"))
+    check_output(out, [stack])
+    check_output(target, [stack, out])
+    if report_to is not None:
+        canvas.require_matplotlib()
+        check_folder(report_to)
+    with open_stack(stack) as source, progress_bar("trade") as bar:
+        name = source.name
+        trials = sweep_trade(
+            source,
+            stack,
+            out,
+            varied,
+            device=open_device(device),
+            force=force,
+            progress=lambda step, done, total: bar(done, total, step),
+        )
+    facts: dict[str, Any] = {"results": out, "rows": len(trials)}
+    if report_to is not None:
+        facts["report"] = str(write_trade_report(trials, name, report_to)[0])
+    if limits.are_set:
+        chosen = limits.choose(trials)
+        with replacing(target) as part:
+            text = experiment_text(chosen.to_experiment(stack, varied.holdout), target.parent, _summary(chosen))
+            part.write(text.encode("utf-8"))
+        facts.update({"choice": chosen.label, "config": str(target)})
+    if as_json:
+        told = {**facts, "trials": [_facts(trial) for trial in trials]}
+        print_json(told if not limits.are_set else {**told, "choice": _facts(chosen)})
+        return
+    for table in (step_table(trials), front_table(trials)):
+        click.echo(f"{table.caption}:")
+        print_table(*to_strings(table))
+        click.echo("")
+    if limits.are_set:
+        facts["it reaches"] = f"{decibel(chosen.psnr)} held out, {chosen.size} bytes, {chosen.seconds:.3g} s"
+        facts["next"] = f"clrelight fit {stack} fit.h5 --config {target}"
+    print_facts(facts)
+
+
+def _summary(chosen: Trial) -> str:
+    return (
+        f"{chosen.label}\n{chosen.psnr:.2f} dB pooled at held-out lights, {chosen.size} bytes, "
+        f"{chosen.seconds:.3g} s to fit, encode and decode"
+    )
+
+
+def _facts(trial: Trial) -> dict[str, Any]:
+    names = trial.row.dtype.names or ()
+    return {"label": trial.label, **{name: trial.row[name] for name in names}}
+
+
+COMMANDS = (trade,)

@@ -1,0 +1,172 @@
+"""Measured settings against each other: which are beaten in every respect, and which one keeps within given limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clrelight.errors import InputError
+from clrelight.experiment.grid import CodecSetting, Experiment
+from clrelight.fit import FitMethod
+from clrelight.results import NO_CODEC
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is fitted, and to how many of the lights (None: all that are not held out)."""
+
+    method: FitMethod
+    degree: int
+    lights: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A model as stored by a codec, and its row of the results."""
+
+    model: Model
+    setting: CodecSetting
+    row: np.void
+
+    @property
+    def seconds(self) -> float:
+        """Of fitting, encoding and decoding; inf for what was refused."""
+        row = self.row
+        total = float(row["seconds_fit"] + row["seconds_encode"] + row["seconds_decode"])
+        return math.inf if math.isnan(total) else total
+
+    @property
+    def size(self) -> int:
+        """Bytes with every side table."""
+        return int(self.row["encoded_bytes"])
+
+    @property
+    def psnr(self) -> float:
+        """Pooled PSNR in dB at the held-out lights; -inf for what was refused."""
+        psnr = float(self.row["psnr_pooled_holdout"])
+        return -math.inf if math.isnan(psnr) else psnr
+
+    @property
+    def label(self) -> str:
+        """The setting for people, such as ``cls newton 4, 96 lights, klt 0.5 bit``."""
+        method = self.model.method
+        words = [method.id]
+        if method.id == "cls":
+            solver, steps = method.to_config()["solver"], method.to_config()["iterations"]
+            words.append(solver if solver == "newton" else f"{steps} steps")
+        words.append(f"degree {self.model.degree}")
+        parts = [" ".join(words), f"{int(self.row['n_light'])} lights", storage_label(self.setting)]
+        return ", ".join(parts)
+
+    def to_experiment(self, scene: str, holdout: int) -> Experiment:
+        """Return the experiment of this one row."""
+        model = self.model
+        return Experiment((scene,), (model.method,), (model.degree,), (self.setting,), holdout, lights=model.lights)
+
+
+def storage_label(setting: CodecSetting) -> str:
+    """Return how coefficients are stored, for people."""
+    if setting.id == NO_CODEC:
+        return "float32"
+    return setting.id if math.isnan(setting.rate) else f"{setting.id} {setting.rate:g} bit"
+
+
+def near_front(trials: Sequence[Trial], slack: float) -> list[Trial]:
+    """Return the trials that no smaller and faster one beats by `slack` dB or more, the best first."""
+    kept = [
+        each
+        for each in trials
+        if each.psnr > -math.inf
+        and not any(
+            other.size <= each.size and other.seconds <= each.seconds and other.psnr >= each.psnr + slack
+            for other in trials
+            if other is not each
+        )
+    ]
+    return sorted(kept, key=lambda each: -each.psnr)
+
+
+def front(trials: Sequence[Trial], cost: str, value: str) -> list[Trial]:
+    """Return what is optimal in two of ``"seconds"``, ``"size"`` and ``"psnr"``, cheapest first.
+
+    Less of `cost` is better; of `value` less is better too, unless it is the PSNR.
+    """
+    sign = -1.0 if value == "psnr" else 1.0
+    best, found = math.inf, []
+    usable = (each for each in trials if each.psnr > -math.inf)
+    for each in sorted(usable, key=lambda t: (getattr(t, cost), sign * getattr(t, value))):
+        if sign * getattr(each, value) < best:
+            best = sign * getattr(each, value)
+            found.append(each)
+    return found
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a setting must keep to; None is no limit.
+
+    Attributes
+    ----------
+    seconds : float or None
+        At most, for fitting, encoding and decoding.
+    size : int or None
+        At most, in bytes.
+    psnr : float or None
+        At least, pooled, in dB at held-out lights.
+    """
+
+    seconds: float | None = None
+    size: int | None = None
+    psnr: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("seconds", self.seconds), ("bytes", self.size)):
+            if value is not None and not 0 < value < math.inf:
+                raise InputError(f"a budget of {name} must be above 0, got {value:g}")
+        if self.psnr is not None and not math.isfinite(self.psnr):
+            raise InputError(f"the least PSNR must be a number of dB, got {self.psnr:g}")
+
+    @property
+    def are_set(self) -> bool:
+        """Whether anything is limited."""
+        return (self.seconds, self.size, self.psnr) != (None, None, None)
+
+    def excess(self, trial: Trial) -> float:
+        """Return by how much a trial misses the limits: the sum of the logarithms of the ratios; 0 within them."""
+        if trial.psnr == -math.inf:
+            return math.inf
+        over = 0.0
+        if self.seconds is not None:
+            over += max(0.0, math.log(trial.seconds / self.seconds))
+        if self.size is not None:
+            over += max(0.0, math.log(trial.size / self.size))
+        if self.psnr is not None:
+            over += max(0.0, self.psnr - trial.psnr) * math.log(10.0) / 10.0
+        return over
+
+    def choose(self, trials: Sequence[Trial]) -> Trial:
+        """Return the best trial within the limits.
+
+        The best is the one with the highest PSNR; where a PSNR is asked for, the smallest; where bytes are limited too,
+        the fastest; where all three are, again the one with the highest PSNR.
+
+        Raises
+        ------
+        InputError
+            If there is none; the message says which one misses the limits by the least.
+        """
+        within = [each for each in trials if self.excess(each) == 0.0]
+        if not within:
+            nearest = min(trials, key=self.excess)
+            raise InputError(
+                f"none of the {len(trials)} settings measured is within the limits; the nearest is {nearest.label}: "
+                f"{nearest.psnr:.2f} dB, {nearest.size} bytes, {nearest.seconds:.3g} s"
+            )
+        if self.psnr is not None and self.size is None:
+            return min(within, key=lambda t: (t.size, t.seconds))
+        if self.psnr is not None and self.seconds is None:
+            return min(within, key=lambda t: (t.seconds, t.size))
+        return max(within, key=lambda t: (t.psnr, -t.size))

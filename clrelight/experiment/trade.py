@@ -1,0 +1,296 @@
+"""What a user can give up, and what that saves: a sweep over methods, degrees, solvers, lights, precision and rates."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from clrelight.basis import decompose, evaluate_basis
+from clrelight.conventions import coefficient_count
+from clrelight.dataset import LightStack, split_lights
+from clrelight.device import Device, open_device
+from clrelight.errors import InputError
+from clrelight.experiment.bench import Bench, row_key
+from clrelight.experiment.front import Model, Trial, near_front, storage_label
+from clrelight.experiment.grid import CodecSetting, Experiment, make_methods, make_settings
+from clrelight.experiment.run import Progress, earlier_results
+from clrelight.experiment.scenes import survey_stack
+from clrelight.fit import FitMethod, method_class
+from clrelight.results import NO_CODEC
+from clrelight.store import write_results
+
+REPEATS = 3
+HALF = "half"
+LEAST_LIGHTS = 10
+"""Fewer lights to fit make no sweep."""
+
+_MAX_CONDITION = 1e6
+"""Of the basis matrix, up to which unbounded fits are tried."""
+_UNBOUNDED = ("uls", "sloan")
+_NEAR = 0.3
+"""Decibels by which a smaller and faster setting must be better for one not to be extended."""
+_LOST = 3.0
+"""Decibels by which something no larger is better where a codec's rate is not lowered further."""
+_THINNED, _CODED = 4, 2
+"""Of the models near the front, those that are fitted to fewer lights, and those that are coded."""
+_MEMORY = 1 << 30
+"""Bytes of images up to which a stack is held in memory, so that no time is one of reading."""
+REFERENCE_DEGREE = 6
+
+
+@dataclass(frozen=True)
+class Axes:
+    """What is varied.
+
+    Attributes
+    ----------
+    methods : tuple of str
+    degrees : tuple of int
+        Tried upwards.
+    iterations : tuple of int
+        Steps of the bisection of ``cls``, tried beside its Newton search.
+    lights : tuple of int
+        Numbers of lights fitted beside all, well spread; empty: a half and a quarter.
+    codecs : tuple of str
+        Beside float32.
+    rates : tuple of float
+        Bits per coefficient of the codecs that take a rate, tried downwards.
+    holdout : int
+        Every `holdout`-th light is in no fit, and measures them all.
+    """
+
+    methods: tuple[str, ...] = ("uls", "cls", "ceb", "spline")
+    degrees: tuple[int, ...] = (2, 3, 4, 5, 6, 8, 10)
+    iterations: tuple[int, ...] = (4, 8, 16, 32)
+    lights: tuple[int, ...] = ()
+    codecs: tuple[str, ...] = (HALF, "klt", "wavelet", "s3tc")
+    rates: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
+    holdout: int = 5
+
+    def __post_init__(self) -> None:
+        # Makes every setting once, so that what is unknown is said before anything is measured.
+        plain = tuple(method for name in self.methods for method in make_methods(name, {}))
+        if any(isinstance(method, str) for method in plain):
+            raise InputError("the sweep chooses by measuring: leave auto out of the methods")
+        codecs = tuple(setting for ladder in self.ladders() for setting in ladder)
+        Experiment(methods=plain, degrees=self.degrees, codecs=codecs or (CodecSetting(),), holdout=self.holdout)
+        self.searches()
+        if bad := [number for number in self.lights if number < LEAST_LIGHTS]:
+            raise InputError(f"numbers of lights must be at least {LEAST_LIGHTS}, got {bad[0]}")
+
+    def ladders(self) -> list[list[CodecSetting]]:
+        """Return the settings of each codec, generous rates first; a codec without a rate has one."""
+        found = []
+        for name in self.codecs:
+            if name == NO_CODEC:
+                continue
+            settings = make_settings(name, {})
+            if not math.isnan(settings[0].rate) and "rate" in settings[0].config:
+                settings = make_settings(name, {"rate": sorted(set(self.rates), reverse=True)})
+            found.append(settings)
+        return found
+
+    def searches(self) -> list[FitMethod]:
+        """Return ``cls`` by bisection with each number of steps."""
+        config = {"solver": "bisection", "iterations": list(self.iterations)}
+        return [m for m in (make_methods("cls", config) if self.iterations else []) if not isinstance(m, str)]
+
+
+def sweep_trade(
+    stack: LightStack,
+    scene: str,
+    out: str | os.PathLike[str],
+    axes: Axes,
+    *,
+    device: Device | None = None,
+    progress: Progress | None = None,
+    force: bool = False,
+) -> list[Trial]:
+    """Measure what is worth measuring, and keep it; rows that `out` holds already are not measured again.
+
+    Methods climb in degree until the PSNR at held-out lights falls twice, each as float32 and as half. Then ``cls`` is
+    tried with fewer steps, the models that nothing smaller and faster clearly beats with fewer lights, and the best of
+    them all through the codecs, at falling rates until something no larger is far better.
+
+    Parameters
+    ----------
+    stack : LightStack
+    scene : str
+        The stack's file.
+    out : path
+        Results file, written whole after every row.
+    axes : Axes
+    device : Device, optional
+    progress : callable, optional
+        Called with what is being done, rows done, and rows in all as far as can be told.
+    force : bool
+        Start anew although `out` exists.
+
+    Raises
+    ------
+    InputError
+        If the stack has too few lights, or `out` cannot be used or holds rows of another stack of this name.
+    """
+    return _Sweep(stack, scene, out, axes, device or open_device(), progress, force).run()
+
+
+class _Sweep:
+    """The trials so far, and the benches that measure them, one for each number of lights."""
+
+    def __init__(
+        self,
+        stack: LightStack,
+        scene: str,
+        out: str | os.PathLike[str],
+        axes: Axes,
+        device: Device,
+        progress: Progress | None,
+        force: bool,
+    ) -> None:
+        self.stack, self.scene, self.out, self.axes, self.device = _in_memory(stack), scene, out, axes, device
+        self.report = progress or (lambda what, count, total: None)
+        n_fit = len(split_lights(stack.n_light, axes.holdout)[0])
+        if n_fit < LEAST_LIGHTS:
+            raise InputError(
+                f"{stack.name} has {stack.n_light} lights, of which holdout {axes.holdout} leaves {n_fit} to fit: "
+                f"a sweep needs {LEAST_LIGHTS}"
+            )
+        fewer = axes.lights or tuple(n for n in (n_fit // 2, n_fit // 4) if n >= LEAST_LIGHTS)
+        if too_many := [n for n in fewer if n > n_fit]:
+            raise InputError(f"{too_many[0]} lights cannot be fitted: {n_fit} of {stack.n_light} are not held out")
+        self.fewer = sorted({n for n in fewer if n < n_fit}, reverse=True)
+        self.survey = survey_stack(stack)
+        self.benches: dict[int | None, Bench] = {}
+        self.results = earlier_results(out, force)
+        self._bench(None).check_earlier(self.results, out)
+        self.rows = {row_key(row): row for row in self.results.table}
+        self.trials: list[Trial] = []
+        ladder = sum(map(len, axes.ladders()))
+        self.bounds = {  # rows of each step, at most
+            "methods and degrees": len(axes.methods) * len(axes.degrees) * (2 if HALF in axes.codecs else 1),
+            "solvers": 2 * len(axes.iterations) if "cls" in axes.methods else 0,
+            "lights": len(self.fewer) * (_THINNED + 1),
+            "codecs": ladder * (_CODED + 1),
+        }
+
+    def run(self) -> list[Trial]:
+        """Take the steps in order: what each looks at are the trials before it, so that going on repeats them."""
+        for step, make in (
+            ("methods and degrees", self._climb_all),
+            ("solvers", self._try_solvers),
+            ("lights", self._try_fewer_lights),
+            ("codecs", self._try_codecs),
+        ):
+            begun = len(self.trials)
+            later = sum(bound for name, bound in list(self.bounds.items())[list(self.bounds).index(step) + 1 :])
+            for model, setting in make():
+                done = len(self.trials)
+                left = max(self.bounds[step] - (done - begun), 1)
+                what = f"{step}: {model.method.title} degree {model.degree}, {storage_label(setting)}"
+                self.report(what, done, done + left + later)
+                self.trials.append(self._measure(model, setting))
+            if all(trial.psnr == -math.inf for trial in self.trials):
+                names, degrees = ", ".join(self.axes.methods), ", ".join(map(str, self.axes.degrees))
+                raise InputError(f"none of {names} can be fitted to {self.stack.name} at degree {degrees}")
+        self.report("done", len(self.trials), len(self.trials))
+        return self.trials
+
+    def _bench(self, lights: int | None) -> Bench:
+        if lights not in self.benches:
+            plain = Experiment((self.scene,), ("auto",), (0,), (CodecSetting(),), self.axes.holdout, lights=lights)
+            self.benches[lights] = Bench(
+                self.stack, plain, self.device, repeats=REPEATS, survey=self.survey, illustrated=False
+            )
+        return self.benches[lights]
+
+    def _measure(self, model: Model, setting: CodecSetting) -> Trial:
+        bench = self._bench(model.lights)
+        identity = bench.identity(model.method, model.degree, setting)
+        key = row_key(identity)
+        if key not in self.rows:
+            self.results = bench.measure(self.results, identity, model.method, model.degree, setting)
+            write_results(self.out, self.results)
+            self.rows[key] = self.results.table[-1]
+        return Trial(model, setting, self.rows[key])
+
+    def _plain(self) -> list[Trial]:
+        return [trial for trial in self.trials if trial.setting.codec is None]
+
+    def _has_room(self, model: Model) -> bool:
+        """Return whether a method that bounds nothing can be fitted to these lights at all sensibly."""
+        if model.method.id not in _UNBOUNDED:
+            return True
+        basis_ik = evaluate_basis(self._bench(model.lights).fit_stack.directions_i3, model.degree)
+        svd = decompose(basis_ik)
+        return len(svd.singular_r) == coefficient_count(model.degree) and svd.condition <= _MAX_CONDITION
+
+    def _climb_all(self) -> Iterator[tuple[Model, CodecSetting]]:
+        storage = [CodecSetting(), *(make_settings(HALF, {}) if HALF in self.axes.codecs else [])]
+        for name in self.axes.methods:
+            best, falls = -math.inf, 0
+            for degree in sorted(self.axes.degrees):
+                model = Model(method_class(name)(), degree)
+                if falls == 2 or not self._has_room(model):
+                    break
+                for setting in storage:
+                    yield model, setting
+                reached = self.trials[-len(storage)].psnr
+                falls = 0 if reached > best else falls + 1
+                best = max(best, reached)
+
+    def _try_solvers(self) -> Iterator[tuple[Model, CodecSetting]]:
+        by_newton = [trial for trial in self._plain() if trial.model.method.id == "cls"]
+        if not by_newton:
+            return
+        best = max(by_newton, key=lambda trial: trial.psnr).model.degree
+        for degree in sorted({best, self._reference().degree}):
+            for method in self.axes.searches():
+                yield Model(method, degree), CodecSetting()
+
+    def _try_fewer_lights(self) -> Iterator[tuple[Model, CodecSetting]]:
+        models = self._extended(_THINNED)
+        for lights in self.fewer:
+            for model in list(models):
+                fewer = replace(model, lights=lights)
+                if not self._has_room(fewer):
+                    continue
+                yield fewer, CodecSetting()
+                if self.trials[-1] not in near_front(self._plain(), _NEAR) and model != self._reference():
+                    models.remove(model)
+
+    def _try_codecs(self) -> Iterator[tuple[Model, CodecSetting]]:
+        measured = [(trial.model, trial.setting) for trial in self.trials]
+        for model in self._extended(_CODED):
+            for ladder in self.axes.ladders():
+                for setting in ladder:
+                    if (model, setting) in measured:
+                        continue
+                    yield model, setting
+                    if self._is_lost(self.trials[-1]):
+                        break
+
+    def _is_lost(self, trial: Trial) -> bool:
+        return any(other.size <= trial.size and other.psnr >= trial.psnr + _LOST for other in self.trials)
+
+    def _extended(self, count: int) -> list[Model]:
+        """Return the models that are worth more rows: the best `count` near the front, and the reference."""
+        models = [trial.model for trial in near_front(self._plain(), _NEAR)[:count]]
+        reference = self._reference()
+        return models if reference in models else [*models, reference]
+
+    def _reference(self) -> Model:
+        return find_reference(self.trials).model
+
+
+def _in_memory(stack: LightStack) -> LightStack:
+    size = math.prod(stack.images_ihwc.shape) * stack.images_ihwc.dtype.itemsize
+    return replace(stack, images_ihwc=stack.read_rows(0, stack.image_shape[0])) if size <= _MEMORY else stack
+
+
+def find_reference(trials: Sequence[Trial]) -> Trial:
+    """Return what steps are compared with: ``cls`` where it was tried, degree 6 or nearly, float32, all lights."""
+    plain = [t for t in trials if t.setting.codec is None and t.model.lights is None]
+    default = [t for t in plain if t.model.method == method_class("cls")()]
+    return min(default or plain, key=lambda t: abs(t.model.degree - REFERENCE_DEGREE))

@@ -1,0 +1,231 @@
+"""The report of a sweep: what each single step costs and saves, the settings that nothing beats, and a chart of all."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clrelight.experiment.front import Trial, front, storage_label
+from clrelight.experiment.trade import HALF, find_reference
+from clrelight.report import canvas
+from clrelight.report.folder import fill_folder, write_text
+from clrelight.report.markup import to_csv, to_markdown
+from clrelight.report.rows import method_label, method_rank
+from clrelight.report.tables import Cell, Column, Table, all_rows
+from clrelight.results import Results
+
+CHART = "trade.png"
+_SHOWN_DB = 15.0
+"""Decibels below the best that the charts show."""
+_FIT_COLUMNS = (
+    Column("what", "one step"),
+    Column("psnr", "held out (dB)", 2),
+    Column("change", "change (dB)", 2),
+    Column("seconds", "fit (s)", 3),
+    Column("time", "time ×", 2),
+    Column("size", "kB", 1),
+    Column("bytes", "bytes ×", 2),
+)
+_FRONT_COLUMNS = (
+    Column("label", "setting"),
+    Column("psnr", "held out (dB)", 2),
+    Column("fitted", "fitted (dB)", 2),
+    Column("size", "kB", 1),
+    Column("fit", "fit (s)", 3),
+    Column("encode", "encode (s)", 3),
+    Column("decode", "decode (s)", 3),
+    Column("fronts", "best for its"),
+)
+_HALF_COLUMNS = (
+    Column("method", "method"),
+    Column("degree", "degree"),
+    Column("energy", "mean ‖c‖²", 2),
+    Column("psnr", "float32, held out (dB)", 2),
+    Column("held", "half, change (dB)", 3),
+    Column("fitted", "at fitted lights (dB)", 3),
+)
+
+
+def step_table(trials: Sequence[Trial]) -> Table:
+    """Return what changing one thing of the reference changes; those of the search start from 32 bisection steps."""
+    reference = find_reference(trials)
+    rows: list[tuple[Cell, ...]] = [(f"({reference.label})", *_changes(reference, reference))]
+    rows += [(what, *_changes(base, trial)) for what, base, trial in _steps(trials, reference)]
+    return Table("One step away from the reference", _FIT_COLUMNS, tuple(rows))
+
+
+def _steps(trials: Sequence[Trial], reference: Trial) -> Iterator[tuple[str, Trial, Trial]]:
+    """Yield name, starting point and trial of each single step that was measured."""
+    model = reference.model
+    plain = [trial for trial in trials if trial.setting.codec is None]
+    for trial in plain:
+        if trial.model.lights is None and trial.model.method == model.method and trial.model.degree != model.degree:
+            yield f"degree {model.degree} → {trial.model.degree}", reference, trial
+    searches = {
+        trial.model.method.to_config()["iterations"]: trial
+        for trial in plain
+        if trial.model.degree == model.degree
+        and trial.model.lights is None
+        and trial.model.method.to_config().get("solver") == "bisection"
+    }
+    if searches:
+        most = max(searches)
+        for steps, trial in sorted(searches.items(), reverse=True):
+            if steps != most:
+                yield f"bisection steps {most} → {steps}", searches[most], trial
+        yield (
+            f"bisection, {most} steps → {model.method.to_config().get('solver', model.method.id)}",
+            searches[most],
+            reference,
+        )
+    for trial in plain:
+        if trial.model.lights is not None and (trial.model.method, trial.model.degree) == (model.method, model.degree):
+            yield f"lights {reference.row['n_light']} → {trial.model.lights}", reference, trial
+    for trial in plain:
+        if (
+            trial.model.lights is None
+            and trial.model.degree == model.degree
+            and trial.model.method.id != model.method.id
+        ):
+            yield f"{model.method.id} → {trial.model.method.id}", reference, trial
+    for trial in trials:
+        if trial.setting.codec is not None and trial.model == model:
+            yield f"float32 → {storage_label(trial.setting)}", reference, trial
+
+
+def _changes(base: Trial, trial: Trial) -> tuple[float, ...]:
+    seconds, before = float(trial.row["seconds_fit"]), float(base.row["seconds_fit"])
+    psnr = trial.psnr if trial.psnr > -math.inf else math.nan
+    size = float(trial.size) or math.nan
+    return psnr, psnr - base.psnr, seconds, seconds / before, size / 1000.0, size / base.size
+
+
+def half_table(trials: Sequence[Trial]) -> Table:
+    """Return what half precision costs each method at each degree."""
+    plain = {trial.model: trial for trial in trials if trial.setting.codec is None}
+    rows = []
+    for trial in trials:
+        if trial.setting.id == HALF and trial.model in plain:
+            full = plain[trial.model].row
+            held, fitted = (float(trial.row[name] - full[name]) for name in ("psnr_pooled_holdout", "psnr_pooled"))
+            rows.append(
+                (trial.model.method.id, trial.model.degree, float(full["mean_energy"]),
+                 float(full["psnr_pooled_holdout"]), held, fitted)
+            )  # fmt: skip
+    return Table("Half precision instead of float32", _HALF_COLUMNS, tuple(rows))
+
+
+def front_table(trials: Sequence[Trial]) -> Table:
+    """Return the settings that are optimal in bytes and PSNR, or in time and PSNR, the smallest first."""
+    by_size, by_time = front(trials, "size", "psnr"), front(trials, "seconds", "psnr")
+    rows: list[tuple[Cell, ...]] = []
+    for trial in sorted({*by_size, *by_time}, key=lambda t: (t.size, t.seconds)):
+        row = trial.row
+        fronts = [name for name, kept in (("bytes", by_size), ("time", by_time)) if trial in kept]
+        stages = (float(row[name]) for name in ("seconds_fit", "seconds_encode", "seconds_decode"))
+        rows.append(
+            (trial.label, trial.psnr, float(row["psnr_pooled"]), trial.size / 1000.0, *stages, " and ".join(fronts))
+        )
+    return Table("What nothing smaller, or nothing faster, beats", _FRONT_COLUMNS, tuple(rows))
+
+
+def trade_chart(trials: Sequence[Trial], name: str) -> Any:
+    """Draw all trials as PSNR against time, PSNR against bytes, and bytes against time, with their fronts."""
+    from matplotlib.lines import Line2D
+
+    figure = canvas.new_figure(canvas.WIDTH, 560)
+    usable = [trial for trial in trials if trial.psnr > -math.inf]
+    methods = sorted({trial.model.method.id for trial in usable}, key=method_rank)
+    colours = canvas.method_colours(methods)
+    best = max(trial.psnr for trial in usable)
+    panels = (("seconds", "psnr"), ("size", "psnr"), ("seconds", "size"))
+    for index, (cost, value) in enumerate(panels):
+        axes = figure.add_axes((0.06 + index * 0.32, 0.25, 0.265, 0.64))
+        points = [(_shown(t, cost), _shown(t, value)) for t in usable]
+        for trial, (x, y) in zip(usable, points, strict=True):
+            colour = colours[trial.model.method.id]
+            axes.plot(
+                x, y, _marker(trial), color=colour, markerfacecolor=colour if trial.model.lights is None else "white"
+            )
+        edge = [(_shown(t, cost), _shown(t, value)) for t in front(usable, cost, value)]
+        axes.step(*zip(*edge, strict=True), where="post", color=canvas.FAINT, linewidth=5, alpha=0.6, zorder=0)
+        axes.set_xscale("log")
+        if value == "psnr":
+            axes.set_ylim(max(best - _SHOWN_DB, min(y for _, y in points) - 0.5), best + 0.5)
+        else:
+            axes.set_yscale("log")
+            _mark_decades(axes.yaxis)
+        _mark_decades(axes.xaxis)
+        axes.set_xlabel(_TITLES[cost])
+        axes.set_ylabel(_TITLES[value])
+        axes.grid(True)
+        axes.set_axisbelow(True)
+    figure.suptitle(f"{name}: held-out lights", x=0.01, ha="left", fontsize=10)
+    handles = [Line2D([], [], linestyle="", marker="o", color=colours[m], label=method_label(m)) for m in methods]
+    for marker, text in (("o", "float32"), ("s", "half"), ("v", "other codecs")):
+        handles.append(Line2D([], [], linestyle="", marker=marker, color=canvas.INK, label=text))
+    handles.append(
+        Line2D([], [], linestyle="", marker="o", color=canvas.INK, markerfacecolor="white", label="fewer lights")
+    )
+    handles.append(Line2D([], [], color=canvas.FAINT, linewidth=5, alpha=0.6, label="front"))
+    figure.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.05, 0.0),
+        ncols=len(handles),
+        frameon=False,
+        columnspacing=1.2,
+        handletextpad=0.4,
+    )
+    return figure
+
+
+def _mark_decades(axis: Any) -> None:
+    """Label powers of ten with plain numbers, for the panels are too narrow for more."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+_TITLES = {"seconds": "fit, encode and decode (s)", "size": "kB", "psnr": "PSNR (dB)"}
+
+
+def _shown(trial: Trial, axis: str) -> float:
+    return trial.size / 1000.0 if axis == "size" else float(getattr(trial, axis))
+
+
+def _marker(trial: Trial) -> str:
+    if trial.setting.codec is None:
+        return "o"
+    return "s" if trial.setting.id == HALF else "v"
+
+
+def write_trade_report(trials: Sequence[Trial], name: str, out_dir: str | os.PathLike[str]) -> list[Path]:
+    """Write the tables (Markdown; all rows as CSV) and the chart into a folder; the page's path comes first.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed, or the folder cannot be written to.
+    """
+    canvas.require_matplotlib()
+
+    def make(aside: Path) -> list[str]:
+        with canvas.house_style():
+            canvas.save(trade_chart(trials, name), aside / CHART)
+        table = np.array([trial.row for trial in trials])
+        write_text(aside / "rows.csv", to_csv(all_rows(Results(table))))
+        parts = [f"# {name}: what each choice costs\n", f"![fronts]({CHART})\n"]
+        for made in (step_table(trials), front_table(trials), half_table(trials)):
+            if made.rows:
+                parts += [f"## {made.caption}\n", to_markdown(made)]
+        write_text(aside / "trade.md", "\n".join(parts))
+        return [CHART, "rows.csv", "trade.md"]
+
+    return fill_folder(out_dir, make)
