@@ -13,7 +13,7 @@ from clrelight.matmul import SampleCurve, apply_operator, pack_operator, sample_
 
 _LAST = 8
 """Components of the least singular values that are summed in float64 where lambda follows them (LAST in the kernel)."""
-_NODES = 12
+_NODES = 16
 _SMALLEST_SQUARE = 1e-15
 """The kernel divides by products of two sigma^2 and cubes reciprocals: above this, all stay normal numbers."""
 

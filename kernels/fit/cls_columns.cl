@@ -71,15 +71,25 @@ INLINE vecf shrink(__local vecf *z, const vecf *b, __global const float *restric
                    const int rough, const veci wanted)
 {
     vecf square = 0.0f, slope = 0.0f, gain = 0.0f;
-    for (int r = 0; r < N_COMPONENT; r++) {
-        const vecf inverse = 1.0f / (square_r[r] + lambda);
-        const vecf t = b[r] * inverse;
-        const vecf tp = t * inverse;
-        const vecf g = tp * singular_r[r];
+    for (int r = 0; r < N_COMPONENT; r += 2) {
+        /* Two components to a division; the last of an odd number goes with itself. */
+        const int other = r + 1 < N_COMPONENT ? r + 1 : r;
+        const vecf x = square_r[r] + lambda, y = square_r[other] + lambda;
+        const vecf inverse = 1.0f / (x * y);
+        const vecf p = y * inverse, q = x * inverse;
+        const vecf t = b[r] * p;
+        const vecf tp = t * p;
         square = t * t + square;
         slope = t * tp + slope;
-        if (r < rough) gain = g * g + gain;
+        if (r < rough) gain = tp * tp * square_r[r] + gain;
         z[r * TILE_VECTORS] = wanted ? t : z[r * TILE_VECTORS];
+        if (other == r) break;
+        const vecf u = b[other] * q;
+        const vecf uq = u * q;
+        square = u * u + square;
+        slope = u * uq + slope;
+        if (other < rough) gain = uq * uq * square_r[other] + gain;
+        z[other * TILE_VECTORS] = wanted ? u : z[other * TILE_VECTORS];
     }
     const vecf doubt = (rounding * sqrt(energy * gain) + 0.5f * EVALUATION * square) / (lambda * slope);
     return lambda > 0.0f ? doubt : (vecf)(0.0f);
