@@ -15,6 +15,7 @@ from clrelight.errors import InputError
 SAMPLE_DTYPES = ("uint8", "uint16", "float16", "float32")
 """The types that images may have; kernels read each of them without conversion on the host."""
 
+_LEAST_PEAK = 1e-37
 _UNIT_TOLERANCE = 1e-6
 _SAME_LIGHT = 1.0 - 1e-12  # of the cosine between two directions
 
@@ -39,6 +40,8 @@ class LightStack:
         True where pixels count.
     name : str
         What tables call it.
+    picked_i : ndarray, shape (n_light,), int, optional
+        Where each image stands in the stack that `select` took it from, for messages.
     """
 
     images_ihwc: Any
@@ -48,6 +51,7 @@ class LightStack:
     weights_i: NDArray[np.float64] | None = None
     mask_hw: NDArray[np.bool_] | None = None
     name: str = "stack"
+    picked_i: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
         shape = tuple(self.images_ihwc.shape)
@@ -57,8 +61,7 @@ class LightStack:
             raise InputError(f"images must be {', '.join(SAMPLE_DTYPES)}, got {self.images_ihwc.dtype}")
         if self.transfer not in TRANSFERS:
             raise InputError(f"transfer must be one of {', '.join(TRANSFERS)}, got {self.transfer!r}")
-        if not (np.isfinite(self.peak) and self.peak > 0):
-            raise InputError(f"peak must be a positive number, got {self.peak}")
+        check_peak(self.peak)
         check_directions(self.directions_i3, shape[0])
         if self.weights_i is not None and (
             self.weights_i.shape != shape[:1] or not np.all(np.isfinite(self.weights_i) & (self.weights_i >= 0))
@@ -75,25 +78,35 @@ class LightStack:
         They are read into `out_ihwc` where it is given, an array of that shape and the images' type.
         Raises InputError, naming light and pixel, where a float sample is negative or not finite.
         """
-        if out_ihwc is None:
-            tile_ihwc = np.ascontiguousarray(self.images_ihwc[:, first:end])
-        else:
-            tile_ihwc = read_rows_into(self.images_ihwc, first, end, out_ihwc)
+        tile_ihwc = self.load_rows(first, end, out_ihwc)
         if tile_ihwc.dtype.kind == "f":
-            check_radiance(tile_ihwc, first)
+            self.check_tile(tile_ihwc, first)
         return tile_ihwc
 
     def check_rows(self, first: int, end: int) -> None:
         """Raise the InputError of `read_rows` where there is reason to; images are arrays in memory."""
         if self.images_ihwc.dtype.kind == "f":
-            check_radiance(self.images_ihwc[:, first:end], first)
+            check_radiance(self.images_ihwc[:, first:end], first, self.picked_i)
+
+    def load_rows(self, first: int, end: int, out_ihwc: NDArray | None = None) -> NDArray:
+        """Return what `read_rows` does, for callers that call `check_tile` themselves."""
+        if out_ihwc is None:
+            return np.ascontiguousarray(self.images_ihwc[:, first:end])
+        return read_rows_into(self.images_ihwc, first, end, out_ihwc)
+
+    def check_tile(self, tile_ihwc: NDArray, first: int) -> None:
+        """Raise InputError, naming light and pixel, where a sample of rows from `first` on is no radiance."""
+        check_radiance(tile_ihwc, first, self.picked_i)
 
     def select(self, lights_i: NDArray[np.intp]) -> LightStack:
         """Return the stack of these lights only; images stay where they are until read."""
         images = self.images_ihwc
         chosen = images[lights_i] if isinstance(images, np.ndarray) else LightSubset(images, lights_i)
         weights = None if self.weights_i is None else self.weights_i[lights_i]
-        return replace(self, images_ihwc=chosen, directions_i3=self.directions_i3[lights_i], weights_i=weights)
+        picked = np.asarray(lights_i) if self.picked_i is None else self.picked_i[lights_i]
+        return replace(
+            self, images_ihwc=chosen, directions_i3=self.directions_i3[lights_i], weights_i=weights, picked_i=picked
+        )
 
     @property
     def n_light(self) -> int:
@@ -185,8 +198,7 @@ class CoefficientMap:
             raise InputError(f"degree {self.degree} has {(self.degree + 1) ** 2} coefficients, got {shape[0]}")
         if self.transfer not in TRANSFERS:
             raise InputError(f"transfer must be one of {', '.join(TRANSFERS)}, got {self.transfer!r}")
-        if not (np.isfinite(self.peak) and self.peak > 0):
-            raise InputError(f"peak must be a positive number, got {self.peak}")
+        check_peak(self.peak)
         check_directions(self.directions_i3, None)
         for label, value, dtype in (
             ("lambda", self.lambda_hwc, np.float32),
@@ -222,14 +234,26 @@ def check_directions(directions_i3: NDArray, n_light: int | None) -> None:
         raise InputError(f"light {bad[0]} has direction {directions_i3[bad[0]]}, which is no finite unit vector")
 
 
-def check_radiance(tile_ihwc: NDArray, first_row: int = 0) -> None:
-    """Raise InputError, naming the first sample that is negative or not finite."""
+def check_peak(peak: float) -> None:
+    """Raise InputError unless a peak and its reciprocal are numbers that float32 holds."""
+    if not (np.isfinite(peak) and peak > 0):
+        raise InputError(f"peak must be a positive number, got {peak}")
+    if not _LEAST_PEAK <= peak <= 1.0 / _LEAST_PEAK:
+        raise InputError(f"peak must be from {_LEAST_PEAK:g} to {1.0 / _LEAST_PEAK:g}, which float32 holds, got {peak}")
+
+
+def check_radiance(tile_ihwc: NDArray, first_row: int = 0, picked_i: NDArray[np.intp] | None = None) -> None:
+    """Raise InputError, naming the first sample that is negative or not finite.
+
+    `picked_i` says where each image stands in the stack that the user knows.
+    """
     if is_radiance(tile_ihwc):
         return
     bad = ~(np.isfinite(tile_ihwc) & (tile_ihwc >= 0))
     light, row, column, channel = (int(v) for v in np.argwhere(bad)[0])
+    stands = light if picked_i is None else int(picked_i[light])
     raise InputError(
-        f"image {light} is {tile_ihwc[light, row, column, channel]} at row {first_row + row}, column {column}, "
+        f"image {stands} is {tile_ihwc[light, row, column, channel]} at row {first_row + row}, column {column}, "
         f"channel {channel}: radiance must be finite and not negative"
     )
 

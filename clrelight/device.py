@@ -142,7 +142,7 @@ def open_device(spec: str | None = None, *, style: str | None = None) -> Device:
     devices = _devices()
     if not devices:
         raise DeviceError(f"no OpenCL device found; {_INSTALL_HINT}")
-    index = _match(asked, [info for info, _ in devices])
+    index = _match(asked, [info for info, _ in devices], "" if spec is not None else f" ({DEVICE_VARIABLE})")
     info = _in_style(devices[index][0], style)
     opened = _local_cache("opened")
     if (index, info.style) not in opened:
@@ -157,7 +157,8 @@ def _in_style(info: DeviceInfo, style: str | None) -> DeviceInfo:
     return replace(info, style=asked)
 
 
-def _match(asked: str | None, infos: list[DeviceInfo]) -> int:
+def _match(asked: str | None, infos: list[DeviceInfo], source: str = "") -> int:
+    """Return the index of the device asked for; `source` tells the user where an unknown name came from."""
     if asked is None or asked == "":
         return next(info.index for info in infos if info.default)
     wanted = asked.strip().lower()
@@ -172,7 +173,7 @@ def _match(asked: str | None, infos: list[DeviceInfo]) -> int:
         found = [info.index for info in infos if wanted in f"{info.name} {info.platform}".lower()]
     if not found:
         names = "; ".join(f"{info.index}: {info.name}" for info in infos)
-        raise DeviceError(f"no OpenCL device matches {asked!r}; there are {names}")
+        raise DeviceError(f"no OpenCL device matches {asked!r}{source}; there are {names}")
     return found[0]
 
 

@@ -160,3 +160,12 @@ def test_degrees_beyond_the_metric_are_refused_both_ways(device, codec):
         encode(coeffs, codec_class(codec)(), device)
     with pytest.raises(PayloadError, match="degrees up to 40"):
         codec_class(codec).decode_body(b"\x04half" + bytes(60), coeffs.shape, device)
+
+
+def test_steps_too_fine_for_the_table_of_the_mean_are_not_tried(device):
+    # Constant maps: only the mean costs bytes, so no rate is ever reached.
+    coeffs = np.full((4, 9, 7, 3), 0.3, np.float32)
+    found = decode(encode(coeffs, Klt(rate=12.0), device), device)
+    np.testing.assert_allclose(found, coeffs, atol=1e-6)
+    with pytest.raises(InputError, match=r"klt step must be \S+ or more for this map, got 2.38419e-07"):
+        encode(coeffs, Klt(step=2.0**-22), device)

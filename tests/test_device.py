@@ -101,7 +101,7 @@ def test_unknown_device_lists_what_there_is(spec):
 
 def test_environment_variable(monkeypatch):
     monkeypatch.setenv(DEVICE_VARIABLE, "no such device")
-    with pytest.raises(DeviceError, match="'no such device'; there are 0: "):
+    with pytest.raises(DeviceError, match=r"'no such device' \(CLRELIGHT_DEVICE\); there are 0: "):
         open_device()
     assert open_device("0").info.index == 0
     monkeypatch.setenv(DEVICE_VARIABLE, "0")

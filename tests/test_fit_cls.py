@@ -238,3 +238,23 @@ def test_more_halvings_are_closer(device):
 def test_wrong_options(options, message):
     with pytest.raises(InputError, match=message):
         prepare_fit(make_stack(9, (1, 2, 1)), "cls", 2, options=options)
+
+
+def test_the_area_of_scattered_samples_scales_lambda_alone(device):
+    # Twice the area: kappa and the energy are twice as large, so lambda D^2 is the same for half the lambda.
+    lights = make_pattern("scattered", 90, seed=5)
+    angle_i = np.random.default_rng(4).uniform(0.01, 0.03, 90)
+    small, large = (
+        fit(
+            make_stack(directions_i3=lights, weights_i=area * angle_i),
+            "cls",
+            3,
+            sampling="scattered",
+            weights="solid-angle",
+        )
+        for area in (1.0, 2.0)
+    )
+    np.testing.assert_allclose(columns_of(large), columns_of(small), atol=1e-5)
+    held = small.lambda_hwc > 1e-3
+    assert held.sum() > 10
+    np.testing.assert_allclose(large.lambda_hwc[held], 0.5 * small.lambda_hwc[held], rtol=1e-4)

@@ -1,4 +1,4 @@
-"""``clrelight devices``."""
+"""``clrelight devices`` and ``clrelight selftest``."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from dataclasses import asdict
 
 import click
 
-from clrelight.cli.options import json_option
+from clrelight.cli.options import device_option, json_option
 from clrelight.cli.output import print_json
+from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 
 
@@ -50,4 +51,45 @@ def devices(as_json: bool) -> None:
     click.echo("* taken when neither --device nor CLRELIGHT_DEVICE names one")
 
 
-COMMANDS = (devices,)
+@click.command()
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print the table as Markdown.")
+@device_option
+@json_option
+@click.pass_context
+def selftest(context: click.Context, as_markdown: bool, device: str | None, as_json: bool) -> None:
+    """Compare what a device computes with float64: fits, codecs and images, at ordinary and extreme numbers.
+
+    Each statement has a figure and the limit that it must keep. Ends with exit code 1 where one does not hold.
+
+    \b
+    Example:
+      clrelight selftest
+      clrelight selftest --device gpu --json
+    """
+    from clrelight.device import open_device
+    from clrelight.selftest import run_selftest
+
+    if as_json and as_markdown:
+        raise click.UsageError("--json and --markdown exclude each other")
+    opened = open_device(device)
+    with progress_bar("testing"):
+        statements = list(run_selftest(opened))
+    failed = [statement for statement in statements if not statement.holds]
+    headers = ["part", "case", "what", "figure", "limit", "holds"]
+    rows = [
+        [s.part, s.case, s.what, f"{s.figure:.1e}", f"{s.limit:.0e}", "yes" if s.holds else "NO"] for s in statements
+    ]
+    if as_json:
+        entries = [{**asdict(statement), "holds": statement.holds} for statement in statements]
+        print_json({"device": opened.info.label, "failed": len(failed), "statements": entries})
+    elif as_markdown:
+        for cells in (headers, ["---"] * len(headers), *rows):
+            click.echo(f"| {' | '.join(cells)} |")
+    else:
+        print_table(headers, rows)
+        click.echo(f"{len(statements) - len(failed)} of {len(statements)} statements hold on {opened.info.label}")
+    if failed:
+        context.exit(1)
+
+
+COMMANDS = (devices, selftest)

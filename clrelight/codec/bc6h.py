@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import blocks
-from clrelight.codec.half import OVERFLOW
+from clrelight.codec.half import OVERFLOW, check_not_vanishing
 from clrelight.codec.noise import Noise, sample_blocks
 from clrelight.codec.registry import Codec, register
 from clrelight.codec.slabs import group_size, round_up
@@ -45,6 +45,7 @@ class Bc6h(Codec):
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
         """Return the blocks; InputError names the first coefficient beyond binary16, unless clamping."""
         clamped = 0
+        check_not_vanishing(coeffs_khwc)
         if max(coeffs_khwc.max(), -coeffs_khwc.min()) >= OVERFLOW:
             large = np.abs(coeffs_khwc) >= OVERFLOW
             if not self.clamp:

@@ -23,6 +23,8 @@ OVERFLOW = 65520.0
 STRETCH = 1024
 """Values that a work-item of a CPU, or a group of a GPU's, converts."""
 _GROUP = 128
+_VANISHING = 2.0**-25
+"""Largest magnitude that rounds to 0."""
 
 
 @register
@@ -46,7 +48,11 @@ class Half(Codec):
             raise InputError(f"codec half: clamp must be true or false, got {self.clamp!r}")
 
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
-        """Return the halves; InputError names the first coefficient that overflows, unless clamping."""
+        """Return the halves; InputError names the first coefficient that overflows, unless clamping.
+
+        A map of which nothing would be left is refused too.
+        """
+        check_not_vanishing(coeffs_khwc)
         halves_p = np.empty(coeffs_khwc.size, np.float16)
         overflows = _convert("encode_half_p", halves_p, coeffs_khwc.reshape(-1), device, clamp=self.clamp)
         clamped = 0
@@ -92,6 +98,20 @@ def rounding_variance(values: NDArray[np.float32]) -> NDArray[np.float64]:
     spacing = np.ldexp(1.0, np.maximum(np.frexp(magnitude)[1] - 11, -24))
     variance = np.where(magnitude < 2.0**-25, magnitude, spacing / np.sqrt(12.0)) ** 2
     return np.where(magnitude >= OVERFLOW, (magnitude - LARGEST) ** 2, variance)
+
+
+def check_not_vanishing(coeffs_khwc: NDArray[np.float32]) -> None:
+    """Raise InputError where every coefficient rounds to 0 as binary16, though not all are 0."""
+    coeffs_p = coeffs_khwc.reshape(-1)
+    for slab in slabs(coeffs_p.size, 1 << 10):  # small ones: nearly always the first ends the search
+        if np.abs(coeffs_p[slab]).max() > _VANISHING:
+            return
+    largest = float(np.abs(coeffs_p).max())
+    if largest > 0.0:
+        raise InputError(
+            f"the largest coefficient is {largest:g}, and as binary16 all would be 0: give the stack a peak near its "
+            "brightest sample"
+        )
 
 
 def _convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, clamp: bool) -> bool:

@@ -22,6 +22,7 @@ from clrelight.codec.lifting import (
 )
 from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.principal import (
+    MAX_ENTRY,
     ROTATION_UNIT,
     Axes,
     Whitened,
@@ -163,10 +164,15 @@ class _Source:
         self._exponent = int(np.clip(np.frexp(largest)[1], -126, 126)) if largest else 0
         self._whitened: Whitened = whiten(coeffs_khwc, self._exponent, device)
         self._vectors, self._deviation = principal_axes(self._whitened)
+        largest_mean = float(np.abs(self._whitened.mean_d).max())
+        # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
+        self._finest_step = max(_STEP_RANGE[0], 1.01 * largest_mean * _MEAN_STEPS / MAX_ENTRY)
 
     def encode(self, step: float) -> tuple[bytes, int]:
         """Return the body at a step, and its number of planes."""
         step = float(np.float32(step))
+        if step < self._finest_step:
+            raise InputError(f"klt step must be {self._finest_step:.3g} or more for this map, got {step:g}")
         encoder = Encoder()
         axes, biases = self._code(encoder, step)
         count = len(axes.scales_j)
@@ -175,7 +181,7 @@ class _Source:
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
         """Return the body at the step that fills a budget of bytes best, and what was found."""
-        finest, coarsest = np.log2(_STEP_RANGE[0]), np.log2(_STEP_RANGE[1])
+        finest, coarsest = np.log2(self._finest_step), np.log2(_STEP_RANGE[1])
         fine, coarse = finest, coarsest
         tried: list[tuple[float, float]] = []
         place = -5.0
@@ -190,7 +196,7 @@ class _Source:
                     break
             if coarse - fine < 1e-4:
                 break
-            place = _next_place(tried, fine, coarse, _AIM * budget)
+            place = _next_place(tried, fine, coarse, _AIM * max(budget, 1))
         for attempt in range(_MAX_TRIALS):
             body, planes = self.encode(2.0**coarse)
             if len(body) <= budget:

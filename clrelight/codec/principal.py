@@ -23,7 +23,7 @@ _COARSER = 1.4
 """Entries of the table are this much coarser than equal slopes ask: planes are solved against what is left of them."""
 _ROUNDING = 0.3
 _SAMPLED_PIXELS = 16384
-_MAX_ENTRY = 1 << 24
+MAX_ENTRY = 1 << 24
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray
         negative = coder.code(
             signs, np.zeros(len(nonzero), np.int32), None if given is None else (given[nonzero] < 0).astype(np.int32)
         )
-        if sizes.size and sizes.max() > _MAX_ENTRY:
+        if sizes.size and sizes.max() > MAX_ENTRY:
             raise PayloadError("the range-coded bytes are damaged: a table entry is too large")
         values = sizes.copy()
         values[nonzero[negative == 1]] *= -1

@@ -12,7 +12,7 @@ from clrelight.errors import InputError
 from clrelight.fit.cls_columns import OnePassFit, fits_one_pass
 from clrelight.fit.cls_float64 import LAMBDA_TOLERANCE, component_rounding, refine_columns
 from clrelight.fit.columns import launch_columns
-from clrelight.fit.plan import FitPlan, Lighting, plan_least_squares
+from clrelight.fit.plan import IMAGE_ROUNDING, FitPlan, Lighting, plan_least_squares
 from clrelight.fit.registry import Columns, FitMethod, OnePass, Shrunk, register
 from clrelight.matmul import SampleCurve
 
@@ -22,6 +22,12 @@ _CONVERGED_AFTER = {"bisection": 24, "newton": 16}
 """Iterations from which the solver's own error is below the tolerance. Bisection may have fewer: it ends above lambda,
 where the bound holds. Newton ends below, so there they are the least."""
 
+
+ENERGY_RANGE = 1e-12, 1e12
+"""Factors on E_c. Outside, E_c or E_c / lambda^2 leaves float32's range, wherever samples are scaled to."""
+_BOUND_ROUNDING = 2e-7
+"""Error of the image as a part of the brightest sample, for coefficients at the paper's bound: eps32 sqrt(4 pi) / 2."""
+_NOTED_ROUNDING = 3e-5
 
 _HOST_STEPS = 100
 """At most so many Newton steps of `ConstrainedLeastSquares.find_gains`; some 10 are usual."""
@@ -126,10 +132,20 @@ def plan_constrained(lighting: Lighting, degree: int, energy: float) -> FitPlan:
     notes = plan.notes
     if n_light < n_coeff:
         notes += (f"{n_light} lights for {n_coeff} coefficients: the bound alone settles the others",)
+    # The bound's coefficients are some sqrt(4 pi energy) times the samples, and no larger than least squares'.
+    rounding = min(_BOUND_ROUNDING * energy**0.5, IMAGE_ROUNDING * plan.condition)
+    if rounding > _NOTED_ROUNDING:
+        notes += (
+            f"energy {energy:g} and condition number {plan.condition:.2g}: rounding of the float32 coefficients costs "
+            f"up to {rounding:.0e} of the brightest sample",
+        )
     return replace(plan, energy_i=energy * plan.energy_i, notes=notes)
 
 
 def check_energy_factor(energy: float) -> None:
-    """Raise InputError unless the factor on E_c is a positive number."""
+    """Raise InputError unless the factor on E_c is a positive number that the search for lambda can take."""
     if not 0.0 < energy < float("inf"):
         raise InputError(f"energy must be a positive factor on E_c, got {energy}")
+    least, most = ENERGY_RANGE
+    if not least <= energy <= most:
+        raise InputError(f"energy must be a factor on E_c from {least:g} to {most:g}, got {energy}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from clrelight.basis import evaluate_basis
 from clrelight.conventions import coefficient_index
 from clrelight.errors import InputError
 from clrelight.fit.plan import (
+    IMAGE_ROUNDING,
     FitPlan,
     Lighting,
     is_sphere,
@@ -18,6 +19,11 @@ from clrelight.fit.plan import (
     scale_components,
 )
 from clrelight.fit.registry import FitMethod, register
+
+LARGEST_CONDITION = float(1.0 / np.finfo(np.float32).eps)
+"""Components whose singular value is below the largest by more are beyond float32 coefficients: these are that many
+times the samples, cancel in the image, and their rounding errors, which do not, are as large as the samples."""
+_NOTED_CONDITION = 1e5
 
 _MIRROR = np.array([1.0, 1.0, -1.0])
 
@@ -64,7 +70,7 @@ class UnconstrainedLeastSquares(FitMethod):
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the two matrices of the pseudo-inverse; InputError for fewer lights than coefficients."""
         require_lights(self.id, len(lighting.directions_i3), degree)
-        plan = plan_least_squares(lighting, degree)
+        plan = keep_in_float32(self.id, plan_least_squares(lighting, degree))
         return scale_components(plan, 1.0 / plan.singular_r)
 
 
@@ -83,4 +89,31 @@ class SloanLeastSquares(FitMethod):
             raise InputError("sloan leaves y10 out, so it needs degree 1 or more, got 0")
         require_lights(self.id, len(lighting.directions_i3), degree)
         plan = plan_least_squares(lighting, degree, without=(coefficient_index(1, 0),))
+        plan = keep_in_float32(self.id, plan)
         return scale_components(plan, 1.0 / plan.singular_r)
+
+
+def keep_in_float32(method: str, plan: FitPlan) -> FitPlan:
+    """Return the plan without the components that float32 coefficients cannot hold; a note says what was done."""
+    kept_r = plan.singular_r * LARGEST_CONDITION >= plan.singular_r[0]
+    if not kept_r.all():
+        note = (
+            f"{method}: condition number {plan.condition:.2g} is beyond float32 coefficients; {np.sum(~kept_r)} of "
+            f"{len(kept_r)} components, with singular values below {1.0 / LARGEST_CONDITION:.2g} of the largest, are "
+            "left out (truncated singular value decomposition); cls, ceb and spline need no such cut"
+        )
+    elif plan.condition > _NOTED_CONDITION:
+        note = (
+            f"{method}: condition number {plan.condition:.2g}; rounding of the float32 coefficients costs up to "
+            f"{plan.condition * IMAGE_ROUNDING:.0e} of the brightest sample"
+        )
+    else:
+        return plan
+    synthesis_kr = None if plan.synthesis_kr is None else plan.synthesis_kr[:, kept_r]
+    return replace(
+        plan,
+        analysis_ri=plan.analysis_ri[kept_r],
+        synthesis_kr=synthesis_kr,
+        singular_r=plan.singular_r[kept_r],
+        notes=(*plan.notes, note),
+    )

@@ -19,6 +19,10 @@ SAMPLINGS = ("hemisphere", "scattered")
 HORIZON = 1e-6
 """A light counts as below the horizon where its z is under minus this."""
 
+IMAGE_ROUNDING = 2e-9
+"""Error of the image, as a part of the brightest sample, that float32 rounding of least-squares coefficients makes per
+unit of the condition number: twice the most that the tests of extremes find."""
+
 _SEEN = 1e-9
 """A basis function whose share of its energy on the samples is below this is not seen by them."""
 
@@ -100,8 +104,10 @@ def plan_least_squares(
     """Return the plan of a least-squares fit: ``z = W' beta`` with the thin SVD ``Y = W diag(sigma) U'``.
 
     Rows are weighted by the square root of the lights' weights. For scattered sampling the basis is scaled to
-    ``Y* = Y D^-1`` with ``D^2 = kappa``, the energy of each basis function over the samples (eq. 26-30); the area of
-    the sampled region scales kappa and the bound alike, and cancels.
+    ``Y* = Y D^-1`` with ``D^2 = kappa``, the energy of each basis function over the samples (eq. 26-30). The area of
+    the sampled region, the sum of the solid angles, scales kappa and the bound alike: it cancels in the coefficients,
+    and lambda is proportional to its reciprocal. Under the uniform weighting the area is taken to be the hemisphere's,
+    2 pi, whatever part of it the samples cover.
 
     Parameters
     ----------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import time
@@ -18,8 +19,9 @@ from clrelight.dataset import CoefficientMap, LightStack, split_lights
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, make_lighting
-from clrelight.fit.registry import Columns, FitMethod, method_class
+from clrelight.fit.registry import Columns, FitMethod, OnePass, method_class
 from clrelight.fit.samples import Samples
+from clrelight.fit.scaling import ScaledTile, TileScaling
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, Choice, choose_model
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
 from clrelight.streaming import Buffer, reading_ahead
@@ -272,9 +274,13 @@ def fit_tiles(
         If a row does not fit the budget, or samples are negative or not finite.
     """
     stack, plan, device, report = prepared.stack, prepared.plan, prepared.device, prepared.report
-    curve = SampleCurve(stack.peak, stack.transfer)
-    scale = curve.operator_scale()
-    one_pass = prepared.method.one_pass(device, plan, curve)
+    scaling = TileScaling(stack, plan)
+    scale = scaling.curve.operator_scale()
+
+    @functools.cache
+    def one_pass_of(curve: SampleCurve) -> OnePass | None:
+        return prepared.method.one_pass(device, plan, curve)
+
     analysis = pack_operator(device, plan.analysis_ri * scale)
     synthesis = None if plan.synthesis_kr is None else pack_operator(device, plan.synthesis_kr)
     energy_i = device.upload((plan.energy_i * scale**2).astype(np.float32))
@@ -287,16 +293,18 @@ def fit_tiles(
     coeffs_of = itertools.cycle([Buffer() for _ in tiles[:held]])
     components, energies = Buffer(), Buffer()
 
-    def read(rows: tuple[int, int]) -> NDArray:
+    def read(rows: tuple[int, int]) -> ScaledTile:
         if len(tiles) == 1:
-            return stack.read_rows(*rows)
+            return scaling.load(*rows)
         shape = (stack.n_light, rows[1] - rows[0], width, channel)
-        return stack.read_rows(*rows, next(samples_of).lend(shape, stack.images_ihwc.dtype))
+        return scaling.load(*rows, next(samples_of).lend(shape, stack.images_ihwc.dtype))
 
     since = time.perf_counter()
     with reading_ahead(read, tiles) as samples:
-        for (first, end), tile_ihwc in zip(tiles, samples, strict=True):
+        for (first, end), scaled in zip(tiles, samples, strict=True):
             since = report.add("read", since)
+            tile_ihwc, curve = scaled.samples_ihwc, scaled.curve
+            one_pass = one_pass_of(curve)
             source_ip = device.upload(tile_ihwc.reshape(len(tile_ihwc), -1))
             columns = source_ip.shape[1]
             if one_pass is not None:
@@ -322,6 +330,7 @@ def fit_tiles(
                 None if maps.lambda_q is None else device.download(maps.lambda_q)[:columns].reshape(shape_hwc),
                 None if maps.rank_q is None else device.download(maps.rank_q)[:columns].reshape(shape_hwc),
             )
+            scaled.restore(tile.coeffs_khwc)
             if stack.mask_hw is not None:
                 _clear_masked(tile, ~stack.mask_hw[first:end])
             report.add("synthesize" if one_pass is None else "fit", since)

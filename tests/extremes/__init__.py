@@ -1,0 +1,1 @@
+"""Numbers at the extremes: every statement with its figure, against float64."""
