@@ -26,10 +26,10 @@ _FIT_COLUMNS = (
     Column("what", "one step"),
     Column("psnr", "held out (dB)", 2),
     Column("change", "change (dB)", 2),
-    Column("seconds", "fit (s)", 3),
+    Column("seconds", "time (s)", 3),
     Column("time", "time ×", 2),
     Column("size", "kB", 1),
-    Column("bytes", "bytes ×", 2),
+    Column("bytes", "bytes ×", 3),
 )
 _FRONT_COLUMNS = (
     Column("label", "setting"),
@@ -99,18 +99,18 @@ def _steps(trials: Sequence[Trial], reference: Trial) -> Iterator[tuple[str, Tri
 
 
 def _changes(base: Trial, trial: Trial) -> tuple[float, ...]:
-    seconds, before = float(trial.row["seconds_fit"]), float(base.row["seconds_fit"])
+    seconds = trial.seconds if trial.seconds < math.inf else math.nan
     psnr = trial.psnr if trial.psnr > -math.inf else math.nan
     size = float(trial.size) or math.nan
-    return psnr, psnr - base.psnr, seconds, seconds / before, size / 1000.0, size / base.size
+    return psnr, psnr - base.psnr, seconds, seconds / base.seconds, size / 1000.0, size / base.size
 
 
 def half_table(trials: Sequence[Trial]) -> Table:
-    """Return what half precision costs each method at each degree."""
+    """Return what half precision costs each method at each degree, fitted to all lights."""
     plain = {trial.model: trial for trial in trials if trial.setting.codec is None}
     rows = []
     for trial in trials:
-        if trial.setting.id == HALF and trial.model in plain:
+        if trial.setting.id == HALF and trial.model in plain and trial.model.lights is None:
             full = plain[trial.model].row
             held, fitted = (float(trial.row[name] - full[name]) for name in ("psnr_pooled_holdout", "psnr_pooled"))
             rows.append(

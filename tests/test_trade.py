@@ -1,0 +1,222 @@
+"""The sweep of what can be given up: fronts and budgets by brute force, its answer as TOML, resuming, refusals."""
+
+import json
+import math
+import tomllib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from clrelight.dataset import split_lights
+from clrelight.errors import InputError
+from clrelight.experiment import load_experiment, make_settings
+from clrelight.experiment.front import Limits, Model, Trial, front, near_front
+from clrelight.experiment.grid import CodecSetting, Experiment
+from clrelight.experiment.toml import experiment_text
+from clrelight.experiment.trade import Axes
+from clrelight.fit import method_class
+from clrelight.results import ROW_DTYPE, TIME_FIELDS
+from clrelight.sampling import farthest_point_subset, make_pattern, split_chosen
+from clrelight.store import read_results
+from tests.commands import arrays, call, contents, succeed
+
+SMALL = ["--methods", "uls,cls", "--degrees", "1,2", "--iterations", "4,32", "--codecs", "half,klt", "--rates", "1,0.2"]
+
+
+def trial(seconds, size, psnr, degree=2):
+    row = np.zeros(1, ROW_DTYPE)[0]
+    row["seconds_fit"], row["encoded_bytes"], row["psnr_pooled_holdout"] = seconds, size, psnr
+    return Trial(Model(method_class("cls")(), degree), CodecSetting(), row)
+
+
+points = st.lists(st.tuples(st.integers(1, 6), st.integers(1, 6), st.integers(1, 6)), min_size=1, max_size=12)
+
+
+@given(points)
+def test_fronts_are_what_nothing_beats(drawn):
+    trials = [trial(*map(float, point[:1]), point[1], float(point[2])) for point in drawn]
+    for cost, value, sign in (("seconds", "psnr", -1), ("size", "psnr", -1), ("seconds", "size", 1)):
+        pairs = {(getattr(t, cost), sign * getattr(t, value)) for t in trials}
+        best = {p for p in pairs if not any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in pairs)}
+        assert {(getattr(t, cost), sign * getattr(t, value)) for t in front(trials, cost, value)} == best
+    kept = near_front(trials, 2.0)
+    for each in trials:
+        beaten = any(o.seconds <= each.seconds and o.size <= each.size and o.psnr >= each.psnr + 2.0 for o in trials)
+        assert (each in kept) == (not beaten)
+
+
+@given(points, st.integers(1, 6), st.integers(1, 6), st.integers(1, 6))
+def test_a_choice_is_within_the_limits_and_the_best(drawn, seconds, size, psnr):
+    trials = [trial(float(s), b, float(q)) for s, b, q in drawn]
+    for limits, rank in (
+        (Limits(seconds=seconds), lambda t: -t.psnr),
+        (Limits(seconds=seconds, size=size), lambda t: -t.psnr),
+        (Limits(psnr=psnr), lambda t: t.size),
+        (Limits(psnr=psnr, seconds=seconds), lambda t: t.size),
+        (Limits(psnr=psnr, size=size), lambda t: t.seconds),
+        (Limits(seconds, size, psnr), lambda t: -t.psnr),
+    ):
+        within = [
+            t
+            for t in trials
+            if (limits.seconds is None or t.seconds <= seconds)
+            and (limits.size is None or t.size <= size)
+            and (limits.psnr is None or t.psnr >= psnr)
+        ]
+        if within:
+            assert rank(limits.choose(trials)) == min(map(rank, within))
+        else:
+            with pytest.raises(InputError, match="none of the"):
+                limits.choose(trials)
+
+
+def test_the_nearest_is_named_and_what_was_refused_is_never_taken():
+    refused = trial(math.nan, 0, math.nan)
+    trials = [refused, trial(10.0, 100, 20.0), trial(1.0, 400, 30.0)]
+    assert Limits(size=50).excess(refused) == math.inf
+    with pytest.raises(InputError, match=r"the nearest is cls newton degree 2, .*: 20.00 dB, 100 bytes, 10 s"):
+        Limits(size=50).choose(trials)
+    assert near_front(trials, 0.3) == [trials[2], trials[1]]
+    assert front(trials, "size", "psnr") == trials[1:]
+    for bad in ({"seconds": 0.0}, {"seconds": math.nan}, {"size": 0}, {"psnr": math.inf}):
+        with pytest.raises(InputError):
+            Limits(**bad)
+
+
+def test_an_experiment_comes_back_from_its_text(tmp_path):
+    cls = method_class("cls")(iterations=8, solver="bisection")
+    (setting,) = make_settings("klt", {"rate": 0.25})
+    (inner,) = make_settings("whitened", {})
+    path = tmp_path / "e.toml"
+    for made in (
+        Experiment((str(tmp_path / 'a "b".h5'),), (cls,), (4,), (setting, inner), 5, lights=20),
+        Experiment((str(tmp_path / "s.h5"),), ("auto",), ("auto",), (CodecSetting(),), weights="solid-angle"),
+    ):
+        text = experiment_text(made, tmp_path, "two\nlines")
+        assert text.startswith("# two\n# lines\n")
+        tomllib.loads(text)
+        path.write_text(text)
+        assert load_experiment(path) == made
+
+
+def test_chosen_lights_are_well_spread_and_never_held_out():
+    directions = make_pattern("scattered", 60)
+    seen, held = split_lights(60, 4)
+    fitted, unseen = split_chosen(directions, 4, 20)
+    np.testing.assert_array_equal(unseen, held)
+    assert set(fitted) == set(seen[farthest_point_subset(directions[seen], 20)])
+    np.testing.assert_array_equal(split_chosen(directions, 4, None)[0], seen)
+    with pytest.raises(InputError, match="45 of 60 lights are there to be fitted, got lights 46"):
+        split_chosen(directions, 4, 46)
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("swept")
+    succeed("synth", "ring", folder / "ring.h5", "--size", 12, "--lights", 40)
+    succeed("synth", "ring", folder / "few.h5", "--size", 8, "--lights", 11)
+    told = succeed("trade", folder / "ring.h5", "--out", folder / "t.h5", *SMALL, "--budget-bytes", 2000, "--json")
+    return folder, told.json
+
+
+def test_every_axis_is_measured(swept):
+    rows = swept[1]["trials"]
+    configs = [json.loads(row["fit_config"]) for row in rows]
+    assert {(r["method"], r["degree"]) for r in rows} >= {("uls", 1), ("cls", 1), ("cls", 2)}
+    assert {c["iterations"] for c in configs if c.get("solver") == "bisection"} == {4, 32}
+    assert {r["n_light"] for r in rows} >= {32, 16}
+    assert all((r["n_light"] == 32) == ("lights" not in c) for r, c in zip(rows, configs, strict=True))
+    assert {r["codec"] for r in rows} == {"none", "half", "klt"}
+    assert {r["n_holdout"] for r in rows} == {8}
+    assert len({r["label"] for r in rows}) == len(rows)
+
+
+def test_the_answer_is_what_bench_and_fit_measure(swept, tmp_path):
+    folder, told = swept
+    choice = told["choice"]
+    assert choice["encoded_bytes"] <= 2000
+    best = max(r["psnr_pooled_holdout"] for r in told["trials"] if r["encoded_bytes"] <= 2000)
+    assert choice["psnr_pooled_holdout"] == best
+    (row,) = succeed("bench", folder / "t.toml", "--out", tmp_path / "b.h5", "--json").json["rows"]
+    for name in set(ROW_DTYPE.names) - set(TIME_FIELDS):
+        assert row[name] == choice[name] or (row[name] is None and choice[name] is None), name
+    fitted = succeed("fit", folder / "ring.h5", tmp_path / "f.h5", "--config", folder / "t.toml", "--json").json
+    assert (fitted["method"], fitted["degree"]) == (choice["method"], choice["degree"])
+    assert (fitted["n_light"], fitted["n_holdout"]) == (choice["n_light"], 8)
+    directions = arrays(folder / "ring.h5")["directions"]
+    lights, _ = split_chosen(directions, 5, None if choice["n_light"] == 32 else choice["n_light"])
+    np.testing.assert_array_equal(arrays(tmp_path / "f.h5")["directions"], directions[lights])
+
+
+def test_going_on_measures_nothing_again(swept):
+    folder, told = swept
+    before = read_results(folder / "t.h5").table
+    text = succeed("trade", folder / "ring.h5", "--out", folder / "t.h5", *SMALL, "--report", folder / "report").out
+    np.testing.assert_array_equal(read_results(folder / "t.h5").table.tobytes(), before.tobytes())
+    assert f"rows     {len(told['trials'])}" in text
+    made = {path.name for path in (folder / "report").iterdir()}
+    assert made == {"trade.md", "rows.csv", "trade.png"}
+    assert len((folder / "report" / "rows.csv").read_text().splitlines()) == len(told["trials"]) + 1
+    assert "bisection steps 32 → 4" in (folder / "report" / "trade.md").read_text()
+
+
+def test_without_a_setting_within_the_budget_the_rows_stay(swept):
+    folder, told = swept
+    files = contents(folder)
+    config = folder / "none.toml"
+    words = ["--out", folder / "t.h5", *SMALL, "--config", config, "--min-psnr", 90]
+    ended = call("trade", folder / "ring.h5", *words)
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert f"none of the {len(told['trials'])} settings measured is within the limits; the nearest is" in ended.err
+    assert contents(folder) == files
+
+
+def test_settings_are_checked_before_anything_is_measured():
+    for bad in ({"methods": ("auto",)}, {"degrees": (2, 2)}, {"rates": (0.0,)}, {"iterations": (0,)}, {"lights": (3,)}):
+        with pytest.raises(InputError):
+            Axes(**bad)
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("trade nowhere.h5", "there is no file"),
+        ("trade few.h5", "holdout 5 leaves 9 to fit: a sweep needs 10"),
+        ("trade ring.h5 --holdout 41", "holdout 41 keeps no light"),
+        ("trade ring.h5 --methods magic", "unknown method 'magic'"),
+        ("trade ring.h5 --methods auto", "leave auto out of the methods"),
+        ("trade ring.h5 --degrees 101", "degrees must be auto or 0 to 100, got 101"),
+        ("trade ring.h5 --codecs zip", "unknown codec 'zip'"),
+        ("trade ring.h5 --rates -1", "rate"),
+        ("trade ring.h5 --iterations 0", "iterations must be 1 to"),
+        ("trade ring.h5 --lights 33", "33 lights cannot be fitted: 32 of 40 are not held out"),
+        ("trade ring.h5 --budget-seconds 0", "a budget of seconds must be above 0, got 0"),
+        ("trade ring.h5 --budget-seconds -3", "above 0, got -3"),
+        ("trade ring.h5 --budget-bytes 0", "is not a number of bytes"),
+        ("trade ring.h5 --min-psnr nan", "the least PSNR must be a number of dB"),
+        ("trade ring.h5 --config ring.h5", "that is the input"),
+        ("trade ring.h5 --out no/t.h5", "there is no folder"),
+        ("trade ring.h5 --report few.h5", "is a file; give a folder"),
+        ("trade ring.h5 --methods uls --degrees 9", "none of uls can be fitted to ring at degree 9"),
+        ("fit ring.h5 f.h5 --config two.toml", "holds 2 degrees, a fit has one"),
+        ("fit ring.h5 f.h5 --config one.toml --degree 3", "--degree: "),
+        ("fit ring.h5 f.h5 --config one.toml --iterations 3", "--iterations: "),
+        ("fit ring.h5 f.h5 --config many.toml", "32 of 40 lights are there to be fitted, got lights 39"),
+        ("fit ring.h5 one.toml --config one.toml", "that is the input"),
+    ],
+)
+def test_refusals(swept, tmp_path, line, expected):
+    made, _ = swept
+    (tmp_path / "two.toml").write_text('methods = ["cls"]\ndegrees = [2, 3]\n')
+    (tmp_path / "one.toml").write_text('methods = ["cls"]\ndegrees = [2]\n')
+    (tmp_path / "many.toml").write_text('methods = ["cls"]\ndegrees = [2]\nholdout = 5\nlights = 39\n')
+    words = [str(made / w) if (made / w).exists() else w for w in line.split()]
+    words = [str(tmp_path / w) if w.endswith((".toml", "f.h5", "t.h5")) else w for w in words]
+    words += ["--out", str(tmp_path / "t.h5")] if words[0] == "trade" and "--out" not in words else []
+    files = contents(made), contents(tmp_path)
+    ended = call(*words)
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1), ended.err
+    assert expected in ended.err
+    assert (contents(made), contents(tmp_path)) == files
