@@ -3,6 +3,7 @@
 import json
 import math
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from clrelight.experiment.trade import Axes
 from clrelight.fit import method_class
 from clrelight.results import ROW_DTYPE, TIME_FIELDS
 from clrelight.sampling import farthest_point_subset, make_pattern, split_chosen
-from clrelight.store import read_results
+from clrelight.store import read_results, write_results
 from tests.commands import arrays, call, contents, succeed
 
 SMALL = ["--methods", "uls,cls", "--degrees", "1,2", "--iterations", "4,32", "--codecs", "half,klt", "--rates", "1,0.2"]
@@ -171,6 +172,30 @@ def test_without_a_setting_within_the_budget_the_rows_stay(swept):
     assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
     assert f"none of the {len(told['trials'])} settings measured is within the limits; the nearest is" in ended.err
     assert contents(folder) == files
+
+
+def test_times_of_another_device_are_not_mixed_in(swept, tmp_path):
+    earlier = read_results(swept[0] / "t.h5")
+    table = earlier.table.copy()
+    table["device"] = b"gpu: another"
+    write_results(tmp_path / "t.h5", replace(earlier, table=table))
+    before = contents(tmp_path)
+    ended = call("trade", swept[0] / "ring.h5", "--out", tmp_path / "t.h5", *SMALL)
+    assert (ended.code, ended.out) == (2, "")
+    assert "holds times of another device (gpu: another)" in ended.err
+    assert contents(tmp_path) == before
+
+
+def test_the_answer_replaces_neither_the_rows_nor_a_file_of_the_user(swept, tmp_path):
+    ring = swept[0] / "ring.h5"
+    for words in (["--out", tmp_path / "r.toml"], ["--out", tmp_path / "t.h5", "--config", tmp_path / "t.h5"]):
+        ended = call("trade", ring, *words, "--budget-bytes", "50k")
+        assert (ended.code, contents(tmp_path)) == (2, {})
+    (tmp_path / "grid.toml").write_text('scenes = ["ring"]')
+    ended = call("trade", ring, "--out", tmp_path / "grid.h5", "--budget-bytes", "50k")
+    assert ended.code == 2
+    assert "was not written by trade" in ended.err
+    assert contents(tmp_path).keys() == {"grid.toml"}
 
 
 def test_settings_are_checked_before_anything_is_measured():

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _METHODS = ("uls", "cls", "spline")
 _PROPOSED = 64
+_MOST = 4096
 _HEADERS = ("lights", "pattern", "condition", "image noise", "(dB)", "coefficient noise")
 
 
@@ -71,7 +72,7 @@ class _Lights:
 @click.option(
     "--degree", type=whole_number(0, 15), default=6, show_default=True, help="Largest SH degree to be fitted."
 )
-@click.option("--count", type=whole_number(1, 4096), help=f"Lights to take; default {_PROPOSED}, of given lights all.")
+@click.option("--count", type=whole_number(1, _MOST), help=f"Lights to take; default {_PROPOSED}, of given lights all.")
 @click.option("--counts", type=Numbers(int, "32,64,128"), help="Numbers of lights in the table.")
 @click.option(
     "--pattern",
@@ -88,6 +89,7 @@ class _Lights:
 @click.option(
     "--holdout", type=whole_number(2), metavar="K", help="Measure at every K-th light, which no fit sees; default 5."
 )
+@click.option("--force", is_flag=True, help="Replace OUT.lp where it is there.")
 @device_option
 @json_option
 def plan_lights(
@@ -102,6 +104,7 @@ def plan_lights(
     measured: bool,
     methods: tuple[str, ...] | None,
     holdout: int | None,
+    force: bool,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -120,10 +123,14 @@ def plan_lights(
     from clrelight.store import check_output
 
     stack, out = _stack_and_out(files)
+    if too_many := [n for n in counts or () if not 1 <= n <= _MOST]:
+        raise InputError(f"this proposes 1 to {_MOST} lights, got {too_many[0]}")
     if stack is not None and lights is not None:
         raise InputError(f"the lights come from {stack} or from {lights}: give one of them")
     facts: dict[str, Any] = {"degree": degree}
     if measured:
+        if below:
+            raise InputError("--below is for lights to propose or to assess; --measure takes the stack as it is")
         if stack is None or out is not None or count is not None:
             raise InputError(
                 "--measure takes a stack with --counts, and writes no lights: leave out --count and OUT.lp"
@@ -140,6 +147,9 @@ def plan_lights(
         taken, wanted = patterns or source.default_patterns(), count or source.default_count()
         rows = _assess(source, counts or source.default_counts(wanted), taken, {wanted, *(counts or ())})
         if out is not None:
+            # A list of lights is an input as often as an output.
+            if Path(out).exists() and not force:
+                raise InputError(f"{out} is there: --lights {out} says what it is worth, --force replaces it")
             write_lp(out, *source.take(taken[0], wanted))
             facts.update({"file": out, "lights": wanted, "pattern": taken[0]})
     if as_json:

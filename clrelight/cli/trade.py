@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +12,12 @@ from clrelight.cli.options import ByteCount, Names, Numbers, device_option, give
 from clrelight.cli.output import decibel, print_facts, print_json
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
+from clrelight.errors import InputError
 
 if TYPE_CHECKING:
     from clrelight.experiment.front import Trial
+
+_MARK = "# The setting that clrelight trade chose:"
 
 
 @click.command()
@@ -78,6 +82,8 @@ def trade(
     target = Path(config or Path(out).with_suffix(".toml"))
     check_output(out, [stack])
     check_output(target, [stack, out])
+    if limits.are_set and config is None and target.exists() and not target.read_bytes().startswith(_MARK.encode()):
+        raise InputError(f"{target} is there and was not written by trade: name another file with --config")
     if report_to is not None:
         canvas.require_matplotlib()
         check_folder(report_to)
@@ -98,7 +104,8 @@ def trade(
     if limits.are_set:
         chosen = limits.choose(trials)
         with replacing(target) as part:
-            text = experiment_text(chosen.to_experiment(stack, varied.holdout), target.parent, _summary(chosen))
+            about = f"{_MARK[2:]}\n{_summary(chosen)}"
+            text = experiment_text(chosen.to_experiment(stack, varied.holdout), target.parent, about)
             part.write(text.encode("utf-8"))
         facts.update({"choice": chosen.label, "config": str(target)})
     if as_json:
@@ -112,6 +119,9 @@ def trade(
     if limits.are_set:
         facts["it reaches"] = f"{decibel(chosen.psnr)} held out, {chosen.size} bytes, {chosen.seconds:.3g} s"
         facts["next"] = f"clrelight fit {stack} fit.h5 --config {target}"
+        if chosen.setting.codec is not None:
+            rate = "" if math.isnan(chosen.setting.rate) else f" --rate {chosen.setting.rate:g}"
+            facts["then"] = f"clrelight encode fit.h5 small.h5 --codec {chosen.setting.id}{rate}"
     print_facts(facts)
 
 

@@ -103,7 +103,8 @@ def check_output(path: str | os.PathLike, inputs: Iterable[str | os.PathLike] = 
 
 def _is_same_file(target: Path, source: str | os.PathLike) -> bool:
     try:
-        return os.path.samefile(target, source)
+        # Neither need be there yet: two outputs of one command are compared too.
+        return os.path.realpath(target) == os.path.realpath(os.fsdecode(source)) or os.path.samefile(target, source)
     except (OSError, ValueError):  # one of them is not there, or is no name at all
         return False
 
