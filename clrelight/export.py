@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from clrelight.dataset import CoefficientMap, read_rows_into
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.images import write_image
-from clrelight.store.durable import check_output, naming, replacing
+from clrelight.store.durable import check_output, naming, replacing, replacing_folder
 
 EXPORTS = {"dds": "BC6H_SF16", "exr": "float32", "exr-half": "float16"}
 """Formats, and the type of a texel's components in each."""
@@ -112,21 +111,15 @@ def export_textures(
             write_dds(array.path, blocks)
             beside.write(_to_json(notes))
         return [target, _notes_of(target)]
-    aside = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        with naming(target):
-            aside.mkdir()
-            for number, (texture, entry) in enumerate(zip(textures, notes["textures"], strict=True)):
-                if progress is not None:
-                    progress(number, len(textures))
-                if blocks is not None and file_format == "dds":
-                    write_dds(aside / entry["file"], blocks, number)
-                else:
-                    write_image(aside / entry["file"], _pixels(scaled_khwc, texture, file_format))
-            (aside / NOTES).write_bytes(_to_json(notes))
-            os.replace(aside, target)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+    with replacing_folder(target) as folder:
+        for number, (texture, entry) in enumerate(zip(textures, notes["textures"], strict=True)):
+            if progress is not None:
+                progress(number, len(textures))
+            if blocks is not None and file_format == "dds":
+                write_dds(folder / entry["file"], blocks, number)
+            else:
+                write_image(folder / entry["file"], _pixels(scaled_khwc, texture, file_format))
+        (folder / NOTES).write_bytes(_to_json(notes))
     return [target / name for name in (*(entry["file"] for entry in notes["textures"]), NOTES)]
 
 

@@ -14,6 +14,7 @@ import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
+from clrelight.store.durable import replacing
 
 IMAGE_EXTENSIONS = frozenset(
     (".bmp", ".exr", ".hdr", ".jpeg", ".jpg", ".pfm", ".pgm", ".png", ".pnm", ".ppm", ".tga", ".tif", ".tiff")
@@ -184,19 +185,11 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
         raise InputError(
             f"cannot write {path}: {extension} holds {_ONLY_CHANNELS[extension]} channels, got {values.shape[2]}"
         )
-    if not path.parent.is_dir():
-        raise InputError(f"cannot write {path}: there is no folder {path.parent}")
-    # The decoder is chosen by the extension, so the temporary name keeps it.
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
-        _encode(temporary, np.ascontiguousarray(values), _WRITABLE[extension][values.dtype.name])
-        with open(temporary, "rb") as written:
-            os.fsync(written.fileno())
-        os.replace(temporary, path)
-    except (OSError, RuntimeError) as error:
-        raise InputError(f"cannot write {path}: {_one_line(error)}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as part:
+        try:
+            _encode(part.path, extension, np.ascontiguousarray(values), _WRITABLE[extension][values.dtype.name])
+        except (OSError, RuntimeError) as error:
+            raise InputError(f"cannot write {path}: {_one_line(error)}") from None
 
 
 def _open(path: Path) -> tuple[oiio.ImageInput, ImageHeader]:
@@ -262,12 +255,12 @@ def _decode(reader: oiio.ImageInput, header: ImageHeader, start: int, stop: int)
     return band.reshape(stop - start, header.width, header.channels)
 
 
-def _encode(path: Path, values: NDArray, stored: Any) -> None:
-    writer = oiio.ImageOutput.create(str(path))
+def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
+    writer = oiio.ImageOutput.create(extension.removeprefix("."))  # not by the path, which ends in .part
     if writer is None:
         raise RuntimeError(oiio.geterror())
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], stored)
-    if path.suffix.lower() in (".jpg", ".jpeg"):
+    if extension == ".jpg":
         spec.attribute("CompressionQuality", 95)
         spec.attribute("jpeg:subsampling", "4:4:4")
     done = writer.open(str(path), spec) and writer.write_image(values)

@@ -1,6 +1,8 @@
 """Exported textures, read by OpenImageIO and put together again by what the notes beside them say."""
 
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
@@ -8,6 +10,7 @@ import pytest
 
 from clrelight.codec import Bc6h, codec_class, decode, encode
 from clrelight.dataset import CoefficientMap
+from clrelight.errors import InputError
 from clrelight.export import export_textures
 from clrelight.store import write_encoded, write_fit
 from tests.commands import call, contents, succeed
@@ -134,6 +137,44 @@ def test_the_command_takes_fits_and_encodings(device, tmp_path):
     values = [assemble(tmp_path / name, json.loads(notes[0])) for name in ("fit", "enc")]
     np.testing.assert_array_equal(*values)
     assert "textures.json" in succeed("export", tmp_path / "fit.h5", tmp_path / "shown").out
+
+
+def test_a_folder_is_flushed_before_it_stands_and_open_to_whom_the_umask_says(device, tmp_path, monkeypatch):
+    # What another program with this one's number left behind is none of our business.
+    stranger = tmp_path / f".t.{os.getpid()}.part"
+    stranger.mkdir()
+    (stranger / "precious").write_text("kept")
+    (tmp_path / "plain").mkdir()
+    flushed, sync, replace = set(), os.fsync, os.replace
+
+    def fsync(descriptor):
+        flushed.add(Path(f"/proc/self/fd/{descriptor}").resolve().stat().st_ino)
+        sync(descriptor)
+
+    def move(source, target):
+        if Path(target) == tmp_path / "t":
+            assert {path.stat().st_ino for path in (source, *source.iterdir())} <= flushed
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", move)
+    files = export_textures(make_map((4, 5, 6, 3)), tmp_path / "t", device=device)
+    assert len(files) == 5
+    assert sorted(path.name for path in tmp_path.iterdir()) == [stranger.name, "plain", "t"]
+    assert (stranger / "precious").read_text() == "kept"
+    assert (tmp_path / "t").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+@pytest.mark.parametrize("file_format", ["dds", "exr"])
+def test_an_export_that_fails_leaves_nothing(device, tmp_path, file_format):
+    def fail(done, total):
+        if done == 2:
+            assert len(list(tmp_path.iterdir())) == 1
+            raise OSError(28, "No space left on device")
+
+    with pytest.raises(InputError, match="the disk is full"):
+        export_textures(make_map((4, 5, 6, 3)), tmp_path / "t", file_format, device=device, progress=fail)
+    assert list(tmp_path.iterdir()) == []
 
 
 REFUSED = [

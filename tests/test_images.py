@@ -1,3 +1,4 @@
+import fcntl
 import os
 import struct
 import subprocess
@@ -338,10 +339,25 @@ def test_values_that_a_format_cannot_hold(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize("extension", sorted(images._WRITABLE))
+def test_only_one_program_writes_an_image(tmp_path, extension):
+    values = np.ones((2, 3, 1 if extension == ".pgm" else 3), next(iter(images._WRITABLE[extension])))
+    path = tmp_path / f"a{extension}"
+    with open(tmp_path / f".a{extension}.part", "wb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with pytest.raises(InputError, match="another program is writing it"):
+            write_image(path, values)
+        assert not path.exists()
+    # A part that nobody holds was left by a program that is gone.
+    write_image(path, values)
+    np.testing.assert_array_equal(read_image(path), values)
+    assert os.listdir(tmp_path) == [path.name]
+
+
 def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     write_image(tmp_path / "a.png", RGB8)
 
-    def fail(path, values, stored):
+    def fail(path, *_):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 

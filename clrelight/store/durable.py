@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import shutil
 import stat
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -75,6 +77,37 @@ def replacing(path: str | os.PathLike) -> Iterator[Part]:
             raise
     finally:
         os.close(part.descriptor)
+    _sync_folder(target.parent)
+
+
+@contextmanager
+def replacing_folder(path: str | os.PathLike) -> Iterator[Path]:
+    """Lend a new folder to put files into; it stands at `path` once the block has ended well.
+
+    It is filled in a sibling ``.NAME.*.part`` that no other program uses, its files are flushed, and it is renamed to
+    `path`, where nothing or an empty folder may be. The sibling is removed if anything goes wrong.
+
+    Raises
+    ------
+    InputError
+        If something is at `path`, or the system refuses (no permission, disk full).
+    """
+    target = Path(os.fsdecode(path))
+    with naming(target):
+        sibling = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
+    try:
+        with naming(target):
+            # One more level: the sibling is for its owner's eyes alone, the result for whom the umask says.
+            folder = sibling / target.name
+            folder.mkdir()
+            yield folder
+            for file in folder.iterdir():
+                with open(file, "rb") as written:
+                    os.fsync(written.fileno())
+            _sync_folder(folder)
+            os.replace(folder, target)
+    finally:
+        shutil.rmtree(sibling, ignore_errors=True)
     _sync_folder(target.parent)
 
 
