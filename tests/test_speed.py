@@ -300,6 +300,43 @@ def test_a_file_that_is_no_record_is_refused(tmp_path, text):
         read_record(tmp_path / "nowhere.json")
 
 
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [({name: ...}, f"the file has no {name}") for name in ("environment", "stages", "notes", "base", "axes", "points")]
+    + [
+        ({"environment": []}, "environment is no object"),
+        ({"stages": {}}, "stages is no list"),
+        ({"stages": [{}]}, "an item of stages has no name"),
+        ({"notes": [1]}, "an item of notes is 1"),
+        ({"base": {"size": 16}}, "base has no lights"),
+        ({"axes": {}}, "axes has no size"),
+        ({"points": [{}]}, "an item of points has no size"),
+        ({"points": None}, "points is no list"),
+    ],
+)
+def test_a_record_that_lacks_something_is_refused(measured, tmp_path, change, expected):
+    record = json.loads((measured[0] / "speed.json").read_text()) | change
+    record = {name: value for name, value in record.items() if value is not ...}
+    (tmp_path / "r.json").write_text(json.dumps(record))
+    ended = call("report", tmp_path / "r.json", "--out", tmp_path / "no")
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert expected in ended.err
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize("name", ["rounds", "seconds", "memory", "psnr", "bytes"])
+def test_a_point_that_lacks_something_is_refused(measured, tmp_path, name):
+    record = read_record(measured[0] / "speed.json")
+    write_record(tmp_path / "whole.json", record)
+    assert read_record(tmp_path / "whole.json") == record
+    for value in (..., {"ours": {"total": [1.0]}}, {"ours": None, "other": 1}, "text"):
+        point = {**record["points"][0], name: value}
+        points = [{key: held for key, held in point.items() if held is not ...}]
+        write_record(tmp_path / "r.json", {**record, "points": points})
+        with pytest.raises(InputError, match="is no whole record"):
+            read_record(tmp_path / "r.json")
+
+
 def test_a_fit_starts_without_scipy(tmp_path):
     scene.write_scene(tmp_path / "s.h5", 8, 16)
     code = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 from clrelight.speed.job import NUMPY, OURS, STAGES, TOTAL
@@ -54,7 +55,9 @@ def point_cells(point: Mapping[str, Any]) -> list[str]:
 
 def stage_cells(row: Mapping[str, Any]) -> list[str]:
     """Return the cells of a stage beside another library."""
-    name, peer, ours, theirs, speed, _, _, _, error, peer_error, unit = cells(Row(**row))
+    name, peer, ours, theirs, speed, _, _, _, error, peer_error, unit = cells(
+        Row(**{field.name: row[field.name] for field in fields(Row)})
+    )
     return [name, peer, ours, theirs, speed, error, peer_error, unit]
 
 
