@@ -4,11 +4,13 @@ import csv
 import io
 import itertools
 import json
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -18,10 +20,11 @@ from PIL import Image
 from benchmarks import growth as growth_page
 from benchmarks import startup
 from clrelight.errors import InputError
+from clrelight.fit.run import DEFAULT_MEMORY
 from clrelight.sampling import make_pattern
 from clrelight.speed import growth_tables, peer_stages, run, scene
 from clrelight.speed.job import NUMPY, OURS, STAGES, TOTAL
-from clrelight.speed.plan import Growth, Point, choose_growth, full_growth
+from clrelight.speed.plan import Point, choose_growth, full_growth
 from clrelight.speed.record import read_record, write_record
 from clrelight.speed.tables import check_markdown
 from clrelight.speed.timing import interleave
@@ -175,11 +178,57 @@ def test_a_report_without_matplotlib_is_refused_before_work(tmp_path, monkeypatc
     assert contents(tmp_path) == {}
 
 
-def test_a_full_disk_is_told_before_work(tmp_path):
-    huge = Growth(Point(16, 16, 2), 1, size=(16384,), lights=(4096,))
-    with pytest.raises(InputError, match="the largest picture needs"):
-        run._check_room(1 << 60, tmp_path)
-    assert max(map(run._disk_bytes, huge.points())) > 16384**2 * 16 * 2
+def test_a_full_disk_is_told_before_work(tmp_path, monkeypatch):
+    asked = []
+
+    def disk_usage(folder):
+        asked.append(folder)
+        return SimpleNamespace(free=32**2 * 16 * 2)  # the samples of the largest stack, and no fit of it
+
+    monkeypatch.setattr(shutil, "disk_usage", disk_usage)
+    monkeypatch.setattr(run, "run_child", lambda *_: pytest.fail("work has begun"))
+    ended = call("bench", "--speed", "--quick", "--out", tmp_path / "speed.json")
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert "the largest picture needs" in ended.err
+    assert asked == [tmp_path]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_fills_during_work_costs_only_the_points_it_has_no_room_for(tmp_path, monkeypatch):
+    def write_scene(path, size, lights):
+        if size == 32:
+            raise InputError("cannot write: the disk is full")
+
+    def run_child(task, threads=None):
+        return {"environment": {}} if task["kind"] == "machine" else {"memory": 1}
+
+    monkeypatch.setattr(run, "write_scene", write_scene)
+    monkeypatch.setattr(run, "run_child", run_child)
+    record = run.measure_growth(choose_growth(quick=True, rounds=None), tmp_path, memory=1 << 20)
+    assert {point["size"] for point in record["points"]} == {16, 32}
+    for point in record["points"]:
+        assert point.get("note") == ("cannot write: the disk is full" if point["size"] == 32 else None)
+        assert ("memory" in point) == (point["size"] == 16)
+
+
+def test_a_point_that_failed_leaves_no_files_to_the_next(tmp_path, monkeypatch):
+    def run_child(task, threads=None):
+        assert not (Path(task["folder"]) / OURS).exists()
+        (Path(task["folder"]) / OURS).mkdir()
+        raise InputError("the disk is full")
+
+    monkeypatch.setattr(run, "run_child", run_child)
+    for _ in range(2):
+        with pytest.raises(InputError, match="the disk is full"):
+            run._measure({}, Point(16, 16, 2), tmp_path / "stack.h5", tmp_path)
+
+
+def test_the_command_of_a_record_measures_the_same():
+    growth = choose_growth(quick=True, rounds=3, size=(16,))
+    words = "clrelight bench --speed --quick --sizes 16 --rounds 3"
+    assert growth.command(DEFAULT_MEMORY, None) == words
+    assert growth.command(1 << 20, "pocl") == f"{words} --memory 1048576 --device pocl"
+    assert growth.command(DEFAULT_MEMORY, "Xeon Processor") == f"{words} --device 'Xeon Processor'"
 
 
 def test_interrupt_ends_the_children_and_leaves_the_old_record(tmp_path):

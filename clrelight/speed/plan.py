@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from clrelight.basis import MAX_DEGREE
 from clrelight.errors import InputError
+from clrelight.fit.run import DEFAULT_MEMORY
 from clrelight.speed.timing import SETTLE_SECONDS
 
 LARGEST_SIZE, MOST_LIGHTS, MOST_THREADS, MOST_ROUNDS = 1 << 14, 1 << 12, 1 << 10, 1000
@@ -75,13 +77,15 @@ class Growth:
         if not 1 <= self.rounds <= MOST_ROUNDS:
             raise InputError(f"rounds must be 1 to {MOST_ROUNDS}, got {self.rounds}")
 
-    @property
-    def command(self) -> str:
-        """The command that measures this."""
+    def command(self, memory: int, device: str | None) -> str:
+        """Return the command that measures this, with the memory and on the device that `measure_growth` is given."""
         axes = {PLURALS[axis]: ",".join(map(str, getattr(self, axis))) for axis in PLURALS}
         words = [f"--{name} {values}" for name, values in axes.items() if values]
         quick = ["--quick"] if self.base == quick_growth().base else []
-        return " ".join(["clrelight bench --speed", *quick, *words, f"--rounds {self.rounds}"])
+        words += [f"--rounds {self.rounds}"]
+        words += [f"--memory {memory}"] if memory != DEFAULT_MEMORY else []
+        words += [f"--device {shlex.quote(device)}"] if device is not None else []
+        return " ".join(["clrelight bench --speed", *quick, *words])
 
     def points(self) -> list[Point]:
         """Return all points, each once; those of one stack follow each other."""

@@ -69,17 +69,17 @@ def measure_growth(
         stack = place / "stack.h5"
         write_scene(stack, growth.base.size, growth.base.lights)
         machine = run_child({"kind": "machine", "stack": str(stack), "degree": growth.base.degree, **common})
-        machine["environment"] = {"command": growth.command, **machine["environment"]}
+        machine["environment"] = {"command": growth.command(memory, device), **machine["environment"]}
         measured: list[dict[str, Any]] = []
         written = growth.base
         warm: set[tuple[int, int]] = set()
         for index, point in enumerate(points):
             report(index + 1, steps, point.label)
-            if (point.size, point.lights) != (written.size, written.lights):
-                write_scene(stack, point.size, point.lights)
-                written = point
             task = {"kind": "point", "degree": point.degree, "memory": memory, **common}
             try:
+                if (point.size, point.lights) != (written.size, written.lights):
+                    write_scene(stack, point.size, point.lights)
+                    written = point
                 if (point.lights, point.degree) not in warm:
                     warm.add((point.lights, point.degree))
                     _warm_up(task, point, place)
@@ -101,14 +101,17 @@ def _warm_up(task: Mapping[str, Any], point: Point, place: Path) -> None:
 def _measure(task: Mapping[str, Any], point: Point, stack: Path, place: Path) -> dict[str, Any]:
     fits = numpy_bytes(point) <= NUMPY_BYTES
     task = {**task, "stack": str(stack), "folder": str(place), "ways": [OURS, NUMPY] if fits else [OURS]}
-    found = run_child(task, point.threads)
-    found["memory"] = {OURS: found["memory"]}
-    if fits:
-        alone = run_child({**task, "ways": [NUMPY], "rounds": 1}, point.threads)
-        found["memory"][NUMPY] = alone["memory"]
-    for way in (OURS, NUMPY):
-        shutil.rmtree(place / way, ignore_errors=True)
-    return found
+    try:
+        found = run_child(task, point.threads)
+        found["memory"] = {OURS: found["memory"]}
+        if fits:
+            alone = run_child({**task, "ways": [NUMPY], "rounds": 1}, point.threads)
+            found["memory"][NUMPY] = alone["memory"]
+        return found
+    finally:
+        # A point that filled the disk must not leave it full to the next.
+        for way in (OURS, NUMPY):
+            shutil.rmtree(place / way, ignore_errors=True)
 
 
 def run_child(task: Mapping[str, Any], threads: int | None = None) -> dict[str, Any]:
