@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.stage import Stage
 from benchmarks.workload import Workload
 from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.codec.half import STRETCH, launch_conversion
 from clrelight.codec.lifting import forward_transform, inverse_transform, transform_planes
 from clrelight.codec.registry import Codec
+from clrelight.speed.stage import Stage
 
 HALF_GOAL = 5.0
 S3TC_GOAL = 0.4

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import exact
-from benchmarks.peers import NewtonFit, RootFit
-from benchmarks.stage import Stage
 from benchmarks.workload import Workload
 from clrelight.dataset import CoefficientMap
 from clrelight.fit.run import PreparedFit, collect_fit, prepare_fit
 from clrelight.matmul import SampleCurve, apply_operator, multiply_columns, pack_operator
+from clrelight.speed.peers import NewtonFit, RootFit
+from clrelight.speed.stage import Stage
 
 PROJECTION_GOALS = {"uint8": 0.9, "float16": 0.9, "float32": 0.75}
 SMALL_PROJECTION_GOAL = 0.7

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.coding import KLT_RATE
-from benchmarks.peers import squared_errors
-from benchmarks.stage import Stage
 from benchmarks.workload import Workload
 from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.metrics import measure_errors, psnr_of
 from clrelight.relight import relight, relight_array
+from clrelight.speed.peers import squared_errors
+from clrelight.speed.stage import Stage
 
 RELIGHT_GOAL = 0.6
 KLT_RELIGHT_GOAL = 1.0

@@ -6,15 +6,13 @@ beside NumPy's products with the same matrices.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import click
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import tables
-from benchmarks.timing import interleave
+from benchmarks.lighting import Run, Table, show_parts
 from clrelight.basis import evaluate_basis
 from clrelight.cli.output import print_facts
 from clrelight.conventions import coefficient_count
@@ -32,6 +30,7 @@ from clrelight.lighting.rotation import (
 )
 from clrelight.lighting.sky import sky_light, sky_luminance
 from clrelight.speed.environment import describe_environment
+from clrelight.speed.timing import interleave
 
 DEGREES = (2, 6, 15, 30)
 SIZE = 128  # of the rotated maps
@@ -42,9 +41,6 @@ SUN = (30.0, 200.0)
 SKIES = ("overcast", "partly-cloudy", "clear")
 DRAWN_DEGREE = 6
 PIXELS = 128
-
-Table = tuple[list[str], list[list[str]]]
-Run = Callable[[], object]
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -58,7 +54,7 @@ def main(rounds: int, device: str | None, markdown: Path | None, picture: str | 
     errors_cs = monte_carlo_errors()
     parts = {"rotation": rotation_table(opened, rounds), "montecarlo": monte_carlo_table(errors_cs)}
     print_facts(describe_environment(opened))
-    tables.show_parts(parts, markdown)
+    show_parts(parts, markdown)
     if picture is not None:
         draw(picture, errors_cs)
 

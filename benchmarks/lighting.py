@@ -10,16 +10,15 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import click
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import tables
-from benchmarks.timing import Timings, interleave
 from clrelight.cli.output import print_facts
+from clrelight.cli.tables import print_table
 from clrelight.dataset import LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
@@ -32,6 +31,8 @@ from clrelight.lighting.projection import project_environment
 from clrelight.lighting.relighting import gather_light, relight_under, sum_photographs
 from clrelight.metrics import psnr_of
 from clrelight.speed.environment import describe_environment
+from clrelight.speed.tables import markdown_table, replace_block
+from clrelight.speed.timing import Timings, interleave
 from clrelight.store import open_stack
 from datasets_synth.ring import render_ring
 
@@ -64,7 +65,16 @@ def main(rounds: int, data: Path | None, device: str | None, markdown: Path | No
         parts["relighting"] = relighting_table(opened, data)
     facts = describe_environment(opened)
     print_facts(facts)
-    tables.show_parts(parts, markdown)
+    show_parts(parts, markdown)
+
+
+def show_parts(parts: Mapping[str, Table], markdown: Path | None) -> None:
+    """Print tables, headers and rows by name, and put them between the markers of their names in a page if given."""
+    for headers, rows in parts.values():
+        click.echo()
+        print_table(headers, rows)
+    for name, (headers, rows) in parts.items() if markdown is not None else ():
+        replace_block(markdown, markdown_table(headers, rows), f"<!-- {name} -->", f"<!-- /{name} -->")
 
 
 def projection_table(device: Device, rounds: int) -> Table:

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.tables import replace_block
 from clrelight.baseline import measure_rti
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
@@ -26,6 +25,7 @@ from clrelight.experiment.target import encode_to_quality
 from clrelight.fit.run import fit
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.relight import relight, to_display
+from clrelight.speed.tables import replace_block
 from clrelight.store import open_stack
 
 HOLDOUT = 5

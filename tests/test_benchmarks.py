@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import stages, sweep, tables
-from benchmarks.stage import Stage, measure
-from benchmarks.timing import interleave
+from benchmarks import stages, sweep
 from clrelight.codec import codec_ids
 from clrelight.errors import InputError
+from clrelight.speed import tables
+from clrelight.speed.stage import Stage, measure
+from clrelight.speed.timing import interleave
 
 DOCUMENT = "before\n<!-- stages -->\nold\n<!-- /stages -->\nafter\n"
 
