@@ -34,7 +34,7 @@ types: install
 	$(BIN)/mypy
 
 speed: install
-	$(BIN)/python -m benchmarks.stages
+	$(BIN)/python -m benchmarks.stages --markdown docs/performance.md
 
 growth: install
 	@mkdir -p results

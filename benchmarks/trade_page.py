@@ -2,9 +2,9 @@
 
     python -m benchmarks.trade_page [--data FOLDER] [--folder results/trade]
 
-The ring scene is rendered; the photographs are read from FOLDER (default: $CLRELIGHT_DATA, else ../shared/data), and
-their blocks are left as they are, with a message, where it is not there. Rows measured before in `--folder` are taken
-from there; remove it to measure anew.
+The ring scene is rendered; the photographs are read from FOLDER (default: $CLRELIGHT_DATA), and their blocks are left
+as they are, with a message, where there is none. Rows measured before in `--folder` are taken from there; remove it to
+measure anew.
 """
 
 from __future__ import annotations
@@ -62,18 +62,17 @@ SCENES = (
 
 def main() -> None:
     """Measure the scenes that can be, and rewrite their blocks."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(os.environ.get("CLRELIGHT_DATA", beside)))
+    parser.add_argument("--data", type=Path, default=os.environ.get("CLRELIGHT_DATA"))
     parser.add_argument("--folder", type=Path, default=Path("results/trade"))
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     for scene in SCENES:
         check_markdown(PAGE, *_markers(scene))
     for scene in SCENES:
-        source = arguments.data / scene.source
-        if scene.source and not source.is_dir():
-            print(f"{scene.name} is left as it is: there is no folder {source}")
+        source = (arguments.data or Path()) / scene.source
+        if scene.source and (arguments.data is None or not source.is_dir()):
+            print(f"{scene.name} is left as it is: there is no folder {source} (set CLRELIGHT_DATA)")
             continue
         path = arguments.folder / f"{scene.name}.h5"
         if not path.exists():
