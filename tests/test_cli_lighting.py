@@ -6,7 +6,10 @@ import h5py
 import numpy as np
 import pytest
 
+from clrelight.cli import lighting
+from clrelight.device import open_device
 from clrelight.images import read_image, write_image
+from clrelight.lighting.hemisphere import share_below
 from clrelight.lighting.light import Light, turn_about_z
 from clrelight.store import read_light, write_light
 from tests.commands import attributes, call, contents, succeed
@@ -76,7 +79,11 @@ LIGHTS = [
     ("@o.h5 --env map.exr --window hann:0", "positive number of degrees, got 0"),
     ("@o.h5 --env map.exr --window hann:nan", "positive number of degrees, got nan"),
     ("@o.h5 --env map.exr --scale nan", "--scale must be a finite number"),
-    ("@o.h5 --env map.exr --set L11", "such as L1-1=0.4,0.3,0.5, got 'L11'"),
+    ("@o.h5 --edit light.h5 --scale 1e308", "coefficient 0 of channel 0 is inf"),
+    ("@o.h5 --edit light.h5 --set L00=1.7e308,1,1", "summing them to radiance overflows"),
+    ("@o.h5 --env map.exr --set L11", "such as L20,10=1 or L1-1=0.4,0.3,0.5, got 'L11'"),
+    ("@o.h5 --env map.exr --set L510=1", "such as L20,10=1 or L1-1=0.4,0.3,0.5, got 'L510=1'"),
+    ("@o.h5 --env map.exr --set L123=1", "expected a coefficient and 1 or 3 numbers"),
     ("@o.h5 --env map.exr --set L11=1,2", "expected a coefficient and 1 or 3 numbers"),
     ("@o.h5 --env map.exr --set L11=nan", "expected a coefficient and 1 or 3 numbers"),
     ("@o.h5 --env map.exr --set L12=1", "there is no coefficient L12: |m| is at most 1"),
@@ -156,6 +163,12 @@ def test_a_light_survives_its_file(tmp_path):
     [
         ("degree", 4, "attribute degree is 4, but there are 9 coefficients"),
         ("config", b"[1]", "attribute config must be a JSON object"),
+        ("config", b'{"rotation": "abc"}', "attribute config: a rotation is an orthogonal 3 by 3 matrix"),
+        ("config", b'{"rotation": [[1, 0], [0, 1, 0]]}', "attribute config: a rotation is an orthogonal 3 by 3 matrix"),
+        ("config", b'{"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}', "a rotation is an orthogonal 3 by 3 matrix"),
+        ("config", b'{"shadows": 3}', "attribute config: shadows must be rows of X, Y, Z, ANGLE"),
+        ("config", b'{"shadows": [[0, 0, 1]]}', "attribute config: shadows must be rows of X, Y, Z, ANGLE"),
+        ("config", b'{"shadows": [[0, 0, 1, 1e999]]}', "attribute config: shadows must be rows of X, Y, Z, ANGLE"),
         ("coefficients", np.nan, "coefficient 4 of channel 1 is nan"),
         ("coefficients", np.zeros((8, 3)), "a square"),
         ("coefficients", np.zeros((9, 2)), "light must be float64"),
@@ -194,6 +207,45 @@ def test_light_edits_and_scales(made, tmp_path):
     assert row == ["L22", "1", "2", "3"]
     succeed("light", tmp_path / "cut.h5", "--edit", out, "--degree", 1)
     np.testing.assert_array_equal(read_light(tmp_path / "cut.h5").coeffs_kc, light.coeffs_kc[:4])
+
+
+@pytest.mark.parametrize(
+    ("change", "index"),
+    [
+        ("L5,1=7", 31),
+        ("L5 1=7", 31),
+        (" L20 10 = 7 ", 430),
+        ("L20,10=7", 430),
+        ("L20+10=7", 430),
+        ("L3 , -2 = 7", 10),
+        ("22 =7", 8),
+    ],
+)
+def test_a_change_names_one_coefficient(made, tmp_path, change, index):
+    succeed("light", tmp_path / "o.h5", "--edit", made / "light.h5", "--set", change)
+    coeffs_kc = read_light(tmp_path / "o.h5").coeffs_kc
+    before_kc = np.zeros_like(coeffs_kc)
+    before_kc[:9] = read_light(made / "light.h5").coeffs_kc
+    before_kc[index] = 7.0
+    np.testing.assert_array_equal(coeffs_kc, before_kc)
+
+
+def test_a_blank_between_degree_and_order_parts_them(made, tmp_path):
+    ended = call("light", tmp_path / "o.h5", "--edit", made / "light.h5", "--set", "L5 10=1")
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "there is no coefficient L5,10: |m| is at most 5" in ended.err
+
+
+def test_lights_say_where_they_were_computed(made, tmp_path):
+    label = open_device().info.label
+    printed = succeed("irradiance", made / "map.exr", tmp_path / "o.exr", "--size", 4, "--json").json
+    assert printed["device"] == label
+    for words, device in (
+        (("--env", made / "square.exr"), label),
+        (("--env", made / "map.exr"), None),
+        (("--edit", made / "light.h5"), None),
+    ):
+        assert succeed("light", tmp_path / "o.h5", *words, "--degree", 2, "--json").json["device"] == device
 
 
 def test_info_knows_lights(made):
@@ -256,6 +308,30 @@ def test_a_turntable_as_an_animation(made, tmp_path):
     with pillow.open(tmp_path / "o.gif") as animation:
         assert (animation.size, animation.n_frames) == ((16, 16), 3)
     assert list(contents(tmp_path)) == ["o.gif"]
+
+
+def test_an_animation_keeps_8_bit_frames(made, tmp_path, monkeypatch):
+    pytest.importorskip("PIL.Image", reason="animations are written by Pillow")
+    kept = []
+    monkeypatch.setattr(lighting, "_write_animation", lambda name, frames, *_: kept.extend(frames))
+    words = ("--light", made / "light.h5", "--turntable", 3, "--exposure", "auto", "--tonemap", "reinhard")
+    call("relight", made / "fit.h5", tmp_path / "o.gif", *words)
+    call("relight", made / "fit.h5", tmp_path / "o%d.png", *words)
+    assert [frame.dtype for frame in kept] == [np.uint8] * 3
+    for step, frame in enumerate(kept):
+        np.testing.assert_array_equal(frame, read_image(tmp_path / f"o{step}.png"))
+
+
+def test_a_turntable_says_what_is_cut_at_its_worst_step(made, tmp_path):
+    succeed("light", tmp_path / "up.h5", "--cap", "0,0,1,30", "--degree", 4)
+    words = ("relight", made / "fit.h5", tmp_path / "o%d.png", "--light", tmp_path / "up.h5")
+    words += ("--turntable", 4, "--about", "0,1,0")
+    # Half a turn puts the zenith at the nadir, and its ringing above: what was above is then below.
+    upright = 1.0 - share_below(read_light(tmp_path / "up.h5"))
+    assert upright > 0.9
+    ended = call(*words)
+    assert f"note: up to {upright:.1%} of the light comes from below the horizon" in ended.err
+    assert call(*words, "--json").json["below"] == pytest.approx(upright)
 
 
 @pytest.mark.parametrize("shape", ["latlong", "angular"])

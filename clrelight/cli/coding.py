@@ -81,17 +81,14 @@ def encode(
     if target_psnr is not None and not abs(target_psnr) <= _MAX_DECIBELS:
         raise InputError(f"--target-psnr must be a number of decibels, got {target_psnr}")
     wanted = given(**options)
-    if target_psnr is not None:
-        if (
-            stack is None
-            or byte_budget is not None
-            or wanted
-            or basis == "whitened"
-            or (basis == "klt" and codec not in (None, "klt"))
-        ):
-            raise InputError("--target-psnr needs --stack to measure against, and no other size or option beside it")
-        if not abs(target_psnr) < float("inf"):
-            raise InputError(f"--target-psnr must be a number of decibels, got {target_psnr}")
+    if target_psnr is not None and (
+        stack is None
+        or byte_budget is not None
+        or wanted
+        or basis == "whitened"
+        or (basis == "klt" and codec not in (None, "klt"))
+    ):
+        raise InputError("--target-psnr needs --stack to measure against, and no other size or option beside it")
     if byte_budget is not None and ("rate" in wanted or "step" in wanted):
         raise InputError("--bytes says the size already, leave out --rate and --step")
     codec = codec or ("klt" if basis == "klt" or byte_budget or target_psnr is not None else "s3tc")

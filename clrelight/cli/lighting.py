@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
 """Images that hold linear radiance as floats."""
 
-_CHANGE = re.compile(r"L?(\d{1,3})[, ]?([+-]?\d{1,3})=(.+)")
+# Two digits are l and m; more need a sign, a comma or a blank between the two: L110 could be 1,10 or 11,0.
+_CHANGE = re.compile(r"L?(\d(?=\d\s*=)|\d{1,3}(?=[\s,+-]))\s*,?\s*([+-]?\d{1,3})\s*=(.+)")
 _PRINTED_DEGREE = 2
 _MAX_STOPS = 64.0
 _FRAME_MILLISECONDS = 80
@@ -66,13 +67,17 @@ class Change(click.ParamType):
         """Return (l, m) and the numbers."""
         if isinstance(value, tuple):
             return value
-        match = _CHANGE.fullmatch(str(value).replace(" ", ""))
+        match = _CHANGE.fullmatch(str(value).strip())
         try:
             numbers = tuple(float(part) for part in match[3].split(",")) if match else ()
         except ValueError:
             numbers = ()
         if match is None or len(numbers) not in (1, 3) or not all(map(math.isfinite, numbers)):
-            self.fail(f"expected a coefficient and 1 or 3 numbers, such as L1-1=0.4,0.3,0.5, got {value!r}", param, ctx)
+            self.fail(
+                f"expected a coefficient and 1 or 3 numbers, such as L20,10=1 or L1-1=0.4,0.3,0.5, got {value!r}",
+                param,
+                ctx,
+            )
         return (int(match[1]), int(match[2])), numbers
 
 
@@ -194,6 +199,8 @@ def light(
     """
     from dataclasses import replace
 
+    import numpy as np
+
     from clrelight.lighting.lamps import cast_shadow
     from clrelight.lighting.light import apply_window, set_coefficients
     from clrelight.lighting.projection import measure_lobes
@@ -210,8 +217,9 @@ def light(
     check_output(out, [*environments, *([edit] if edit else []), *(file for file, _ in blend)])
     seconds: dict[str, float] = {}
     notes: list[str] = []
+    computed_on: str | None = None
     if environments:
-        made = _project(
+        made, computed_on = _project(
             environments, layout, axes, transfer, 6 if degree is None else degree, method, device, notes, seconds
         )
     else:
@@ -223,7 +231,8 @@ def light(
     note_horizon(lamp, rotate, notes)
     for *direction, angle in shadows:
         made = cast_shadow(made, direction, angle)
-    made = replace(made, coeffs_kc=scale * made.coeffs_kc)
+    with np.errstate(over="ignore", invalid="ignore"):  # a light refuses what is not finite
+        made = replace(made, coeffs_kc=scale * made.coeffs_kc)
     if window is not None:
         made = apply_window(made, *window)
     if changes:
@@ -231,6 +240,8 @@ def light(
     since = time.perf_counter()
     lobes = measure_lobes(made)
     seconds["measure"] = time.perf_counter() - since
+    if not all(map(math.isfinite, (lobes.minimum, lobes.maximum, lobes.mean))):
+        raise InputError("the coefficients are finite, but summing them to radiance overflows: scale them down")
     since = time.perf_counter()
     write_light(out, made)
     seconds["write"] = time.perf_counter() - since
@@ -238,7 +249,8 @@ def light(
     if as_json:
         facts = {"file": out, "degree": made.degree, "channels": made.channels, "source": made.source}
         facts.update({"axes": made.axes, "config": dict(made.config), "coefficients": first_kc, "mean": lobes.mean})
-        print_json({**facts, "minimum": lobes.minimum, "negative": lobes.share, "notes": notes, "seconds": seconds})
+        facts.update({"minimum": lobes.minimum, "maximum": lobes.maximum, "negative": lobes.share})
+        print_json({**facts, "notes": notes, "seconds": seconds, "device": computed_on})
         return
     print_notes(notes)
     facts = {"light": out, "degree": f"{made.degree}, {made.channels} channel(s)"}
@@ -288,38 +300,41 @@ def relight_environment(
     for name in files:
         check_output(name, [fitted, light_file])
     lit = read_light(light_file) if rotate is None else rotate_by(read_light(light_file), rotate)
-    below = share_below(lit)
-    notes = (
-        []
-        if below <= 0
-        else [f"{below:.1%} of the light comes from below the horizon, where the fit knows nothing: it is cut"]
-    )
     opened = open_device(device)
     seconds: dict[str, float] = {}
     with lend_coefficients(fitted, opened, seconds) as coefficients, progress_bar("relighting") as bar:
         seconds["relight"] = seconds["write"] = 0.0
         steps = turntable or 1
         shown_as = transfer or coefficients.transfer
-        frames: list[NDArray[np.float32]] = []
+        frames: list[NDArray[np.uint8]] = []
+        below = -math.inf  # the largest share of all steps
         for step in range(steps):
             since = time.perf_counter()
             turn: Rotation = ("axis", (*(about or (0.0, 0.0, 1.0)), 360.0 * step / steps))
-            image_hwc = relight_under(coefficients, rotate_by(lit, turn) if step else lit, device=opened)
+            turned = rotate_by(lit, turn) if step else lit
+            below = max(below, share_below(turned))
+            image_hwc = relight_under(coefficients, turned, device=opened)
             if exposure is None:
                 exposure = automatic_exposure(image_hwc)  # of the first image, for all of them
             image_hwc *= np.float32(2.0**exposure)
             seconds["relight"] += time.perf_counter() - since
             since = time.perf_counter()
             if animated:
-                frames.append(image_hwc)
+                frames.append(_display(image_hwc, tonemap, shown_as))
             else:
                 _write_view(files[step], image_hwc, tonemap, shown_as)
             seconds["write"] += time.perf_counter() - since
             bar(step + 1, steps)
         if animated:
             since = time.perf_counter()
-            _write_animation(files[0], frames, tonemap, shown_as)
+            _write_animation(files[0], frames)
             seconds["write"] += time.perf_counter() - since
+    share = f"{'up to ' if steps > 1 else ''}{below:.1%}"
+    notes = (
+        [f"{share} of the light comes from below the horizon, where the fit knows nothing: it is cut"]
+        if below > 0
+        else []
+    )
     if as_json:
         facts = {"files": files, "exposure": exposure, "below": below, "notes": notes}
         print_json({**facts, "seconds": seconds, "device": opened.info.label})
@@ -343,15 +358,14 @@ def _write_view(name: str, image_hwc: NDArray[np.float32], tonemap: str | None, 
     write_image(name, image_hwc if floats else _display(image_hwc, tonemap, transfer))
 
 
-def _write_animation(name: str, frames: list[NDArray[np.float32]], tonemap: str | None, transfer: str) -> None:
+def _write_animation(name: str, frames: list[NDArray[np.uint8]]) -> None:
     import io
 
     from PIL import Image
 
     from clrelight.store.durable import replacing
 
-    shown = [_display(frame, tonemap, transfer) for frame in frames]
-    pictures = [Image.fromarray(each[..., 0] if each.shape[2] == 1 else each) for each in shown]
+    pictures = [Image.fromarray(each[..., 0] if each.shape[2] == 1 else each) for each in frames]
     content = io.BytesIO()
     pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:], duration=_FRAME_MILLISECONDS, loop=0)
     with replacing(name) as part:
@@ -448,7 +462,8 @@ def irradiance(
     write_image(out, values_nc.reshape(size, width, light.channels))
     seconds["write"] = time.perf_counter() - since
     if as_json:
-        print_json({**facts, "coefficients": light.coeffs_kc, "notes": notes, "seconds": seconds})
+        facts.update({"coefficients": light.coeffs_kc, "notes": notes})
+        print_json({**facts, "seconds": seconds, "device": opened.info.label})
         return
     print_notes(notes)
     lines = {"irradiance": out, "map": f"{shape}, {width}×{size}", "method": method}
@@ -476,7 +491,8 @@ def _project(
     device: str | None,
     notes: list[str],
     seconds: dict[str, float],
-) -> Light:
+) -> tuple[Light, str | None]:
+    """Return the light of a map, and the device it was projected on, None where the host did it."""
     from clrelight.device import open_device
     from clrelight.lighting.environment import read_environment
     from clrelight.lighting.projection import project_environment
@@ -493,7 +509,7 @@ def _project(
             f"the map is fine enough for degree {environment.resolved_degree}; beyond it coefficients are aliased"
         )
     seconds["project"] = time.perf_counter() - since
-    return made
+    return made, (opened or open_device()).info.label if made.config["method"] == "direct" else None
 
 
 def _cut(light: Light, degree: int | None) -> Light:

@@ -6,8 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.device import Device
+from clrelight.errors import InputError
 
 _STRETCH = 1 << 15
+
+
+def check_sums(maps_jhwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
+    """Return maps that are sums of finite coefficients; InputError if any of them is past what float32 holds."""
+    if not all_finite(maps_jhwc, device):
+        raise InputError("the coefficients are too large to be summed in float32: scale them, or code them as fitted")
+    return maps_jhwc
 
 
 def all_finite(coeffs_khwc: NDArray[np.float32], device: Device) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.factored import WhitenedMaps
+from clrelight.codec.finite import check_sums
 from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.principal import sample_stride
 from clrelight.codec.registry import Codec, codec_class, register
@@ -68,7 +69,8 @@ class PrincipalMaps(Codec):
         scale = float(np.abs(z_jp).max()) or 1.0  # squares of float32's largest numbers stay finite in float64
         energy, vectors = np.linalg.eigh((z_jp / scale) @ (z_jp / scale).T)
         axes = vectors[:, ::-1].T[: self._count_planes(energy[::-1])].astype("<f2")
-        maps = WhitenedMaps(coeffs_khwc, np.linalg.pinv(axes.astype(np.float64)).T @ forward_jk).to_coeffs(device)
+        along_jk = np.linalg.pinv(axes.astype(np.float64)).T @ forward_jk
+        maps = check_sums(WhitenedMaps(coeffs_khwc, along_jk).to_coeffs(device), device)
         name = self.codec.encode("ascii")
         head = bytes([len(name)]) + name + _COUNT.pack(len(axes)) + axes.tobytes()
         options = dict(self.options)

@@ -28,7 +28,7 @@ from clrelight.errors import PayloadError
 _PHASES = ((0, 0), (1, 1), (0, 1), (1, 0))
 _BATCHES = ((0,), (1,), (2, 3))  # the last two phases know the first two only, so they go together
 _PREDICTED = 3  # |prediction| of 0, 1, more
-_SITES = 6  # LL, details of channel 0, details of other channels; of each the first phase, and the others
+# Sites: LL, details of channel 0, details of other channels; of each the first phase, and the others.
 # By site and prediction: the mean size as a part of the activity, and where the activity is 0. Only to start from.
 _SIZE_TO_EXPECT = np.array([[0.8] * 3, [0.8] * 3, [0.5] * 3, [0.8] * 3, [0.3, 0.45, 0.55], [0.55, 0.75, 0.85]])
 _SIZE_AT_REST = np.array([[2.0] * 3, [0.2, 0.5, 1.0], [0.05] * 3, [0.02] * 3, [0.02, 0.2, 0.4], [0.02, 0.15, 0.3]])

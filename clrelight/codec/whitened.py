@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.factored import WhitenedMaps
+from clrelight.codec.finite import check_sums
 from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.noise import Noise
 from clrelight.codec.registry import Codec, codec_class, register
@@ -84,7 +85,8 @@ class Whitened(Codec):
 
 def _whiten(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
     # The same product as back, with the matrix that leads into the metric.
-    return WhitenedMaps(coeffs_khwc, hemisphere_metric(len(coeffs_khwc), "singular").forward_jk).to_coeffs(device)
+    forward_jk = hemisphere_metric(len(coeffs_khwc), "singular").forward_jk
+    return check_sums(WhitenedMaps(coeffs_khwc, forward_jk).to_coeffs(device), device)
 
 
 _NOT_INSIDE = ("principal", "whitened", "klt")

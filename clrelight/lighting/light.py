@@ -126,7 +126,8 @@ def set_coefficients(light: Light, changes: Mapping[tuple[int, int], tuple[float
     coeffs_kc[: len(light.coeffs_kc)] = light.coeffs_kc
     for (l, m), values in changes.items():
         if abs(m) > l:
-            raise InputError(f"there is no coefficient L{l}{m}: |m| is at most {l}")
+            name = f"L{l}{m}" if l < 10 > m else f"L{l},{m}"
+            raise InputError(f"there is no coefficient {name}: |m| is at most {l}")
         if len(values) not in (1, light.channels):
             raise InputError(
                 f"L{l}{m} needs {'1 or 3 numbers' if light.channels == 3 else '1 number'}, got {len(values)}"

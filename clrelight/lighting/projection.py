@@ -220,6 +220,8 @@ class Lobes:
     ----------
     minimum : float
         Least radiance of any channel.
+    maximum : float
+        Largest radiance of any channel.
     share : float
         Part of the sphere, 0 to 1, where some channel is below 0.
     mean : float
@@ -227,17 +229,22 @@ class Lobes:
     """
 
     minimum: float
+    maximum: float
     share: float
     mean: float
 
 
 def measure_lobes(light: Light) -> Lobes:
-    """Evaluate the light on a grid four times as fine as its degree, and say where it is negative."""
+    """Evaluate the light on a grid four times as fine as its degree, and say where it is negative.
+
+    Extremes and mean are infinite or NaN where the sum of finite coefficients overflows.
+    """
     height = max(_FEWEST_LOBE_ROWS, _LOBE_ROWS_PER_DEGREE * (light.degree + 1))
-    radiance_hwc = synthesize_latlong(light.coeffs_kc, height, 2 * height)
+    with np.errstate(over="ignore", invalid="ignore"):
+        radiance_hwc = synthesize_latlong(light.coeffs_kc, height, 2 * height)
+        mean = float(np.mean(light.coeffs_kc[0])) / math.sqrt(4.0 * math.pi)
     # Rounding of a constant light is no lobe.
     floor = -1e-12 * float(np.max(np.abs(radiance_hwc)))
     negative_h = np.any(radiance_hwc < floor, axis=2).mean(axis=1)
     share = float(layouts.latitude_weights(height) @ negative_h) / 2.0
-    mean = float(np.mean(light.coeffs_kc[0])) / math.sqrt(4.0 * math.pi)
-    return Lobes(float(radiance_hwc.min()), share, mean)
+    return Lobes(float(radiance_hwc.min()), float(radiance_hwc.max()), share, mean)

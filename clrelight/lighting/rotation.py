@@ -211,8 +211,13 @@ def rotate_maps(
 def _checked(matrix: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     if not 0 <= degree <= MAX_DEGREE:
         raise InputError(f"degree must be 0 to {MAX_DEGREE}, got {degree}")
+    return nearest_rotation(matrix)
+
+
+def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) nearest to a matrix that is one but for rounding; InputError if it is none."""
     turn = np.asarray(matrix, dtype=np.float64)
     if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=_ORTHOGONAL) or np.linalg.det(turn) < 0:
         raise InputError("a rotation is an orthogonal 3 by 3 matrix of determinant 1")
-    left, _, right = np.linalg.svd(turn)  # the nearest rotation
+    left, _, right = np.linalg.svd(turn)
     return left @ right
