@@ -116,14 +116,24 @@ class Bench:
 
     def check_earlier(self, results: Results, out: str | os.PathLike[str]) -> None:
         """Raise InputError if rows of this name were measured on other images: a report would mix them."""
-        for row in results.table:
-            if row["scene"] == _fixed(self.stack.name, ROW_DTYPE["scene"]) and (
-                f'"stack":"{self.survey.fingerprint}"'.encode() not in row["fit_config"]
-            ):
+        for row in self._own_rows(results):
+            if f'"stack":"{self.survey.fingerprint}"'.encode() not in row["fit_config"]:
                 raise InputError(
                     f"{out} holds rows of another stack that is named {self.stack.name!r} too: choose another --out, "
                     "or start anew with --force"
                 )
+
+    def check_device(self, results: Results, out: str | os.PathLike[str]) -> None:
+        """Raise InputError if rows of this name were timed on another device: their seconds do not compare."""
+        for row in self._own_rows(results):
+            if row["device"] != _fixed(self.device.info.label, ROW_DTYPE["device"]):
+                raise InputError(
+                    f"{out} holds times of another device ({row['device'].decode()}): choose another --out, "
+                    "or start anew with --force"
+                )
+
+    def _own_rows(self, results: Results) -> NDArray:
+        return results.table[results.table["scene"] == _fixed(self.stack.name, ROW_DTYPE["scene"])]
 
     def identity(self, method: FitMethod | str, degree: int | str, setting: CodecSetting) -> np.void:
         """Return the row with all that is known before measuring; a choice left to the fit is ``"auto"`` and -1."""

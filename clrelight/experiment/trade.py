@@ -165,12 +165,7 @@ class _Sweep:
         self.benches: dict[int | None, Bench] = {}
         self.results = earlier_results(out, force)
         self._bench(None).check_earlier(self.results, out)
-        for row in self.results.table:
-            if row["scene"] == stack.name.encode("utf-8")[:64] and row["device"] != device.info.label.encode("utf-8"):
-                raise InputError(
-                    f"{out} holds times of another device ({row['device'].decode()}): choose another --out, "
-                    "or start anew with --force"
-                )
+        self._bench(None).check_device(self.results, out)
         self.rows = {row_key(row): row for row in self.results.table}
         self.trials: list[Trial] = []
         ladder = sum(map(len, axes.ladders()))

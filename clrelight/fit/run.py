@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -275,16 +275,15 @@ def fit_tiles(
     """
     stack, plan, device, report = prepared.stack, prepared.plan, prepared.device, prepared.report
     scaling = TileScaling(stack, plan)
-    scale = scaling.curve.operator_scale()
 
     @functools.cache
     def one_pass_of(curve: SampleCurve) -> OnePass | None:
         return prepared.method.one_pass(device, plan, curve)
 
-    analysis = pack_operator(device, plan.analysis_ri * scale)
-    synthesis = None if plan.synthesis_kr is None else pack_operator(device, plan.synthesis_kr)
-    energy_i = device.upload((plan.energy_i * scale**2).astype(np.float32))
-    singular_r = device.upload(plan.singular_r.astype(np.float32))
+    @functools.cache
+    def operators() -> _Operators:
+        return _Operators.upload(device, plan, scaling.curve.operator_scale())
+
     height, width, channel = stack.image_shape
     step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step)
     tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
@@ -312,16 +311,18 @@ def fit_tiles(
                 maps = one_pass(source_ip, coeffs)
                 coeffs_kp = device.download(coeffs)
             else:
-                padded = pad_columns(columns)
-                z_rq = _lend(device, components, (analysis.shape[0], padded))
+                apart, padded = operators(), pad_columns(columns)
+                z_rq = _lend(device, components, (apart.analysis.shape[0], padded))
                 energy_q = _lend(device, energies, (padded,))
-                apply_operator(device, analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=energy_i)
+                apply_operator(
+                    device, apart.analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=apart.energy_i
+                )
                 device.finish()
                 since = report.add("project", since)
-                maps = prepared.method.shrink(device, plan, Columns(source_ip, curve, z_rq, energy_q, singular_r))
+                maps = prepared.method.shrink(device, plan, Columns(source_ip, curve, z_rq, energy_q, apart.singular_r))
                 device.finish()
                 since = report.add("shrink", since)
-                coeffs_kp = _synthesize(device, synthesis, z_rq, columns, next(coeffs_of))
+                coeffs_kp = _synthesize(device, apart.synthesis, z_rq, columns, next(coeffs_of))
             shape_hwc = tile_ihwc.shape[1:]
             tile = FittedTile(
                 first,
@@ -336,6 +337,25 @@ def fit_tiles(
             report.add("synthesize" if one_pass is None else "fit", since)
             yield tile
             since = time.perf_counter()
+
+
+@dataclass(frozen=True)
+class _Operators:
+    """The plan on the device, for methods that project, shrink and synthesize one after another."""
+
+    analysis: PackedOperator
+    synthesis: PackedOperator | None
+    energy_i: DeviceArray
+    singular_r: DeviceArray
+
+    @classmethod
+    def upload(cls, device: Device, plan: FitPlan, scale: float) -> Self:
+        return cls(
+            pack_operator(device, plan.analysis_ri * scale),
+            None if plan.synthesis_kr is None else pack_operator(device, plan.synthesis_kr),
+            device.upload((plan.energy_i * scale**2).astype(np.float32)),
+            device.upload(plan.singular_r.astype(np.float32)),
+        )
 
 
 def _lend(device: Device, buffer: Buffer, shape: tuple[int, ...]) -> DeviceArray:

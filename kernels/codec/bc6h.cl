@@ -26,6 +26,7 @@
  *
  * Work-item (b, g).
  */
+#include "codec/half_range.clh"
 #include "common/lanes.clh"
 
 #if !defined(CHANNELS) || (CHANNELS != 1 && CHANNELS != 3)
@@ -34,7 +35,6 @@
 
 typedef float16 __attribute__((aligned(4))) float16_at;
 
-#define LARGEST 65504.0f
 #define MAP_OF(g, m) (CHANNELS == 3 ? (g) : 3 * (g) + (m))
 #define MODES 4
 

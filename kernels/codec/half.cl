@@ -12,15 +12,14 @@
  */
 #include "common/lanes.clh"
 
+#include "codec/half_range.clh"
+
 #ifndef VECTORS
 #error "VECTORS must be defined: how many vectors of eight values a work-item converts"
 #endif
 #ifndef CLAMP
 #error "CLAMP must be defined: 1 to clamp what overflows, else 0"
 #endif
-
-#define LARGEST 65504.0f
-#define OVERFLOW 65520.0f /* halfway to the next power of two: rounds to infinity */
 
 kernel void encode_half_p(global half *restrict halves_p, global uchar *restrict refused_j,
                           global const float *restrict coeffs_p, const ulong size_p)

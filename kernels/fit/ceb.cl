@@ -14,12 +14,11 @@
  * on is below 0.6% of the image.
  */
 #include "common/columns.clh"
+#include "fit/bound.clh"
 
 #ifndef CROSSING
 #error "CROSSING must be defined: 0 or 1"
 #endif
-
-#define ROUNDING 5e-6f
 
 __kernel void truncate_rq(__global float *restrict z_rq, __global int *restrict rank_q,
                           __global const float *restrict energy_q, __global const float *restrict singular_r,

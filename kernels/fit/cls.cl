@@ -20,12 +20,11 @@
  * below that, t^2/(s + lambda) overflows once s spans more than some twenty decades.
  */
 #include "common/columns.clh"
+#include "fit/bound.clh"
 
 #ifndef PAIRED
 #error "PAIRED must be defined: 1 where the product of two sigma^2 is a normal number, else 0"
 #endif
-
-#define STEP 16.0f
 
 static lanes squared_norm(const lanes *b, __global const float *restrict singular_r, const lanes lambda)
 {

@@ -3,12 +3,11 @@
  *   STRETCH   values that a group of work-items converts, and that one refused_j is for
  *   GROUP     its work-items, which divide STRETCH
  */
+#include "codec/half_range.clh"
+
 #if !defined(STRETCH) || !defined(GROUP) || !defined(CLAMP)
 #error "STRETCH, GROUP and CLAMP must be defined"
 #endif
-
-#define LARGEST 65504.0f
-#define OVERFLOW 65520.0f /* halfway to the next power of two: rounds to infinity */
 
 /* refused_j = 1 where any work-item of the group says so. Every work-item must come here. */
 static void store_refused(global uchar *refused_j, local int *any_refused, const int refused)

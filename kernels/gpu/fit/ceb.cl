@@ -4,11 +4,11 @@
  *
  * A work-item takes one column, its neighbours adjacent q.
  */
+#include "fit/bound.clh"
+
 #if !defined(N_COMPONENT) || !defined(CROSSING)
 #error "N_COMPONENT and CROSSING must be defined"
 #endif
-
-#define ROUNDING 5e-6f
 
 __kernel void truncate_rq(__global float *restrict z_rq, __global int *restrict rank_q,
                           __global const float *restrict energy_q, __constant const float *restrict singular_r,

@@ -5,6 +5,8 @@
  * A work-item takes one column, its neighbours adjacent q. Up to IN_REGISTERS components b' = sigma z stays in
  * registers, for which the loops must be unrolled; of more, every step reads z again.
  */
+#include "fit/bound.clh"
+
 #ifndef N_COMPONENT
 #error "N_COMPONENT must be defined: the number of rows"
 #endif
@@ -20,7 +22,6 @@ typedef __global const float *column;
 #define UNROLL 8
 #endif
 
-#define STEP 16.0f
 #define SETTLED 4e-7f
 
 /* f(lambda), and minus half its derivative, sum t^2 / (s + lambda). */
