@@ -21,6 +21,7 @@ RELIGHT_GOAL = 0.6
 KLT_RELIGHT_GOAL = 1.0
 PSNR_GOAL = 2.0
 MANY_LIGHTS = 16
+MANY_COPIES = 16
 
 _CHECKED_LIGHTS = 8
 
@@ -28,7 +29,9 @@ _CHECKED_LIGHTS = 8
 def imaging_stages(work: Workload) -> Iterator[Stage]:
     """Yield relighting by one light and by many, without coefficients too, and the PSNR of all lights."""
     yield _relight(work, 1)
-    yield _relight_halves(work)
+    yield _relight_array(work, "float16", 1, RELIGHT_GOAL)
+    yield _relight_array(work, "float32", MANY_COPIES)
+    yield _relight_array(work, "float16", MANY_COPIES)
     yield _relight(work, MANY_LIGHTS)
     yield _relight_view(work, "klt", {"rate": KLT_RATE}, KLT_RELIGHT_GOAL)
     yield _relight_view(work, "whitened", {"codec": "half"}, None)
@@ -59,28 +62,32 @@ def _relight(work: Workload, lights: int) -> Stage:
     )
 
 
-def _relight_halves(work: Workload) -> Stage:
-    """Return relighting of coefficients kept as binary16, beside float32 ones: the error is that of their rounding."""
-    coeffs_khwc, directions_i3 = np.ascontiguousarray(work.fitted.coeffs_khwc), _directions(work, 1)
-    coeffs_kp, halves_khwc = coeffs_khwc.reshape(len(coeffs_khwc), -1), coeffs_khwc.astype(np.float16)
+def _relight_array(work: Workload, dtype: str, copies: int, goal: float | None = None) -> Stage:
+    """Return relighting of coefficients as they are stored, beside float32 ones: the error has that of rounding them.
+
+    Several copies of the view make one that no cache holds.
+    """
+    directions_i3 = _directions(work, 1)
+    coeffs_khwc = np.tile(work.fitted.coeffs_khwc, (1, copies, 1, 1))
+    coeffs_kp, stored_khwc = coeffs_khwc.reshape(len(coeffs_khwc), -1), coeffs_khwc.astype(dtype)
     basis_ik = evaluate_basis(directions_i3, work.degree)
     factors = basis_ik[0].astype(np.float32)
     exact_is = basis_ik @ coeffs_kp[:, work.checked_s]
 
     def errors() -> tuple[float, float]:
-        images = (relight_array(halves_khwc, directions_i3, device=work.device), factors @ coeffs_kp)
+        images = (relight_array(stored_khwc, directions_i3, device=work.device), factors @ coeffs_kp)
         ours, theirs = (np.abs(image.reshape(1, -1)[:, work.checked_s] - exact_is).max() for image in images)
         return float(ours), float(theirs)
 
     return Stage(
-        "relight 1 light, float16",
+        f"relight 1 light, {dtype}" + f", {coeffs_kp.shape[1]} columns" * (copies > 1),
         "NumPy float32 matrix-vector",
-        lambda: relight_array(halves_khwc, directions_i3, device=work.device),
+        lambda: relight_array(stored_khwc, directions_i3, device=work.device),
         lambda: factors @ coeffs_kp,
         errors,
-        "largest image error / peak, the rounding to binary16 in it",
+        "largest image error / peak" + ", the rounding to binary16 in it" * (dtype == "float16"),
         2.0 * coeffs_kp.size,
-        RELIGHT_GOAL,
+        goal,
     )
 
 

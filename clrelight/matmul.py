@@ -17,6 +17,8 @@ COLUMN_PADDING = 16
 _CHUNK = 256
 _DEPTH = 64
 _MAX_TILE = 256
+_ROW_TILE = 2048
+"""Columns that a work-item makes of a single row: it reads each row of the source in stretches of a page or two."""
 _SAMPLE_TYPES = {"uint8": "uchar", "uint16": "ushort", "float16": "half", "float32": "float"}
 
 
@@ -148,6 +150,19 @@ def apply_operator(
     if operator.heights_b is None:
         arrays = (*outputs, source_ip, operator.packed_o, curve_v)
         launch_matmul(device, arrays, scale, out_mq.shape, source_ip.shape, defines)
+        return
+    if out_mq.shape[0] == 1 and not with_energy and source_ip.dtype.kind == "f" and not defines["CURVE"]:
+        device.launch(
+            "one_row.cl",
+            "apply_row_mq",
+            (-(-out_mq.shape[1] // _ROW_TILE),),
+            out_mq,
+            source_ip,
+            operator.packed_o,
+            out_mq.shape[1],
+            *source_ip.shape,
+            defines={**sample_defines(source_ip.dtype), "TILE": _ROW_TILE},
+        )
         return
     tile = tile_defines(device)
     if source_ip.shape[0] <= _DEPTH:
