@@ -19,7 +19,8 @@ _DEPTH = 64
 _MAX_TILE = 256
 _ROW_TILE = 2048
 """Columns that a work-item makes of a single row: it reads each row of the source in stretches of a page or two."""
-_SAMPLE_TYPES = {"uint8": "uchar", "uint16": "ushort", "float16": "half", "float32": "float"}
+_SAMPLE_TYPES = {"uint8": "uchar", "uint16": "ushort", "float16": "half", "float32": "float", "float64": "double"}
+_FLOAT32 = np.dtype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -43,11 +44,11 @@ class SampleCurve:
             return 0
         return 1 if np.issubdtype(dtype, np.integer) else 2
 
-    def table(self, dtype: np.dtype) -> NDArray[np.float32]:
-        """Return linear radiance for each code value, float32; one unused entry where no table is used."""
+    def table(self, dtype: np.dtype, real: np.dtype = _FLOAT32) -> NDArray:
+        """Return linear radiance for each code value, as `real`; one unused entry where no table is used."""
         if self.mode(dtype) != 1:
-            return np.zeros(1, np.float32)
-        return srgb_to_linear(np.arange(np.iinfo(dtype).max + 1) / self.peak).astype(np.float32)
+            return np.zeros(1, real)
+        return srgb_to_linear(np.arange(np.iinfo(dtype).max + 1) / self.peak).astype(real)
 
     def operator_scale(self) -> float:
         """Return the factor that a matrix on code values must carry for its result to be in units of the peak."""
@@ -68,21 +69,27 @@ def vector_width(device: Device) -> int:
     return 16 if device.info.vector_width >= 16 else 8
 
 
-def tile_defines(device: Device) -> dict[str, object]:
-    """Return the definitions that tiles need: the largest tile whose local memory the device has."""
-    vector = vector_width(device)
+def tile_defines(device: Device, real: np.dtype = _FLOAT32) -> dict[str, object]:
+    """Return the definitions that tiles of `real` need: the largest tile whose local memory the device has."""
+    size = real.itemsize
+    vector = vector_width(device) if real == np.float32 else 8
     tile = _MAX_TILE
-    while tile > 2 * vector and tile * 4 * (_CHUNK + 8) > device.info.local_memory_bytes:
+    while tile > 2 * vector and tile * size * (_CHUNK + 8) > device.info.local_memory_bytes:
         tile //= 2
     chunk = _CHUNK
-    while chunk > _DEPTH and tile * 4 * (chunk + 8) > device.info.local_memory_bytes:
+    while chunk > _DEPTH and tile * size * (chunk + 8) > device.info.local_memory_bytes:
         chunk //= 2
     return {"VECTOR": vector, "TILE": tile, "CHUNK": chunk, "DEPTH": _DEPTH}
 
 
-def sample_defines(dtype: np.dtype) -> dict[str, object]:
-    """Return the definitions that name the stored type of samples."""
-    return {"SAMPLE_T": _SAMPLE_TYPES[np.dtype(dtype).name], "SAMPLE_HALF": int(np.dtype(dtype) == np.float16)}
+def sample_defines(dtype: np.dtype, real: np.dtype = _FLOAT32) -> dict[str, object]:
+    """Return the definitions that name the stored type of samples, and the type that they are read as."""
+    stored = np.dtype(dtype)
+    return {
+        "SAMPLE_T": _SAMPLE_TYPES[stored.name],
+        "SAMPLE_HALF": int(stored == np.float16),
+        "REAL_BITS": 8 * real.itemsize,
+    }
 
 
 def pad_columns(columns: int) -> int:
@@ -96,13 +103,14 @@ def row_blocks(rows: int, widest: int) -> list[int]:
     return [rows // count + (b < rows % count) for b in range(count)]
 
 
-def pack_operator(device: Device, operator_mi: NDArray) -> PackedOperator:
-    """Upload a matrix (n_out, n_in), rounded to float32."""
-    operator = np.asarray(operator_mi, dtype=np.float32)
+def pack_operator(device: Device, operator_mi: NDArray, real: np.dtype = _FLOAT32) -> PackedOperator:
+    """Upload a matrix (n_out, n_in), rounded to `real`: float32, or float64 for products in double precision."""
+    operator = np.asarray(operator_mi, dtype=real)
     if device.style == "gpu":
         return PackedOperator(device.upload(pack_rows(operator)), None, operator.shape)
-    # 32 vector registers hold two vectors of sums for 8 rows; where there are 16, for 6.
-    heights = row_blocks(len(operator), 8 if vector_width(device) == 16 else 6)
+    # 32 vector registers hold two vectors of sums for 8 rows; where there are 16, for 6, or for 3 of eight doubles.
+    narrow = 6 if real == np.float32 else 3
+    heights = row_blocks(len(operator), 8 if vector_width(device) == 16 else narrow)
     ends = np.cumsum(heights)
     blocks = [operator[end - height : end].T.ravel() for height, end in zip(heights, ends, strict=True)]
     return PackedOperator(
@@ -126,32 +134,33 @@ def apply_operator(
     ----------
     operator : PackedOperator, shape (n_out, n_in)
     source_ip : DeviceArray, shape (n_in, P)
-        Any of the sample types.
-    out_mq : DeviceArray, shape (n_out, Q), float32
-        Columns from P on become 0.
+        Any of the sample types; float64 where the product is.
+    out_mq : DeviceArray, shape (n_out, Q), float32 or float64
+        The type of the product, which the operator must have too. Columns from P on become 0.
     curve : SampleCurve, optional
         Turns code values into radiance (its `operator_scale` is the caller's to put in the operator).
-    energy_q : DeviceArray, shape (Q,), float32, optional
+    energy_q : DeviceArray, shape (Q,), of the product's type, optional
         ``sum_i weight_i source_i**2``.
-    weight_i : DeviceArray, shape (n_in,), float32, optional
+    weight_i : DeviceArray, shape (n_in,), of the product's type, optional
         Needed with `energy_q`.
     """
     curve = curve or SampleCurve()
     if operator.shape != (out_mq.shape[0], source_ip.shape[0]):
         raise ValueError(f"operator {operator.shape} does not map {source_ip.shape[0]} rows to {out_mq.shape[0]}")
-    with_energy = energy_q is not None
+    with_energy, real = energy_q is not None, out_mq.dtype
     defines = {
-        **sample_defines(source_ip.dtype),
+        **sample_defines(source_ip.dtype, real),
         "WITH_ENERGY": int(with_energy),
         "CURVE": curve.mode(source_ip.dtype),
     }
     outputs = (out_mq, energy_q, weight_i) if with_energy else (out_mq,)
-    curve_v, scale = device.upload(curve.table(source_ip.dtype)), 1.0 / curve.peak
+    curve_v, scale = device.upload(curve.table(source_ip.dtype, real)), 1.0 / curve.peak
     if operator.heights_b is None:
         arrays = (*outputs, source_ip, operator.packed_o, curve_v)
         launch_matmul(device, arrays, scale, out_mq.shape, source_ip.shape, defines)
         return
-    if out_mq.shape[0] == 1 and not with_energy and source_ip.dtype.kind == "f" and not defines["CURVE"]:
+    is_plain = source_ip.dtype.kind == "f" and not defines["CURVE"] and not with_energy
+    if out_mq.shape[0] == 1 and is_plain and real == np.float32:
         device.launch(
             "one_row.cl",
             "apply_row_mq",
@@ -164,7 +173,7 @@ def apply_operator(
             defines={**sample_defines(source_ip.dtype), "TILE": _ROW_TILE},
         )
         return
-    tile = tile_defines(device)
+    tile = tile_defines(device, real)
     if source_ip.shape[0] <= _DEPTH:
         # Relighting has few rows: a tile that fits a nearer cache.
         tile["CHUNK"] = _DEPTH

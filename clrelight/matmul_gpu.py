@@ -55,15 +55,16 @@ def choose_tiling(n_out: int) -> Tiling:
     return Tiling(-negative_rows, threads_y, max(1, round(_DEPTH / threads_y)) * threads_y, blocks)
 
 
-def pack_rows(operator_mi: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the matrix as ``few_rows.cl`` or ``matmul.cl`` of the GPU kernels reads it, one axis."""
+def pack_rows(operator_mi: NDArray) -> NDArray:
+    """Return the matrix, of any float type, as ``few_rows.cl`` or ``matmul.cl`` for GPUs reads it, one axis."""
     n_out, n_in = operator_mi.shape
     if n_out <= FEW_ROWS:
-        packed = np.zeros((_round_up(n_in, _RUN_ROWS), _round_up(n_out, 4)), np.float32)
+        packed = np.zeros((_round_up(n_in, _RUN_ROWS), _round_up(n_out, 4)), operator_mi.dtype)
         packed[:n_in, :n_out] = operator_mi.T
         return packed.ravel()
     tiling = choose_tiling(n_out)
-    padded = np.zeros((tiling.blocks * tiling.threads_y * tiling.rows, _round_up(n_in, tiling.depth)), np.float32)
+    shape = (tiling.blocks * tiling.threads_y * tiling.rows, _round_up(n_in, tiling.depth))
+    padded = np.zeros(shape, operator_mi.dtype)
     padded[:n_out, :n_in] = operator_mi
     by_thread = padded.reshape(tiling.blocks, tiling.threads_y, tiling.rows, -1).transpose(0, 3, 1, 2)
     return np.pad(by_thread, [(0, 0)] * 3 + [(0, -tiling.rows % 4)]).ravel()

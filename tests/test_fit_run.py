@@ -217,6 +217,7 @@ def test_a_map_knows_how_it_was_made(device):
         "solver": "newton",
         "weights": "solid-angle",
         "sampling": "hemisphere",
+        "precision": "mixed",
     }
 
 
@@ -242,6 +243,7 @@ def test_stages_are_timed(device):
         ({"degree": 101}, "degree must be auto or 0 to 100, got 101"),
         ({"method": "nnls"}, "unknown method 'nnls'; known are"),
         ({"weights": "area"}, "weights must be one of uniform, solid-angle, got 'area'"),
+        ({"precision": "half"}, "precision must be one of mixed, single, double, got 'half'"),
         ({"sampling": "sphere"}, "sampling must be one of hemisphere, scattered, got 'sphere'"),
         ({"method": "project", "options": {"fill": "noise"}}, "fill must be zero or mirror, got 'noise'"),
         ({"options": {"energie": 2}}, "method cls has no option 'energie'"),

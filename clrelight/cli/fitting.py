@@ -30,13 +30,19 @@ if TYPE_CHECKING:
 @click.option("--degree", type=DegreeType(), default=6, show_default=True, help="Largest SH degree, or auto.")
 @holdout_option("the fit")
 @click.option("--energy", type=float, help="Factor on the bound E_c of cls and ceb; 1 is the paper's.")
-@click.option("--iterations", type=int, help="Steps of the bisection for lambda (cls); default 32.")
+@click.option("--iterations", type=int, help="Steps of the search for lambda (cls); default 32.")
 @click.option("--solver", help="Search for lambda (cls): newton (default), or bisection, the paper's.")
 @click.option("--fill", help="Lower hemisphere (project): zero or mirror.")
 @click.option("--lam", type=float, help="Smoothing of spline; default: by generalised cross-validation.")
 @click.option("--per", help="What shares one lambda (spline): stack or channel.")
 @click.option("--weights", default="uniform", show_default=True, help="uniform or solid-angle.")
 @click.option("--sampling", default="hemisphere", show_default=True, help="hemisphere or scattered (section V-D).")
+@click.option(
+    "--precision",
+    default="mixed",
+    show_default=True,
+    help="Of kernels: mixed, single (float32) or double (float64).",
+)
 @click.option("--config", type=click.Path(), metavar="FILE.toml", help="All of this from a file, as trade writes it.")
 @click.option("--measure/--no-measure", "measured", default=True, help="Whether to measure PSNR after fitting.")
 @memory_option("256MiB", "one tile of the fit")
@@ -52,6 +58,7 @@ def fit(
     holdout: int | None,
     weights: str,
     sampling: str,
+    precision: str,
     config: str | None,
     measured: bool,
     memory: int,
@@ -77,16 +84,24 @@ def fit(
     model: str | FitMethod = method
     lights = None
     if config is not None:
-        asked = _read_config(context, config, [*options, "method", "degree", "holdout", "weights", "sampling"])
+        settled = [*options, "method", "degree", "holdout", "weights", "sampling", "precision"]
+        asked = _read_config(context, config, settled)
         model, degree, holdout, lights = asked.methods[0], asked.degrees[0], asked.holdout, asked.lights
-        weights, sampling = asked.weights, asked.sampling
+        weights, sampling, precision = asked.weights, asked.sampling, asked.precision
     opened = open_device(device)
     with open_stack(stack) as source:
         fitted, held = split_chosen(source.directions_i3, holdout, lights)
         chosen = source if len(fitted) == source.n_light else source.select(fitted)
         with progress_bar("choosing a model" if "auto" in (model, degree) else "preparing"):
             prepared = prepare_fit(
-                chosen, model, degree, options=given(**options), weights=weights, sampling=sampling, device=opened
+                chosen,
+                model,
+                degree,
+                options=given(**options),
+                weights=weights,
+                sampling=sampling,
+                precision=precision,
+                device=opened,
             )
         report, kind, n_coeff = prepared.report, prepared.method, (prepared.degree + 1) ** 2
         facts: dict[str, Any] = {

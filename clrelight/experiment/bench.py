@@ -24,6 +24,7 @@ from clrelight.experiment.noise import coding_psnr
 from clrelight.experiment.provenance import software_versions, source_commit
 from clrelight.experiment.scenes import Survey, shrink_picture, survey_stack
 from clrelight.fit import FitMethod
+from clrelight.fit.precision import MIXED, check_precision
 from clrelight.fit.run import FitReport, collect_fit, prepare_fit
 from clrelight.fit.selection import AUTO
 from clrelight.metrics import measure_errors, summarize_errors
@@ -59,7 +60,7 @@ _IDENTITY = (
 )
 
 
-_ASKED_ALWAYS = ("auto", "weights", "sampling", "lights", "stack")
+_ASKED_ALWAYS = ("auto", "weights", "sampling", "precision", "lights", "stack")
 """What `fit_config` holds beside a method's own options."""
 
 
@@ -106,6 +107,7 @@ class Bench:
         survey: Survey | None = None,
         illustrated: bool = True,
     ) -> None:
+        check_precision(experiment.precision, device)
         self.seed, self.repeats, self.illustrated = seed, repeats, illustrated
         self.stack, self.experiment, self.device = stack, experiment, device
         self.fitted, self.held = split_chosen(stack.directions_i3, experiment.holdout, experiment.lights)
@@ -167,6 +169,8 @@ class Bench:
             **({"auto": auto} if auto else {}),
             "weights": self.experiment.weights,
             "sampling": self.experiment.sampling,
+            # Rows of mixed precision have the configuration of files from before there was a choice.
+            **({} if self.experiment.precision == MIXED else {"precision": self.experiment.precision}),
             # Their number is a field of its own.
             **({} if self.experiment.lights is None else {"lights": "farthest"}),
             "stack": self.survey.fingerprint,
@@ -227,10 +231,16 @@ class Bench:
         key = (method, degree)
         if self._fit is None or self._fit[0] != key:
             self._fit = None  # let the old map go before the new one is made
-            weights, sampling = self.experiment.weights, self.experiment.sampling
+            asked = self.experiment
             try:
                 prepared = prepare_fit(
-                    self.fit_stack, method, degree, weights=weights, sampling=sampling, device=self.device
+                    self.fit_stack,
+                    method,
+                    degree,
+                    weights=asked.weights,
+                    sampling=asked.sampling,
+                    precision=asked.precision,
+                    device=self.device,
                 )
             except InputError as error:
                 raise _RefusalError(str(error)) from error

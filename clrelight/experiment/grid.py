@@ -14,6 +14,7 @@ from clrelight.codec import Codec, codec_class
 from clrelight.errors import InputError
 from clrelight.fit import FitMethod, method_class
 from clrelight.fit.plan import SAMPLINGS, WEIGHTINGS
+from clrelight.fit.precision import MIXED, PRECISIONS
 from clrelight.fit.selection import AUTO
 from clrelight.results import NO_CODEC
 
@@ -90,6 +91,8 @@ class Experiment:
         Arguments of `datasets_synth.ring.render_ring`.
     lights : int or None
         Fit so many well-spread lights only (`clrelight.sampling.split_chosen`).
+    precision : str
+        As in `clrelight.fit.fit`.
     """
 
     scenes: tuple[str, ...] = (RING,)
@@ -101,6 +104,7 @@ class Experiment:
     sampling: str = "hemisphere"
     ring: Mapping[str, Any] = field(default_factory=dict)
     lights: int | None = None
+    precision: str = MIXED
 
     def __post_init__(self) -> None:
         for name in ("scenes", "methods", "degrees", "codecs"):
@@ -117,7 +121,7 @@ class Experiment:
             raise InputError(f"holdout must be at least 2 (every K-th light is kept out), got {self.holdout}")
         if self.lights is not None and self.lights < 1:
             raise InputError(f"lights must be at least 1 (so many are fitted), got {self.lights}")
-        for name, known in (("weights", WEIGHTINGS), ("sampling", SAMPLINGS)):
+        for name, known in (("weights", WEIGHTINGS), ("sampling", SAMPLINGS), ("precision", PRECISIONS)):
             if getattr(self, name) not in known:
                 raise InputError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
 

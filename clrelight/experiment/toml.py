@@ -20,11 +20,13 @@ from clrelight.experiment.grid import (
     make_settings,
 )
 from clrelight.fit import method_class
+from clrelight.fit.precision import MIXED
 from clrelight.fit.selection import AUTO
 from clrelight.results import NO_CODEC
 
 _RING_KEYS = {"size": int, "lights": int, "pattern": str, "seed": int, "dtype": str}
-_TOML_KEYS = ("scenes", "methods", "degrees", "holdout", "weights", "sampling", "lights", "ring", "method", "codec")
+_MODEL_KEYS = ("methods", "degrees", "holdout", "weights", "sampling", "precision", "lights")
+_TOML_KEYS = ("scenes", *_MODEL_KEYS, "ring", "method", "codec")
 
 
 def load_experiment(path: str | os.PathLike[str]) -> Experiment:
@@ -56,6 +58,7 @@ def experiment_text(experiment: Experiment, folder: Path, comment: str = "") -> 
         "lights": experiment.lights,
         "weights": experiment.weights,
         "sampling": experiment.sampling,
+        "precision": experiment.precision,
     }
     lines = [f"# {line}" for line in comment.splitlines()] + _assignments(values)
     if not isinstance(method, str) and (options := _assignments(method.to_config())):
@@ -111,6 +114,7 @@ def _experiment_of(given: Mapping[str, Any], file: Path) -> Experiment:
         _typed(str, given, "sampling", "hemisphere"),
         ring,
         _typed(int, given, "lights", None),
+        _typed(str, given, "precision", MIXED),
     )
 
 

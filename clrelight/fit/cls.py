@@ -13,15 +13,15 @@ from clrelight.fit.cls_columns import OnePassFit, fits_one_pass
 from clrelight.fit.cls_float64 import LAMBDA_TOLERANCE, component_rounding, refine_columns
 from clrelight.fit.columns import launch_columns
 from clrelight.fit.plan import IMAGE_ROUNDING, FitPlan, Lighting, plan_least_squares
+from clrelight.fit.precision import DOUBLE, MIXED, SINGLE
 from clrelight.fit.registry import Columns, FitMethod, OnePass, Shrunk, register
 from clrelight.matmul import SampleCurve
 
 MAX_ITERATIONS = 1000
 
 _CONVERGED_AFTER = {"bisection": 24, "newton": 16}
-"""Iterations from which the solver's own error is below the tolerance. Bisection may have fewer: it ends above lambda,
-where the bound holds. Newton ends below, so there they are the least."""
-
+"""Iterations from which the solver's own error is below the tolerance. Bisection with fewer ends above lambda, where
+the bound holds; Newton below, and its coefficients are scaled onto the bound."""
 
 ENERGY_RANGE = 1e-12, 1e12
 """Factors on E_c. Outside, E_c or E_c / lambda^2 leaves float32's range, wherever samples are scaled to."""
@@ -48,7 +48,9 @@ class ConstrainedLeastSquares(FitMethod):
     solver : str
         ``"newton"``, or ``"bisection"``, the paper's search. Both give the same coefficients (float32 rounding apart).
     iterations : int
-        Steps of the bisection; 32 is the paper's. Newton ends by itself, and takes 16 or more as a cap.
+        Steps of the bisection; 32 is the paper's. Newton ends by itself, and takes 16 or more as a cap. With fewer,
+        coefficients beyond the bound are scaled onto it: they keep it, but are not the best that do. Lambda is then
+        that of the last step.
     """
 
     id = "cls"
@@ -65,12 +67,25 @@ class ConstrainedLeastSquares(FitMethod):
             raise InputError(f"solver must be bisection or newton, got {self.solver!r}")
         if not 1 <= self.iterations <= MAX_ITERATIONS:
             raise InputError(f"iterations must be 1 to {MAX_ITERATIONS}, got {self.iterations}")
-        least = _CONVERGED_AFTER["newton"]
-        if self.solver == "newton" and self.iterations < least:
-            raise InputError(
-                f"newton needs {least} iterations or more to reach the bound, got {self.iterations}: "
-                "it ends by itself, so more cost nothing; solver bisection takes fewer"
-            )
+
+    @property
+    def ends(self) -> bool:
+        """Whether the search has the steps that it needs to end at lambda."""
+        return self.iterations >= _CONVERGED_AFTER[self.solver]
+
+    @property
+    def is_refined(self) -> bool:
+        """Whether mixed precision solves some columns again in float64: those in doubt, of a search that ends."""
+        return self.ends
+
+    def note_precision(self, plan: FitPlan, precision: str) -> str | None:
+        """Return what columns in doubt are, where they stay as float32 finds them."""
+        if precision != SINGLE or not self.is_refined:
+            return None
+        return (
+            "cls: single precision leaves lambda to rounding errors where the bound hardly binds; coefficients change "
+            "there, in what the lights do not see, but neither the image nor the bound does"
+        )
 
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the matrices; fewer lights than coefficients is legal."""
@@ -92,20 +107,27 @@ class ConstrainedLeastSquares(FitMethod):
             columns.singular_r,
             self.iterations,
             *z_rq.shape,
-            defines={"PAIRED": int(plan.singular_r.min() ** 4 > _SMALLEST_PRODUCT)},
+            defines={
+                "PAIRED": int(columns.precision == DOUBLE or plan.singular_r.min() ** 4 > _SMALLEST_PRODUCT),
+                "ONTO_BOUND": int(self.solver == "newton" and not self.ends),
+            },
         )
-        if self.iterations >= _CONVERGED_AFTER[self.solver] and device.info.float64:
+        if self._refines(device, columns.precision):
             doubt_p = device.download(doubt_q)[: columns.source_ip.shape[1]] * component_rounding(plan)
             doubtful = np.flatnonzero(doubt_p > LAMBDA_TOLERANCE)
             if len(doubtful) and maps.lambda_q is not None:
                 refine_columns(device, plan, columns.source_ip, columns.curve, doubtful, maps.lambda_q, z_rq)
         return maps
 
-    def one_pass(self, device: Device, plan: FitPlan, curve: SampleCurve) -> OnePass | None:
-        """Return a fit of columns in one kernel, for Newton on a CPU; see `fits_one_pass`."""
-        if self.solver != "newton" or not fits_one_pass(device, plan):
+    def one_pass(self, device: Device, plan: FitPlan, curve: SampleCurve, precision: str) -> OnePass | None:
+        """Return a fit of columns in one kernel, for Newton on a CPU in float32; see `fits_one_pass`."""
+        if self.solver != "newton" or precision == DOUBLE or not fits_one_pass(device, plan):
             return None
-        return OnePassFit(device, plan, curve, self.iterations)
+        refined = self._refines(device, precision)
+        return OnePassFit(device, plan, curve, self.iterations, ends=self.ends, refined=refined)
+
+    def _refines(self, device: Device, precision: str) -> bool:
+        return precision == MIXED and self.is_refined and device.info.float64
 
     def find_gains(
         self, plan: FitPlan, z_rp: NDArray[np.float64], energy_p: NDArray[np.float64]

@@ -23,7 +23,6 @@ def fits_one_pass(device: Device, plan: FitPlan) -> bool:
     squares = plan.singular_r**2
     return (
         device.shares_memory
-        and device.info.float64
         and plan.synthesis_kr is not None
         and len(squares) > 1
         and bool(squares.min() > _SMALLEST_SQUARE)
@@ -42,19 +41,23 @@ class OnePassFit:
     curve : SampleCurve
     iterations : int
         Cap on the steps of the search for lambda.
+    ends : bool
+        Whether these are enough for the search to end; where not, coefficients beyond the bound are scaled onto it.
+    refined : bool
+        Whether columns whose lambda is in doubt are solved again in float64, which the device must have.
     """
 
-    def __init__(self, device: Device, plan: FitPlan, curve: SampleCurve, iterations: int) -> None:
+    def __init__(
+        self, device: Device, plan: FitPlan, curve: SampleCurve, iterations: int, *, ends: bool, refined: bool
+    ) -> None:
         if plan.synthesis_kr is None:
             raise ValueError("expected a least-squares plan, got one without a synthesis")
         self._device, self._plan, self._curve, self._iterations = device, plan, curve, iterations
+        self._ends, self._refined = ends, refined
         scale = curve.operator_scale()
         square_r = plan.singular_r**2
         self._analysis = pack_operator(device, plan.analysis_ri * scale)
         self._synthesis = pack_operator(device, plan.synthesis_kr)
-        last_it = np.zeros((plan.analysis_ri.shape[1], _LAST))
-        last_ir = (plan.analysis_ri[-_LAST:] * scale).T
-        last_it[:, : last_ir.shape[1]] = last_ir
         first, end = np.log2(square_r.min() / 4.0), np.log2(_largest_lambda(plan))
         self._node_step = max(float(end - first), 1.0) / (_NODES - 1)
         nodes_n = 2.0 ** (first + self._node_step * np.arange(_NODES))
@@ -67,7 +70,8 @@ class OnePassFit:
             square_r[:, None] / (square_r[:, None] + nodes_n) ** 2,
         )
         weight_i, singular_r, squares_r, inverse_r, table_rn = (self._upload(values) for values in singles)
-        self._tables = (weight_i, device.upload(last_it), singular_r, squares_r, inverse_r, table_rn)
+        last = (device.upload(_last_rows(plan) * scale),) if refined else ()
+        self._tables = (weight_i, *last, singular_r, squares_r, inverse_r, table_rn)
 
     def _upload(self, values: NDArray[np.float64]) -> DeviceArray:
         return self._device.upload(np.ascontiguousarray(values, np.float32))
@@ -107,8 +111,12 @@ class OnePassFit:
                 "CURVE": curve.mode(source_ip.dtype),
                 "N_COMPONENT": len(plan.singular_r),
                 "N_NODE": _NODES,
+                "REFINED": int(self._refined),
+                "ONTO_BOUND": int(not self._ends),
             },
         )
+        if not self._refined:
+            return Shrunk(lambda_p)
         doubtful = np.flatnonzero(device.download(doubt_p) > LAMBDA_TOLERANCE)
         if len(doubtful):
             t_rf = refine_columns(device, plan, source_ip, curve, doubtful, lambda_p)
@@ -116,6 +124,14 @@ class OnePassFit:
             apply_operator(device, self._synthesis, t_rf, again_kf)
             device.download(coeffs_kp)[:, doubtful] = device.download(again_kf)[:, : len(doubtful)]
         return Shrunk(lambda_p)
+
+
+def _last_rows(plan: FitPlan) -> NDArray[np.float64]:
+    """Return the rows of the analysis of the least singular values, transposed, shape (n_light, _LAST)."""
+    last_it = np.zeros((plan.analysis_ri.shape[1], _LAST))
+    last_ir = plan.analysis_ri[-_LAST:].T
+    last_it[:, : last_ir.shape[1]] = last_ir
+    return last_it
 
 
 def _largest_lambda(plan: FitPlan) -> float:

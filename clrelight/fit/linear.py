@@ -18,6 +18,7 @@ from clrelight.fit.plan import (
     require_lights,
     scale_components,
 )
+from clrelight.fit.precision import DOUBLE
 from clrelight.fit.registry import FitMethod, register
 
 LARGEST_CONDITION = float(1.0 / np.finfo(np.float32).eps)
@@ -58,9 +59,19 @@ class Projection(FitMethod):
         return FitPlan(analysis_ki, None, np.ones(len(analysis_ki)), 2.0 * lighting.solid_angles_i, 1.0)
 
 
+@dataclass(frozen=True)
+class _LeastSquares(FitMethod):
+    def note_precision(self, plan: FitPlan, precision: str) -> str | None:
+        """Return that float64 on the device does not help what float32 coefficients limit."""
+        if precision != DOUBLE or plan.condition <= _NOTED_CONDITION:
+            return None
+        stays = "the cut stays" if plan.condition > LARGEST_CONDITION else "their rounding stays"
+        return f"{self.id}: double precision ends in float32 coefficients all the same, so {stays}"
+
+
 @register
 @dataclass(frozen=True)
-class UnconstrainedLeastSquares(FitMethod):
+class UnconstrainedLeastSquares(_LeastSquares):
     """``c = U diag(1 / sigma) W' beta`` (eq. 8 and 13)."""
 
     id = "uls"
@@ -76,7 +87,7 @@ class UnconstrainedLeastSquares(FitMethod):
 
 @register
 @dataclass(frozen=True)
-class SloanLeastSquares(FitMethod):
+class SloanLeastSquares(_LeastSquares):
     """ULS without the basis function y_10, the paper's "third" (section IV-D); meant for degree 4."""
 
     id = "sloan"

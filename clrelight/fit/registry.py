@@ -30,11 +30,13 @@ class Columns:
         Code values.
     curve : SampleCurve
         What turns them into radiance.
-    z_rq : DeviceArray, shape (rank, Q), float32
+    z_rq : DeviceArray, shape (rank, Q), float32, or float64 in double precision
         Components, Q being P padded; `FitMethod.shrink` changes them in place.
-    energy_q : DeviceArray, shape (Q,), float32
+    energy_q : DeviceArray, shape (Q,), of the same type
         The bound E_c.
-    singular_r : DeviceArray, shape (rank,), float32
+    singular_r : DeviceArray, shape (rank,), of the same type
+    precision : str
+        One of `clrelight.fit.precision.PRECISIONS`.
     """
 
     source_ip: DeviceArray
@@ -42,6 +44,7 @@ class Columns:
     z_rq: DeviceArray
     energy_q: DeviceArray
     singular_r: DeviceArray
+    precision: str
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,15 @@ class FitMethod(Configurable, ABC):
     is_regression: ClassVar[bool] = True
     """Whether leaving a light out changes nothing but that the others alone are fitted."""
 
+    @property
+    def is_refined(self) -> bool:
+        """Whether mixed precision solves some columns again in float64; where not, it is single precision."""
+        return False
+
+    def note_precision(self, plan: FitPlan, precision: str) -> str | None:
+        """Return what a user should know about this precision of a fit, where there is anything."""
+        return None
+
     def settle(self, lighting: Lighting, degree: int, samples: Samples) -> FitMethod:
         """Return the method with every option set that it leaves to the data; `samples` are read where needed only."""
         return self
@@ -83,8 +95,8 @@ class FitMethod(Configurable, ABC):
         """Queue the change of the components in place."""
         return Shrunk()
 
-    def one_pass(self, device: Device, plan: FitPlan, curve: SampleCurve) -> OnePass | None:
-        """Return a way from samples to coefficients without the steps between, where there is one for this device."""
+    def one_pass(self, device: Device, plan: FitPlan, curve: SampleCurve, precision: str) -> OnePass | None:
+        """Return a way from samples to coefficients without the steps between, where there is one for this request."""
         return None
 
     def find_gains(

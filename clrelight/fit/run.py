@@ -19,9 +19,10 @@ from clrelight.dataset import CoefficientMap, LightStack, split_lights
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, make_lighting
+from clrelight.fit.precision import DOUBLE, MIXED, SINGLE, check_precision, compute_dtype
 from clrelight.fit.registry import Columns, FitMethod, OnePass, method_class
 from clrelight.fit.samples import Samples
-from clrelight.fit.scaling import ScaledTile, TileScaling
+from clrelight.fit.scaling import ScaledTile, TileScaling, round_coefficients
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, Choice, choose_model
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
 from clrelight.streaming import Buffer, reading_ahead
@@ -67,6 +68,7 @@ class PreparedFit:
     device: Device
     report: FitReport
     choice: Choice | None = None
+    precision: str = MIXED
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,7 @@ def fit(
     options: Mapping[str, Any] | None = None,
     weights: str = "uniform",
     sampling: str = "hemisphere",
+    precision: str = MIXED,
     holdout: int | None = None,
     device: Device | None = None,
     memory_bytes: int = DEFAULT_MEMORY,
@@ -108,6 +111,9 @@ def fit(
         ``"uniform"``, or ``"solid-angle"``: least squares and bound weighted by the lights' Voronoi cells.
     sampling : str
         ``"hemisphere"``, or ``"scattered"`` for samples that cover a part of it (section V-D).
+    precision : str
+        ``"mixed"``: float32, and float64 where lambda would be in doubt; ``"single"``: no float64 on the device;
+        ``"double"``: float64 on the device, coefficients rounded at the end.
     holdout : int, optional
         Keep every K-th light out of the fit.
     device : Device, optional
@@ -123,12 +129,22 @@ def fit(
     Raises
     ------
     InputError
-        If the method cannot fit this degree to these lights, or samples are negative or not finite.
+        If the method cannot fit this degree to these lights, samples are negative or not finite, or the device cannot
+        compute in this precision.
     """
     fitted, _ = split_lights(stack.n_light, holdout)
     if holdout is not None:
         stack = stack.select(fitted)
-    prepared = prepare_fit(stack, method, degree, options=options, weights=weights, sampling=sampling, device=device)
+    prepared = prepare_fit(
+        stack,
+        method,
+        degree,
+        options=options,
+        weights=weights,
+        sampling=sampling,
+        precision=precision,
+        device=device,
+    )
     return collect_fit(prepared, memory_bytes=memory_bytes)
 
 
@@ -140,9 +156,12 @@ def prepare_fit(
     options: Mapping[str, Any] | None = None,
     weights: str = "uniform",
     sampling: str = "hemisphere",
+    precision: str = MIXED,
     device: Device | None = None,
 ) -> PreparedFit:
     """Check the request and make the matrices; see `fit` for the parameters."""
+    device = device or open_device()
+    check_precision(precision, device)
     methods, degrees = _check_model(method, degree, options or {})
     lighting = make_lighting(stack, weights, sampling)
     samples = Samples(stack)
@@ -156,11 +175,20 @@ def prepare_fit(
         start = report.add("choose", start)
     method, degree = methods[0].settle(lighting, degrees[0], samples), degrees[0]
     plan = method.plan(lighting, degree)
-    report.notes += plan.notes
+    report.notes += [*plan.notes, *_note_precision(method, plan, precision, device)]
     report.condition = plan.condition
     report.add("plan", start)
-    config = {**method.to_config(), "weights": weights, "sampling": sampling}
-    return PreparedFit(stack, method, degree, config, plan, device or open_device(), report, choice)
+    config = {**method.to_config(), "weights": weights, "sampling": sampling, "precision": precision}
+    return PreparedFit(stack, method, degree, config, plan, device, report, choice, precision)
+
+
+def _note_precision(method: FitMethod, plan: FitPlan, precision: str, device: Device) -> list[str]:
+    notes = []
+    if precision == MIXED and method.is_refined and not device.info.float64:
+        notes.append(f"{device.info.name} has no float64: mixed precision is single precision here")
+        precision = SINGLE
+    note = method.note_precision(plan, precision)
+    return notes if note is None else [*notes, note]
 
 
 def _check_model(
@@ -231,8 +259,12 @@ def rows_per_tile(prepared: PreparedFit, memory_bytes: int, *, held: int = 1, ro
     stack = prepared.stack
     height, width, channel = stack.image_shape
     sample = stack.n_light * np.dtype(stack.images_ihwc.dtype).itemsize
+    n_coeff, plan = (prepared.degree + 1) ** 2, prepared.plan
     # Components, the bound and its doubt; and what is handed on: coefficients, lambda or rank.
-    work, result = 4 * (len(prepared.plan.singular_r) + 2), 4 * ((prepared.degree + 1) ** 2 + 1)
+    work = compute_dtype(prepared.precision).itemsize * (len(plan.singular_r) + 1) + 4
+    if prepared.precision == DOUBLE and plan.synthesis_kr is not None:
+        work += 8 * n_coeff  # before they are rounded
+    result = 4 * (n_coeff + 1)
     if memory_bytes // (width * channel * (sample + work + result)) >= height:
         return height  # one tile: nothing is read ahead
     row_bytes = width * channel * (2 * sample + work + held * result)
@@ -274,15 +306,16 @@ def fit_tiles(
         If a row does not fit the budget, or samples are negative or not finite.
     """
     stack, plan, device, report = prepared.stack, prepared.plan, prepared.device, prepared.report
-    scaling = TileScaling(stack, plan)
+    dtype = compute_dtype(prepared.precision)
+    scaling = TileScaling(stack, plan, dtype)
 
     @functools.cache
     def one_pass_of(curve: SampleCurve) -> OnePass | None:
-        return prepared.method.one_pass(device, plan, curve)
+        return prepared.method.one_pass(device, plan, curve, prepared.precision)
 
     @functools.cache
     def operators() -> _Operators:
-        return _Operators.upload(device, plan, scaling.curve.operator_scale())
+        return _Operators.upload(device, plan, scaling.curve.operator_scale(), dtype)
 
     height, width, channel = stack.image_shape
     step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step)
@@ -290,7 +323,7 @@ def fit_tiles(
     # Fresh memory costs a page fault per 4 KiB, as much time as a kernel: tiles share these.
     samples_of = itertools.cycle([Buffer() for _ in tiles[:2]])
     coeffs_of = itertools.cycle([Buffer() for _ in tiles[:held]])
-    components, energies = Buffer(), Buffer()
+    components, energies, unrounded = Buffer(), Buffer(), Buffer()
 
     def read(rows: tuple[int, int]) -> ScaledTile:
         if len(tiles) == 1:
@@ -307,22 +340,23 @@ def fit_tiles(
             source_ip = device.upload(tile_ihwc.reshape(len(tile_ihwc), -1))
             columns = source_ip.shape[1]
             if one_pass is not None:
-                coeffs = _lend(device, next(coeffs_of), ((prepared.degree + 1) ** 2, columns))
+                coeffs = _lend(device, next(coeffs_of), ((prepared.degree + 1) ** 2, columns), dtype)
                 maps = one_pass(source_ip, coeffs)
                 coeffs_kp = device.download(coeffs)
             else:
                 apart, padded = operators(), pad_columns(columns)
-                z_rq = _lend(device, components, (apart.analysis.shape[0], padded))
-                energy_q = _lend(device, energies, (padded,))
+                z_rq = _lend(device, components, (apart.analysis.shape[0], padded), dtype)
+                energy_q = _lend(device, energies, (padded,), dtype)
                 apply_operator(
                     device, apart.analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=apart.energy_i
                 )
                 device.finish()
                 since = report.add("project", since)
-                maps = prepared.method.shrink(device, plan, Columns(source_ip, curve, z_rq, energy_q, apart.singular_r))
+                tile_columns = Columns(source_ip, curve, z_rq, energy_q, apart.singular_r, prepared.precision)
+                maps = prepared.method.shrink(device, plan, tile_columns)
                 device.finish()
                 since = report.add("shrink", since)
-                coeffs_kp = _synthesize(device, apart.synthesis, z_rq, columns, next(coeffs_of))
+                coeffs_kp = _synthesize(device, apart.synthesis, z_rq, columns, next(coeffs_of), unrounded)
             shape_hwc = tile_ihwc.shape[1:]
             tile = FittedTile(
                 first,
@@ -349,30 +383,41 @@ class _Operators:
     singular_r: DeviceArray
 
     @classmethod
-    def upload(cls, device: Device, plan: FitPlan, scale: float) -> Self:
+    def upload(cls, device: Device, plan: FitPlan, scale: float, dtype: np.dtype) -> Self:
         return cls(
-            pack_operator(device, plan.analysis_ri * scale),
-            None if plan.synthesis_kr is None else pack_operator(device, plan.synthesis_kr),
-            device.upload((plan.energy_i * scale**2).astype(np.float32)),
-            device.upload(plan.singular_r.astype(np.float32)),
+            pack_operator(device, plan.analysis_ri * scale, dtype),
+            None if plan.synthesis_kr is None else pack_operator(device, plan.synthesis_kr, dtype),
+            device.upload((plan.energy_i * scale**2).astype(dtype)),
+            device.upload(plan.singular_r.astype(dtype)),
         )
 
 
-def _lend(device: Device, buffer: Buffer, shape: tuple[int, ...]) -> DeviceArray:
-    return device.empty(shape, np.float32, buffer.lend(shape, np.float32) if device.shares_memory else None)
+def _lend(device: Device, buffer: Buffer, shape: tuple[int, ...], dtype: np.dtype) -> DeviceArray:
+    return device.empty(shape, dtype, buffer.lend(shape, dtype) if device.shares_memory else None)
 
 
 def _synthesize(
-    device: Device, synthesis: PackedOperator | None, z_rq: DeviceArray, columns: int, buffer: Buffer
+    device: Device,
+    synthesis: PackedOperator | None,
+    z_rq: DeviceArray,
+    columns: int,
+    buffer: Buffer,
+    unrounded: Buffer,
 ) -> NDArray[np.float32]:
+    """Return coefficients in `buffer`; `unrounded` is for those of float64."""
+    dtype = z_rq.dtype
     if synthesis is None:
-        z_rp = device.download(z_rq)[:, :columns]
-        coeffs_rp = buffer.lend(z_rp.shape, np.float32)
-        coeffs_rp[...] = z_rp
-        return coeffs_rp
-    coeffs_kp = _lend(device, buffer, (synthesis.shape[0], columns))
-    apply_operator(device, synthesis, z_rq, coeffs_kp)
-    return device.download(coeffs_kp)
+        values_kp = device.download(z_rq)[:, :columns]
+    else:
+        where = buffer if dtype == np.float32 else unrounded
+        coeffs = _lend(device, where, (synthesis.shape[0], columns), dtype)
+        apply_operator(device, synthesis, z_rq, coeffs)
+        values_kp = device.download(coeffs)
+        if dtype == np.float32:
+            return values_kp
+    coeffs_kp = buffer.lend(values_kp.shape, np.float32)
+    round_coefficients(values_kp, coeffs_kp)
+    return coeffs_kp
 
 
 def _clear_masked(tile: FittedTile, outside_hw: NDArray[np.bool_]) -> None:

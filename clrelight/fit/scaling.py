@@ -29,6 +29,10 @@ _LIGHTEST = 1e-6
 """Weights below this part of the mean are not allowed for."""
 _LARGEST_EXPONENT = 126
 """Of a factor that is a normal float32, and so is its reciprocal."""
+_TOO_LARGE = (
+    "coefficients exceed float32, for samples are some 1e37 times the peak: "
+    "give the stack a peak near its brightest sample"
+)
 _BLOCK = 1 << 13
 """Columns whose maxima stay in the cache while all lights pass."""
 
@@ -57,10 +61,7 @@ class ScaledTile:
         with np.errstate(over="ignore", under="ignore"):
             np.ldexp(coeffs_khwc, self.exponent_hwc, out=coeffs_khwc)
         if not np.isfinite(coeffs_khwc).all():
-            raise InputError(
-                "coefficients exceed float32, for samples are some 1e37 times the peak: give the stack a peak near its "
-                "brightest sample"
-            )
+            raise InputError(_TOO_LARGE)
 
 
 class TileScaling:
@@ -71,6 +72,8 @@ class TileScaling:
     stack : LightStack
     plan : FitPlan
         The range depends on its singular values and its bound.
+    dtype : dtype
+        What the kernels compute in; of float64 everything is in range.
 
     Attributes
     ----------
@@ -78,10 +81,12 @@ class TileScaling:
         That of nearly all tiles: the stack's, its peak's exponent taken out where it is extreme.
     """
 
-    def __init__(self, stack: LightStack, plan: FitPlan) -> None:
+    def __init__(self, stack: LightStack, plan: FitPlan, dtype: np.dtype) -> None:
         self._stack = stack
-        self._least, self._exponent = _range(plan)
-        plain = _PLAIN_PEAKS[0] <= stack.peak <= _PLAIN_PEAKS[1]
+        wide = dtype == np.float64
+        self._least, self._exponent = (0.0, 0) if wide else _range(plan)
+        self._most = math.inf if wide else _MOST
+        plain = wide or _PLAIN_PEAKS[0] <= stack.peak <= _PLAIN_PEAKS[1]
         mantissa, exponent = math.frexp(stack.peak)
         # An sRGB curve is not linear in the peak: samples of an extreme one are decoded here.
         self._decodes_all = stack.transfer == "srgb" and not plain
@@ -117,7 +122,7 @@ class TileScaling:
         radiance_p = peak_p.astype(np.float64) / self.curve.peak
         if self._stack.transfer == "srgb":
             radiance_p = srgb_to_linear(radiance_p)
-        outside_p = (radiance_p > 0.0) & ((radiance_p < self._least) | (radiance_p > _MOST))
+        outside_p = (radiance_p > 0.0) & ((radiance_p < self._least) | (radiance_p > self._most))
         if not (outside_p.any() or self._decodes_all):
             return None
         # In the units of what is scaled: samples of a linear stack, radiance of others.
@@ -137,6 +142,15 @@ class TileScaling:
         for row_p, out_p in zip(columns_ip, out_ip, strict=True):
             out_p[...] = np.ldexp(srgb_to_linear(row_p / np.float64(self._stack.peak)), -exponent_p)
         return SampleCurve()
+
+
+def round_coefficients(values_kp: NDArray, out_kp: NDArray[np.float32]) -> None:
+    """Fill `out_kp` with the values rounded to float32; InputError where float32 cannot hold them."""
+    try:
+        with np.errstate(over="raise", under="ignore"):
+            out_kp[...] = values_kp
+    except FloatingPointError:
+        raise InputError(_TOO_LARGE) from None
 
 
 def column_peaks(columns_ip: NDArray) -> NDArray:

@@ -94,7 +94,7 @@ class SmoothingSpline(FitMethod):
     def shrink(self, device: Device, plan: FitPlan, columns: Columns) -> Shrunk:
         """Scale the components by their channel's factors; nothing to do where one lambda is in the synthesis."""
         if self.per == "channel":
-            factor_rc = device.upload(self._factors_rc(plan).astype(np.float32))
+            factor_rc = device.upload(self._factors_rc(plan).astype(columns.z_rq.dtype))
             launch_columns(
                 device,
                 "fit/spline.cl",

@@ -2,16 +2,16 @@
  * Noise-resistant fitting, eq. 31-35, but stopping before the sum crosses E, so that the constraint holds (the paper's
  * pseudocode keeps the term that crosses; CROSSING does as printed).
  *
- *   z_rq        (R, Q) float    in: W' beta; out: z_r / sigma_r for the kept r, else 0
+ *   z_rq        (R, Q) REAL     in: W' beta; out: z_r / sigma_r for the kept r, else 0
  *   rank_q      (Q) int         out: number of eigenvectors kept
- *   energy_q    (Q) float       E, in the units of z^2
- *   singular_r  (R) float       sigma, descending
+ *   energy_q    (Q) REAL        E, in the units of z^2
+ *   singular_r  (R) REAL        sigma, descending
  *
  *   CROSSING    0, or 1 to keep the eigenvector whose term crosses E
  *
  * A constant pixel's squared norm is E exactly: sums up to ROUNDING above E pass, or chance would decide on its last
  * term, all there is at degree 0. From degree 4 on the rounding errors of z / sigma are larger; what chance then decides
- * on is below 0.6% of the image.
+ * on is below 0.6% of the image. ROUNDING is smaller for double.
  */
 #include "common/columns.clh"
 #include "fit/bound.clh"
@@ -20,8 +20,8 @@
 #error "CROSSING must be defined: 0 or 1"
 #endif
 
-__kernel void truncate_rq(__global float *restrict z_rq, __global int *restrict rank_q,
-                          __global const float *restrict energy_q, __global const float *restrict singular_r,
+__kernel void truncate_rq(__global REAL *restrict z_rq, __global int *restrict rank_q,
+                          __global const REAL *restrict energy_q, __global const REAL *restrict singular_r,
                           const int size_r, const int size_q)
 {
     const int q = get_global_id(0) * LANES;
@@ -29,7 +29,7 @@ __kernel void truncate_rq(__global float *restrict z_rq, __global int *restrict 
     lanes sum = 0.0f;
     lanes_mask keeping = -1, rank = 0;
     for (int r = 0; r < N_COMPONENT; r++) {
-        __global float *row = z_rq + (long)r * size_q + q;
+        __global REAL *row = z_rq + (long)r * size_q + q;
         const lanes z = LOAD_LANES(row) / singular_r[r];
 #if CROSSING
         keeping &= sum < energy;
@@ -39,7 +39,7 @@ __kernel void truncate_rq(__global float *restrict z_rq, __global int *restrict 
         keeping &= sum <= energy;
 #endif
         rank -= keeping;
-        STORE_LANES(keeping ? z : 0.0f, row);
+        STORE_LANES(keeping ? z : (lanes)0.0f, row);
     }
-    vstore8(rank, 0, rank_q + q);
+    vstore8(convert_int8(rank), 0, rank_q + q);
 }

@@ -3,12 +3,12 @@
  *
  *   t_r(lambda) = sigma_r z_r / (sigma_r^2 + lambda),      f(lambda) = sum_r t_r^2 <= E
  *
- *   z_rq        (R, Q) float    in: W' beta; out: t(lambda), the coefficients in the eigenbasis
+ *   z_rq        (R, Q) REAL     in: W' beta; out: t(lambda), the coefficients in the eigenbasis
  *   lambda_q    (Q) float       out: lambda, 0 where f(0) <= E
  *   doubt_q     (Q) float       out: relative change of lambda for an error of z by sqrt(E) in every component,
  *                               sqrt(E) |t sigma/(s + lambda)| / (lambda sum t^2/(s + lambda)); 0 where lambda is 0
- *   energy_q    (Q) float       E, in the units of z^2
- *   singular_r  (R) float       sigma, descending
+ *   energy_q    (Q) REAL        E, in the units of z^2
+ *   singular_r  (R) REAL        sigma, descending
  *
  * Bisection. The paper starts at lambda = 1 with lower bound 0 and halves. Halving the interval leaves lambda off by
  * up to 0.3 of itself when sigma^2 spans nine decades, so we halve its logarithm: go down or up by 16 until lambda is
@@ -18,6 +18,10 @@
  * Newton, safeguarded: lambda <- lambda + (f/r) (sqrt(f/E) - 1) with r = sum t^2/(s + lambda). 1/|c| is concave in
  * lambda, so the iteration comes from the left and never overshoots. It starts where no t_r alone exceeds sqrt(E):
  * below that, t^2/(s + lambda) overflows once s spans more than some twenty decades.
+ *
+ *   PAIRED      1 where the product of two sigma^2 is a normal number, else 0
+ *   ONTO_BOUND  1 where Newton gets too few steps to end: it is then below lambda, and t is scaled by sqrt(E/f) where f
+ *               exceeds E. Else 0
  */
 #include "common/columns.clh"
 #include "fit/bound.clh"
@@ -25,8 +29,11 @@
 #ifndef PAIRED
 #error "PAIRED must be defined: 1 where the product of two sigma^2 is a normal number, else 0"
 #endif
+#ifndef ONTO_BOUND
+#error "ONTO_BOUND must be defined: 1 to scale t onto the bound, else 0"
+#endif
 
-static lanes squared_norm(const lanes *b, __global const float *restrict singular_r, const lanes lambda)
+static lanes squared_norm(const lanes *b, __global const REAL *restrict singular_r, const lanes lambda)
 {
     lanes f = 0.0f, g = 0.0f;
     int r = 0;
@@ -47,7 +54,7 @@ static lanes squared_norm(const lanes *b, __global const float *restrict singula
     return f + g;
 }
 
-static lanes load_scaled(lanes *b, __global const float *restrict z_rq, __global const float *restrict singular_r,
+static lanes load_scaled(lanes *b, __global const REAL *restrict z_rq, __global const REAL *restrict singular_r,
                          const int q, const int size_q)
 {
     lanes norm = 0.0f;
@@ -58,11 +65,14 @@ static lanes load_scaled(lanes *b, __global const float *restrict z_rq, __global
     return norm;
 }
 
-static void store_shrunk(__global float *restrict z_rq, __global float *restrict doubt_q, const lanes *b,
-                         __global const float *restrict singular_r, const lanes energy, const lanes lambda, const int q,
+static void store_shrunk(__global REAL *restrict z_rq, __global float *restrict doubt_q, const lanes *b,
+                         __global const REAL *restrict singular_r, const lanes energy, const lanes lambda, const int q,
                          const int size_q)
 {
     lanes slope = 0.0f, gain = 0.0f;
+#if ONTO_BOUND
+    lanes norm = 0.0f;
+#endif
     for (int r = 0; r < N_COMPONENT; r++) {
         const lanes inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
         const lanes t = b[r] * inverse;
@@ -70,14 +80,22 @@ static void store_shrunk(__global float *restrict z_rq, __global float *restrict
         slope = t * t * inverse + slope;
         gain = g * g + gain;
         STORE_LANES(t, z_rq + (long)r * size_q + q);
+#if ONTO_BOUND
+        norm = t * t + norm;
+#endif
     }
+#if ONTO_BOUND
+    const lanes factor = select((lanes)1.0f, sqrt(energy / norm), norm > energy);
+    for (int r = 0; r < N_COMPONENT; r++)
+        STORE_LANES(factor * LOAD_LANES(z_rq + (long)r * size_q + q), z_rq + (long)r * size_q + q);
+#endif
     const lanes doubt = sqrt(energy) * sqrt(gain) / (lambda * slope);
-    STORE_LANES(select((lanes)0.0f, doubt, lambda > 0.0f), doubt_q + q);
+    STORE_FLOATS(select((lanes)0.0f, doubt, lambda > 0.0f), doubt_q + q);
 }
 
-__kernel void shrink_by_bisection_rq(__global float *restrict z_rq, __global float *restrict lambda_q,
-                                     __global float *restrict doubt_q, __global const float *restrict energy_q,
-                                     __global const float *restrict singular_r, const int iterations,
+__kernel void shrink_by_bisection_rq(__global REAL *restrict z_rq, __global float *restrict lambda_q,
+                                     __global float *restrict doubt_q, __global const REAL *restrict energy_q,
+                                     __global const REAL *restrict singular_r, const int iterations,
                                      const int size_r, const int size_q)
 {
     const int q = get_global_id(0) * LANES;
@@ -86,7 +104,7 @@ __kernel void shrink_by_bisection_rq(__global float *restrict z_rq, __global flo
     const lanes energy = LOAD_LANES(energy_q + q);
     const lanes_mask held = squared_norm(b, singular_r, 0.0f) <= energy;
 
-    lanes low = 0.0f, high = sqrt(norm / energy), lambda = fmin(1.0f, high);
+    lanes low = 0.0f, high = sqrt(norm / energy), lambda = fmin((lanes)1.0f, high);
     lanes_mask bracketed = 0;
     if (!all(held)) {
         for (int k = 0; k < iterations; k++) {
@@ -100,13 +118,13 @@ __kernel void shrink_by_bisection_rq(__global float *restrict z_rq, __global flo
         }
     }
     lambda = select(high, (lanes)0.0f, held);
-    STORE_LANES(lambda, lambda_q + q);
+    STORE_FLOATS(lambda, lambda_q + q);
     store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_q);
 }
 
-__kernel void shrink_by_newton_rq(__global float *restrict z_rq, __global float *restrict lambda_q,
-                                  __global float *restrict doubt_q, __global const float *restrict energy_q,
-                                  __global const float *restrict singular_r, const int iterations,
+__kernel void shrink_by_newton_rq(__global REAL *restrict z_rq, __global float *restrict lambda_q,
+                                  __global float *restrict doubt_q, __global const REAL *restrict energy_q,
+                                  __global const REAL *restrict singular_r, const int iterations,
                                   const int size_r, const int size_q)
 {
     const int q = get_global_id(0) * LANES;
@@ -116,7 +134,7 @@ __kernel void shrink_by_newton_rq(__global float *restrict z_rq, __global float 
     /* Black columns: any finite lambda gives zeros; 0/0 must not spread. */
     const lanes_mask empty = energy <= 0.0f;
     const lanes inverse_root = 1.0f / sqrt(energy);
-    lanes lambda = fmax(sqrt(norm) * inverse_root - singular_r[0] * singular_r[0], 0.0f);
+    lanes lambda = fmax(sqrt(norm) * inverse_root - singular_r[0] * singular_r[0], (lanes)0.0f);
     for (int r = 0; r < N_COMPONENT; r++)
         lambda = fmax(lambda, fabs(b[r]) * inverse_root - singular_r[r] * singular_r[r]);
     lambda = select(lambda, (lanes)0.0f, empty);
@@ -129,11 +147,11 @@ __kernel void shrink_by_newton_rq(__global float *restrict z_rq, __global float 
             f = t * t + f;
             slope = t * t * inverse + slope;
         }
-        const lanes next = fmax(lambda + f / slope * (sqrt(f / energy) - 1.0f), 0.0f);
-        const lanes_mask moved = !empty && fabs(next - lambda) > 4e-7f * lambda;
+        const lanes next = fmax(lambda + f / slope * (sqrt(f / energy) - 1.0f), (lanes)0.0f);
+        const lanes_mask moved = !empty && fabs(next - lambda) > SETTLED * lambda;
         lambda = select(lambda, next, moved);
         if (!any(moved)) break;
     }
-    STORE_LANES(lambda, lambda_q + q);
+    STORE_FLOATS(lambda, lambda_q + q);
     store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_q);
 }

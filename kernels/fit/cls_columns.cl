@@ -10,22 +10,31 @@
  *   synthesis_s   components to coefficients, packed in row blocks
  *   heights_c     (n_block) int
  *   weight_i      (n_light) float      E = sum_i weight_i source_i^2
- *   last_it       (n_light, LAST) double   rows of the analysis of the LAST smallest sigma
+ *   last_it       (n_light, LAST) double   rows of the analysis of the LAST smallest sigma (REFINED)
  *   singular_r, square_r, inverse_r  (R) float   sigma, sigma^2, 1/sigma^2
  *   table_rn      (R, N_NODE) float    sigma^2 / (sigma^2 + node)^2
  *   rounding      float                error of a z_r, divided by sqrt(E)
  *   tolerance     float                doubt above which z is projected again
  *
  * Where lambda is ill-conditioned it follows components of small sigma, which carry the rounding errors of large sums.
- * Vectors with such a column have those components summed again in float64, and lambda found anew.
+ * Vectors with such a column have those components summed again in float64, and lambda found anew, if
+ *
+ *   REFINED       is 1; with 0 there is nothing of float64, last_it included
+ *   ONTO_BOUND    1 where the search gets too few steps to end: t is scaled by sqrt(E/f) where f exceeds E. Else 0
  */
-#pragma OPENCL EXTENSION cl_khr_fp64 : enable
-
 #include "common/source_tile.clh"
 #include "fit/lambda.clh"
 
-#define LAST 8
+#if !defined(REFINED) || !defined(ONTO_BOUND)
+#error "REFINED and ONTO_BOUND must be defined: 0 or 1"
+#endif
+
 #define EVALUATION 4e-7f /* relative error of f and E in float32 */
+
+#if REFINED
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+
+#define LAST 8
 
 /* PoCL leaves convert_double8 a call; compilers other than Clang may not. */
 #ifdef __clang__
@@ -63,6 +72,7 @@ INLINE void sum_last(__local double *sums, __local const vecf *tile, __global co
     }
     EACH_LAST(KEEP_SUM)
 }
+#endif
 
 /* Replace z by t(lambda) in the `wanted` lanes; return the relative error that lambda may have when the first `rough`
  * z_r are rounded sums. */
@@ -91,6 +101,10 @@ INLINE vecf shrink(__local vecf *z, const vecf *b, __global const float *restric
         if (other < rough) gain = uq * uq * square_r[other] + gain;
         z[other * TILE_VECTORS] = wanted ? u : z[other * TILE_VECTORS];
     }
+#if ONTO_BOUND
+    const vecf factor = square > energy ? sqrt(energy / square) : (vecf)(1.0f);
+    for (int r = 0; r < N_COMPONENT; r++) z[r * TILE_VECTORS] *= wanted ? factor : (vecf)(1.0f);
+#endif
     const vecf doubt = (rounding * sqrt(energy * gain) + 0.5f * EVALUATION * square) / (lambda * slope);
     return lambda > 0.0f ? doubt : (vecf)(0.0f);
 }
@@ -99,7 +113,10 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
                          __global float *restrict doubt_p, __global const SAMPLE_T *restrict source_ip,
                          __global const float *restrict analysis_a, __global const int *restrict heights_b,
                          __global const float *restrict synthesis_s, __global const int *restrict heights_c,
-                         __global const float *restrict weight_i, __global const double *restrict last_it,
+                         __global const float *restrict weight_i,
+#if REFINED
+                         __global const double *restrict last_it,
+#endif
                          __global const float *restrict singular_r, __global const float *restrict square_r,
                          __global const float *restrict inverse_r, __global const float *restrict table_rn,
                          __global const float *restrict curve_v, const float scale, const float first_node,
@@ -110,8 +127,10 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
     __local vecf z[N_COMPONENT * TILE_VECTORS];
     __local vecf sums[8 * TILE_VECTORS];
     __local vecf energies[TILE_VECTORS], lambdas[TILE_VECTORS], doubts[TILE_VECTORS];
+#if REFINED
     __local double exact[TILE_VECTORS * LAST * VECTOR];
-    int again[TILE_VECTORS];
+    int again[TILE_VECTORS], some = 0;
+#endif
     const int first = get_global_id(0) * TILE;
     const int filled = LESSER(TILE, size_p - first);
     vecf b[N_COMPONENT];
@@ -130,7 +149,6 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
         }
     }
 
-    int some = 0;
     for (int v = 0; v < TILE_VECTORS; v++) {
         for (int r = 0; r < N_COMPONENT; r++) b[r] = singular_r[r] * z[r * TILE_VECTORS + v];
         /* Black columns: any positive bound will do. */
@@ -141,9 +159,12 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
         energies[v] = energy;
         lambdas[v] = lambda;
         doubts[v] = doubt;
+#if REFINED
         again[v] = any_lane(doubt > tolerance);
         some |= again[v];
+#endif
     }
+#if REFINED
     if (some) {
         for (int c = 0; c < TILE_VECTORS * LAST * VECTOR; c++) exact[c] = 0.0;
         for (int i0 = 0; i0 < size_i; i0 += CHUNK) {
@@ -169,6 +190,7 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
             lambdas[v] = wanted ? lambda : lambdas[v];
         }
     }
+#endif
     store_row(lambda_p + first, (__local const float *)lambdas, filled, 0);
     store_row(doubt_p + first, (__local const float *)doubts, filled, 0);
     __global const float *operator = synthesis_s;

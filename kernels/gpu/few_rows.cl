@@ -3,7 +3,7 @@
  *   packed_o   (n_in rounded up to DEPTH, STRIDE) the operator transposed, filled up with zeros
  *
  *   ROWS       operator rows, all of which each work-item sums; STRIDE is the next multiple of 4
- *   DEPTH      rows of the source after which sums are flushed: |error| <= eps32 (DEPTH + n_in / DEPTH + 2) sum |terms|
+ *   DEPTH      rows of the source after which sums are flushed: |error| <= eps (DEPTH + n_in / DEPTH + 2) sum |terms|
  *
  * Bound by the bandwidth of the source: a work-item takes COLUMNS columns that lie a group's width apart, so that
  * neighbours read one stretch, and all of them share the operator in local memory.
@@ -19,32 +19,32 @@
 #define STRIDE ((ROWS + 3) / 4 * 4)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-apply_few_rows_mq(__global float *restrict out_mq,
+apply_few_rows_mq(__global REAL *restrict out_mq,
 #if WITH_ENERGY
-                  __global float *restrict energy_q, __global const float *restrict weight_i,
+                  __global REAL *restrict energy_q, __global const REAL *restrict weight_i,
 #endif
-                  __global const SAMPLE_T *restrict source_ip, __global const float *restrict packed_o,
-                  __global const float *restrict curve_v, const float scale, const int size_q, const int size_i,
+                  __global const SAMPLE_T *restrict source_ip, __global const REAL *restrict packed_o,
+                  __global const REAL *restrict curve_v, const REAL scale, const int size_q, const int size_i,
                   const int size_p)
 {
-    __local float factors[DEPTH * STRIDE];
+    __local REAL factors[DEPTH * STRIDE];
     const int first = get_group_id(0) * GROUP * COLUMNS + get_local_id(0);
-    float sum[ROWS][COLUMNS] = {{0.0f}};
+    REAL sum[ROWS][COLUMNS] = {{0.0f}};
 #if WITH_ENERGY
-    float energy_sum[COLUMNS] = {0.0f};
+    REAL energy_sum[COLUMNS] = {0.0f};
 #endif
 
     for (int i0 = 0; i0 < size_i; i0 += DEPTH) {
         const int depth = min(DEPTH, size_i - i0);
         for (int f = get_local_id(0); f < DEPTH * STRIDE; f += GROUP) factors[f] = packed_o[i0 * STRIDE + f];
         barrier(CLK_LOCAL_MEM_FENCE);
-        float run[ROWS][COLUMNS] = {{0.0f}};
+        REAL run[ROWS][COLUMNS] = {{0.0f}};
 #if WITH_ENERGY
-        float energy_run[COLUMNS] = {0.0f};
+        REAL energy_run[COLUMNS] = {0.0f};
 #endif
         for (int i = 0; i < depth; i++) {
             __global const SAMPLE_T *row = source_ip + (long)(i0 + i) * size_p;
-            float value[COLUMNS];
+            REAL value[COLUMNS];
 #pragma unroll
             for (int c = 0; c < COLUMNS; c++) {
                 value[c] = load_sample(row, min(first + c * GROUP, size_p - 1), curve_v, scale);

@@ -207,7 +207,7 @@ def test_photographs_are_left_alone():
     for stack in (stack_of(LIGHTS), stack_of(LIGHTS, 1e-5), stack_of(LIGHTS, 255, peak=255, dtype=np.uint8)):
         from clrelight.fit import prepare_fit
 
-        tile = TileScaling(stack, prepare_fit(stack, "cls", 6).plan).load(0, 1)
+        tile = TileScaling(stack, prepare_fit(stack, "cls", 6).plan, np.dtype(np.float32)).load(0, 1)
         assert tile.exponent_hwc is None
         assert np.may_share_memory(tile.samples_ihwc, stack.images_ihwc)
 

@@ -10,18 +10,18 @@
 #error "N_COMPONENT and CROSSING must be defined"
 #endif
 
-__kernel void truncate_rq(__global float *restrict z_rq, __global int *restrict rank_q,
-                          __global const float *restrict energy_q, __constant const float *restrict singular_r,
+__kernel void truncate_rq(__global REAL *restrict z_rq, __global int *restrict rank_q,
+                          __global const REAL *restrict energy_q, __constant const REAL *restrict singular_r,
                           const int size_r, const int size_q)
 {
     const int q = get_global_id(0);
     if (q >= size_q) return;
-    const float energy = energy_q[q] * (1.0f + ROUNDING);
-    float sum = 0.0f;
+    const REAL energy = energy_q[q] * (1.0f + ROUNDING);
+    REAL sum = 0.0f;
     int keeping = 1, rank = 0;
     for (int r = 0; r < N_COMPONENT; r++) {
-        __global float *value = z_rq + (long)r * size_q + q;
-        const float z = *value / singular_r[r];
+        __global REAL *value = z_rq + (long)r * size_q + q;
+        const REAL z = *value / singular_r[r];
 #if CROSSING
         keeping &= sum < energy;
         sum = z * z + sum;

@@ -4,11 +4,13 @@
  *
  * A work-item takes one column, its neighbours adjacent q.
  */
+#include "common/real.clh"
+
 #ifndef N_COMPONENT
 #error "N_COMPONENT must be defined: the number of rows"
 #endif
 
-__kernel void scale_rq(__global float *restrict z_rq, __global const float *restrict factor_rc, const int size_r,
+__kernel void scale_rq(__global REAL *restrict z_rq, __global const REAL *restrict factor_rc, const int size_r,
                        const int size_q, const int size_c)
 {
     const int q = get_global_id(0);
