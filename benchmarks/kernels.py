@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -104,12 +105,8 @@ def _shrinking(device: Device, components_rq: np.ndarray) -> Iterator[Work]:
         launch_columns(device, file, kernel, z_rq, *maps, energy_q, singular_r, *rest, rank, columns, defines=defines)
 
     for solver, steps in (("newton", 16), ("bisection", 32)):
-        kernel = f"shrink_by_{solver}_rq"
-        yield Work(
-            f"copy and CLS {solver} {steps}",
-            lambda k=kernel, s=steps: shrink("fit/cls.cl", k, (lambda_q, doubt_q), (s,), PAIRED=1),  # type: ignore[misc]
-            moved,
-        )
+        search = functools.partial(shrink, "fit/cls.cl", f"shrink_by_{solver}_rq", (lambda_q, doubt_q), (steps,))
+        yield Work(f"copy and CLS {solver} {steps}", functools.partial(search, PAIRED=1, ONTO_BOUND=0), moved)
     yield Work("copy and CEB", lambda: shrink("fit/ceb.cl", "truncate_rq", (rank_q,), (), CROSSING=0), moved)
 
 

@@ -24,6 +24,7 @@ from clrelight.store import read_results, write_results
 from tests.commands import arrays, call, contents, succeed
 
 SMALL = ["--methods", "uls,cls", "--degrees", "1,2", "--iterations", "4,32", "--codecs", "half,klt", "--rates", "1,0.2"]
+SMALL += ["--newton-steps", "2"]
 
 
 def trial(seconds, size, psnr, degree=2):
@@ -94,6 +95,7 @@ def test_an_experiment_comes_back_from_its_text(tmp_path):
     for made in (
         Experiment((str(tmp_path / 'a "b".h5'),), (cls,), (4,), (setting, inner), 5, lights=20),
         Experiment((str(tmp_path / "s.h5"),), ("auto",), ("auto",), (CodecSetting(),), weights="solid-angle"),
+        Experiment((str(tmp_path / "s.h5"),), (cls,), (4,), (CodecSetting(),), precision="double"),
     ):
         text = experiment_text(made, tmp_path, "two\nlines")
         assert text.startswith("# two\n# lines\n")
@@ -127,6 +129,14 @@ def test_every_axis_is_measured(swept):
     configs = [json.loads(row["fit_config"]) for row in rows]
     assert {(r["method"], r["degree"]) for r in rows} >= {("uls", 1), ("cls", 1), ("cls", 2)}
     assert {c["iterations"] for c in configs if c.get("solver") == "bisection"} == {4, 32}
+    assert [c["iterations"] for c in configs if c.get("solver") == "newton" and c["iterations"] < 16] == [2]
+    # The reference, cls, in each precision; another model's single precision would be its mixed precision.
+    precisions = [(r["method"], c["precision"]) for r, c in zip(rows, configs, strict=True) if "precision" in c]
+    assert set(precisions) >= {("cls", "single"), ("cls", "double")}
+    assert ("uls", "single") not in precisions
+    assert all(
+        c["precision"] in r["label"].split(",")[0] for r, c in zip(rows, configs, strict=True) if "precision" in c
+    )
     assert {r["n_light"] for r in rows} >= {32, 16}
     assert all((r["n_light"] == 32) == ("lights" not in c) for r, c in zip(rows, configs, strict=True))
     assert {r["codec"] for r in rows} == {"none", "half", "klt"}
@@ -160,7 +170,9 @@ def test_going_on_measures_nothing_again(swept):
     made = {path.name for path in (folder / "report").iterdir()}
     assert made == {"trade.md", "rows.csv", "trade.png"}
     assert len((folder / "report" / "rows.csv").read_text().splitlines()) == len(told["trials"]) + 1
-    assert "bisection steps 32 → 4" in (folder / "report" / "trade.md").read_text()
+    page = (folder / "report" / "trade.md").read_text()
+    steps = ("bisection steps 32 → 4", "newton to its end → newton 2 steps", "mixed precision → double")
+    assert all(f"| {step} " in page for step in steps)
 
 
 def test_without_a_setting_within_the_budget_the_rows_stay(swept):
@@ -199,7 +211,8 @@ def test_the_answer_replaces_neither_the_rows_nor_a_file_of_the_user(swept, tmp_
 
 
 def test_settings_are_checked_before_anything_is_measured():
-    for bad in ({"methods": ("auto",)}, {"degrees": (2, 2)}, {"rates": (0.0,)}, {"iterations": (0,)}, {"lights": (3,)}):
+    for bad in ({"methods": ("auto",)}, {"degrees": (2, 2)}, {"rates": (0.0,)}, {"iterations": (0,)}, {"lights": (3,)},
+                {"newton_steps": (0,)}, {"newton_steps": (4, 16)}, {"precisions": ("half",)}):  # fmt: skip
         with pytest.raises(InputError):
             Axes(**bad)
 
@@ -216,6 +229,9 @@ def test_settings_are_checked_before_anything_is_measured():
         ("trade ring.h5 --codecs zip", "unknown codec 'zip'"),
         ("trade ring.h5 --rates -1", "rate"),
         ("trade ring.h5 --iterations 0", "iterations must be 1 to"),
+        ("trade ring.h5 --newton-steps 2,16", "newton steps must be at most 15, got 16"),
+        ("trade ring.h5 --newton-steps 0", "iterations must be 1 to 1000, got 0"),
+        ("trade ring.h5 --precisions single,half", "precision must be one of mixed, single, double, got 'half'"),
         ("trade ring.h5 --lights 33", "33 lights cannot be fitted: 32 of 40 are not held out"),
         ("trade ring.h5 --budget-seconds 0", "a budget of seconds must be above 0, got 0"),
         ("trade ring.h5 --budget-seconds -3", "above 0, got -3"),
@@ -245,3 +261,20 @@ def test_refusals(swept, tmp_path, line, expected):
     assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1), ended.err
     assert expected in ended.err
     assert (contents(made), contents(tmp_path)) == files
+
+
+def test_a_sweep_of_a_device_without_float64(swept, tmp_path):
+    from clrelight import device as device_module
+    from clrelight.device import Device, open_device
+    from clrelight.experiment.trade import sweep_trade
+    from clrelight.store import open_stack
+
+    info = open_device().info
+    bare = Device(replace(info, float64=False), device_module._devices()[info.index][1])
+    few = {"methods": ("cls",), "degrees": (1,), "iterations": (), "newton_steps": (), "codecs": ()}
+    with open_stack(swept[0] / "ring.h5") as stack:
+        with pytest.raises(InputError, match="precision double needs float64, which"):
+            sweep_trade(stack, "ring.h5", tmp_path / "t.h5", Axes(**few, precisions=("double",)), device=bare)
+        assert contents(tmp_path) == {}
+        trials = sweep_trade(stack, "ring.h5", tmp_path / "t.h5", Axes(**few), device=bare)
+    assert {t.model.precision for t in trials} == {"mixed"}

@@ -33,6 +33,8 @@ _MARK = "# The setting that clrelight trade chose:"
 @click.option("--methods", type=Names(), help="Fits; default uls,cls,ceb,spline.")
 @click.option("--degrees", type=Numbers(int, "4,6,8"), help="SH degrees, tried upwards; default 2,3,4,5,6,8,10.")
 @click.option("--iterations", type=Numbers(int, "8,32"), help="Bisection steps of cls; default 4,8,16,32.")
+@click.option("--newton-steps", type=Numbers(int, "1,2"), help="Newton steps of cls; default 1,2,4,8.")
+@click.option("--precisions", type=Names(), help="Precisions beside mixed; default single,double where they differ.")
 @click.option("--lights", type=Numbers(int, "24,48"), help="Fewer lights to fit; default a half and a quarter.")
 @click.option("--codecs", type=Names(), help="Codecs beside float32; default half,klt,wavelet,s3tc.")
 @click.option("--rates", type=Numbers(float, "0.1,1"), help="Bits per coefficient; default 1,0.5,0.25,0.1.")

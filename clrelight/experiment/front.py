@@ -11,16 +11,26 @@ import numpy as np
 from clrelight.errors import InputError
 from clrelight.experiment.grid import CodecSetting, Experiment
 from clrelight.fit import FitMethod
+from clrelight.fit.cls import ConstrainedLeastSquares
+from clrelight.fit.precision import MIXED
 from clrelight.results import NO_CODEC
 
 
 @dataclass(frozen=True)
 class Model:
-    """What is fitted, and to how many of the lights (None: all that are not held out)."""
+    """What is fitted, to how many of the lights (None: all that are not held out), and in which precision."""
 
     method: FitMethod
     degree: int
     lights: int | None = None
+    precision: str = MIXED
+
+    @property
+    def label(self) -> str:
+        """What is fitted, for people, such as ``cls newton degree 4 double``."""
+        search = [search_label(self.method)] if isinstance(self.method, ConstrainedLeastSquares) else []
+        other = [] if self.precision == MIXED else [self.precision]
+        return " ".join([self.method.id, *search, f"degree {self.degree}", *other])
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,20 +61,29 @@ class Trial:
 
     @property
     def label(self) -> str:
-        """The setting for people, such as ``cls newton 4, 96 lights, klt 0.5 bit``."""
-        method = self.model.method
-        words = [method.id]
-        if method.id == "cls":
-            solver, steps = method.to_config()["solver"], method.to_config()["iterations"]
-            words.append(solver if solver == "newton" else f"{steps} steps")
-        words.append(f"degree {self.model.degree}")
-        parts = [" ".join(words), f"{int(self.row['n_light'])} lights", storage_label(self.setting)]
-        return ", ".join(parts)
+        """The setting for people, such as ``cls newton degree 4, 96 lights, klt 0.5 bit``."""
+        return ", ".join([self.model.label, f"{int(self.row['n_light'])} lights", storage_label(self.setting)])
 
     def to_experiment(self, scene: str, holdout: int) -> Experiment:
         """Return the experiment of this one row."""
         model = self.model
-        return Experiment((scene,), (model.method,), (model.degree,), (self.setting,), holdout, lights=model.lights)
+        return Experiment(
+            (scene,),
+            (model.method,),
+            (model.degree,),
+            (self.setting,),
+            holdout,
+            lights=model.lights,
+            precision=model.precision,
+        )
+
+
+def search_label(method: ConstrainedLeastSquares) -> str:
+    """Return how lambda is searched, for people: ``newton``, ``newton 2 steps``, or ``8 steps`` of the bisection."""
+    steps = f"{method.iterations} step{'s' * (method.iterations > 1)}"
+    if method.solver == "newton":
+        return "newton" if method.ends else f"newton {steps}"
+    return steps
 
 
 def storage_label(setting: CodecSetting) -> str:

@@ -1,4 +1,4 @@
-"""What a user can give up, and what that saves: a sweep over methods, degrees, solvers, lights, precision and rates."""
+"""What a user can give up, and what it saves: a sweep over methods, degrees, solvers, precision, lights and rates."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from clrelight.experiment.front import Model, Trial, near_front, storage_label
 from clrelight.experiment.grid import CodecSetting, Experiment, make_methods, make_settings
 from clrelight.experiment.run import Progress, earlier_results
 from clrelight.experiment.scenes import survey_stack
-from clrelight.fit import FitMethod, method_class
+from clrelight.fit import method_class
+from clrelight.fit.cls import CONVERGED_AFTER, ConstrainedLeastSquares
+from clrelight.fit.precision import MIXED, check_precision, differing_precisions
 from clrelight.results import NO_CODEC
 from clrelight.store import write_results
 
@@ -33,8 +35,8 @@ _NEAR = 0.3
 """Decibels by which a smaller and faster setting must be better for one not to be extended."""
 _LOST = 3.0
 """Decibels by which something no larger is better where a codec's rate is not lowered further."""
-_THINNED, _CODED = 4, 2
-"""Of the models near the front, those that are fitted to fewer lights, and those that are coded."""
+_THINNED, _CODED, _RECKONED = 4, 2, 1
+"""Of the models near the front, how many are fitted to fewer lights, coded, fitted in each precision."""
 _MEMORY = 1 << 30
 """Bytes of images up to which a stack is held in memory, so that no time is one of reading."""
 REFERENCE_DEGREE = 6
@@ -51,6 +53,10 @@ class Axes:
         Tried upwards.
     iterations : tuple of int
         Steps of the bisection of ``cls``, tried beside its Newton search.
+    newton_steps : tuple of int
+        Steps of the Newton search, tried beside the one that ends by itself.
+    precisions : tuple of str
+        Tried beside mixed; empty: all whose kernels differ.
     lights : tuple of int
         Numbers of lights fitted beside all, well spread; empty: a half and a quarter.
     codecs : tuple of str
@@ -64,6 +70,8 @@ class Axes:
     methods: tuple[str, ...] = ("uls", "cls", "ceb", "spline")
     degrees: tuple[int, ...] = (2, 3, 4, 5, 6, 8, 10)
     iterations: tuple[int, ...] = (4, 8, 16, 32)
+    newton_steps: tuple[int, ...] = (1, 2, 4, 8)
+    precisions: tuple[str, ...] = ()
     lights: tuple[int, ...] = ()
     codecs: tuple[str, ...] = (HALF, "klt", "wavelet", "s3tc")
     rates: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
@@ -75,8 +83,20 @@ class Axes:
         if any(isinstance(method, str) for method in plain):
             raise InputError("the sweep chooses by measuring: leave auto out of the methods")
         codecs = tuple(setting for ladder in self.ladders() for setting in ladder)
-        Experiment(methods=plain, degrees=self.degrees, codecs=codecs or (CodecSetting(),), holdout=self.holdout)
+        for precision in self.precisions or (MIXED,):
+            Experiment(
+                methods=plain,
+                degrees=self.degrees,
+                codecs=codecs or (CodecSetting(),),
+                holdout=self.holdout,
+                precision=precision,
+            )
         self.searches()
+        most = CONVERGED_AFTER["newton"] - 1
+        if ending := [steps for steps in self.newton_steps if steps > most]:
+            raise InputError(
+                f"newton steps must be at most {most}, got {ending[0]}: with more it ends by itself, as it does anyway"
+            )
         if bad := [number for number in self.lights if number < LEAST_LIGHTS]:
             raise InputError(f"numbers of lights must be at least {LEAST_LIGHTS}, got {bad[0]}")
 
@@ -92,10 +112,10 @@ class Axes:
             found.append(settings)
         return found
 
-    def searches(self) -> list[FitMethod]:
-        """Return ``cls`` by bisection with each number of steps."""
-        config = {"solver": "bisection", "iterations": list(self.iterations)}
-        return [m for m in (make_methods("cls", config) if self.iterations else []) if not isinstance(m, str)]
+    def searches(self) -> list[ConstrainedLeastSquares]:
+        """Return ``cls`` by bisection and by Newton with each number of steps."""
+        asked = (("bisection", self.iterations), ("newton", self.newton_steps))
+        return [ConstrainedLeastSquares(solver=name, iterations=steps) for name, each in asked for steps in each]
 
 
 def sweep_trade(
@@ -111,8 +131,9 @@ def sweep_trade(
     """Measure what is worth measuring, and keep it; rows that `out` holds already are not measured again.
 
     Methods climb in degree until the PSNR at held-out lights falls twice, each as float32 and as half. Then ``cls`` is
-    tried with fewer steps, the models that nothing smaller and faster clearly beats with fewer lights, and the best of
-    them all through the codecs, at falling rates until something no larger is far better.
+    tried with fewer steps, the best model in other precisions, the models that nothing smaller and faster clearly beats
+    with fewer lights, and the best of them all through the codecs, at falling rates until something no larger is far
+    better.
 
     Parameters
     ----------
@@ -131,7 +152,8 @@ def sweep_trade(
     Raises
     ------
     InputError
-        If the stack has too few lights, or `out` cannot be used or holds rows of another stack of this name.
+        If the stack has too few lights, the device has not a precision that is asked for, or `out` cannot be used or
+        holds rows of another stack of this name.
     """
     return _Sweep(stack, scene, out, axes, device or open_device(), progress, force).run()
 
@@ -162,7 +184,9 @@ class _Sweep:
             raise InputError(f"{too_many[0]} lights cannot be fitted: {n_fit} of {stack.n_light} are not held out")
         self.fewer = sorted({n for n in fewer if n < n_fit}, reverse=True)
         self.survey = survey_stack(stack)
-        self.benches: dict[int | None, Bench] = {}
+        for precision in axes.precisions:
+            check_precision(precision, device)
+        self.benches: dict[tuple[int | None, str], Bench] = {}
         self.results = earlier_results(out, force)
         self._bench(None).check_earlier(self.results, out)
         self._bench(None).check_device(self.results, out)
@@ -171,7 +195,8 @@ class _Sweep:
         ladder = sum(map(len, axes.ladders()))
         self.bounds = {  # rows of each step, at most
             "methods and degrees": len(axes.methods) * len(axes.degrees) * (2 if HALF in axes.codecs else 1),
-            "solvers": 2 * len(axes.iterations) if "cls" in axes.methods else 0,
+            "solvers": 2 * len(axes.searches()) if "cls" in axes.methods else 0,
+            "precision": 2 * (_RECKONED + 1),  # single and double, beside mixed
             "lights": len(self.fewer) * (_THINNED + 1),
             "codecs": ladder * (_CODED + 1),
         }
@@ -181,6 +206,7 @@ class _Sweep:
         for step, make in (
             ("methods and degrees", self._climb_all),
             ("solvers", self._try_solvers),
+            ("precision", self._try_precisions),
             ("lights", self._try_fewer_lights),
             ("codecs", self._try_codecs),
         ):
@@ -198,16 +224,25 @@ class _Sweep:
         self.report("done", len(self.trials), len(self.trials))
         return self.trials
 
-    def _bench(self, lights: int | None) -> Bench:
-        if lights not in self.benches:
-            plain = Experiment((self.scene,), ("auto",), (0,), (CodecSetting(),), self.axes.holdout, lights=lights)
-            self.benches[lights] = Bench(
+    def _bench(self, lights: int | None, precision: str = MIXED) -> Bench:
+        key = (lights, precision)
+        if key not in self.benches:
+            plain = Experiment(
+                (self.scene,),
+                ("auto",),
+                (0,),
+                (CodecSetting(),),
+                self.axes.holdout,
+                lights=lights,
+                precision=precision,
+            )
+            self.benches[key] = Bench(
                 self.stack, plain, self.device, repeats=REPEATS, survey=self.survey, illustrated=False
             )
-        return self.benches[lights]
+        return self.benches[key]
 
     def _measure(self, model: Model, setting: CodecSetting) -> Trial:
-        bench = self._bench(model.lights)
+        bench = self._bench(model.lights, model.precision)
         identity = bench.identity(model.method, model.degree, setting)
         key = row_key(identity)
         if key not in self.rows:
@@ -217,7 +252,7 @@ class _Sweep:
         return Trial(model, setting, self.rows[key])
 
     def _plain(self) -> list[Trial]:
-        return [trial for trial in self.trials if trial.setting.codec is None]
+        return [trial for trial in self.trials if trial.setting.codec is None and trial.model.precision == MIXED]
 
     def _has_room(self, model: Model) -> bool:
         """Return whether a method that bounds nothing can be fitted to these lights at all sensibly."""
@@ -250,6 +285,12 @@ class _Sweep:
             for method in self.axes.searches():
                 yield Model(method, degree), CodecSetting()
 
+    def _try_precisions(self) -> Iterator[tuple[Model, CodecSetting]]:
+        for model in self._extended(_RECKONED):
+            for precision in differing_precisions(model.method, self.device):
+                if precision != MIXED and precision in (self.axes.precisions or (precision,)):
+                    yield replace(model, precision=precision), CodecSetting()
+
     def _try_fewer_lights(self) -> Iterator[tuple[Model, CodecSetting]]:
         models = self._extended(_THINNED)
         for lights in self.fewer:
@@ -276,8 +317,12 @@ class _Sweep:
         return any(other.size <= trial.size and other.psnr >= trial.psnr + _LOST for other in self.trials)
 
     def _extended(self, count: int) -> list[Model]:
-        """Return the models that are worth more rows: the best `count` near the front, and the reference."""
-        models = [trial.model for trial in near_front(self._plain(), _NEAR)[:count]]
+        """Return the models that are worth more rows: the best `count` near the front, and the reference.
+
+        Each with its usual search, or searches that agree would take all the places.
+        """
+        usual = [t for t in self._plain() if t.model.method == method_class(t.model.method.id)()]
+        models = [trial.model for trial in near_front(usual, _NEAR)[:count]]
         reference = self._reference()
         return models if reference in models else [*models, reference]
 
@@ -292,6 +337,6 @@ def _in_memory(stack: LightStack) -> LightStack:
 
 def find_reference(trials: Sequence[Trial]) -> Trial:
     """Return what steps are compared with: ``cls`` where it was tried, degree 6 or nearly, float32, all lights."""
-    plain = [t for t in trials if t.setting.codec is None and t.model.lights is None]
+    plain = [t for t in trials if t.setting.codec is None and t.model.lights is None and t.model.precision == MIXED]
     default = [t for t in plain if t.model.method == method_class("cls")()]
     return min(default or plain, key=lambda t: abs(t.model.degree - REFERENCE_DEGREE))

@@ -19,7 +19,7 @@ from clrelight.matmul import SampleCurve
 
 MAX_ITERATIONS = 1000
 
-_CONVERGED_AFTER = {"bisection": 24, "newton": 16}
+CONVERGED_AFTER = {"bisection": 24, "newton": 16}
 """Iterations from which the solver's own error is below the tolerance. Bisection with fewer ends above lambda, where
 the bound holds; Newton below, and its coefficients are scaled onto the bound."""
 
@@ -71,7 +71,7 @@ class ConstrainedLeastSquares(FitMethod):
     @property
     def ends(self) -> bool:
         """Whether the search has the steps that it needs to end at lambda."""
-        return self.iterations >= _CONVERGED_AFTER[self.solver]
+        return self.iterations >= CONVERGED_AFTER[self.solver]
 
     @property
     def is_refined(self) -> bool:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from clrelight.experiment.front import Trial, front, storage_label
+from clrelight.experiment.front import Trial, front, search_label, storage_label
 from clrelight.experiment.trade import HALF, find_reference
+from clrelight.fit.cls import ConstrainedLeastSquares
+from clrelight.fit.precision import MIXED
 from clrelight.report import canvas
 from clrelight.report.folder import fill_folder, write_text
 from clrelight.report.markup import to_csv, to_markdown
@@ -25,7 +28,7 @@ _SHOWN_DB = 15.0
 _FIT_COLUMNS = (
     Column("what", "one step"),
     Column("psnr", "held out (dB)", 2),
-    Column("change", "change (dB)", 2),
+    Column("change", "change (dB)", 3),
     Column("seconds", "time (s)", 3),
     Column("time", "time ×", 2),
     Column("size", "kB", 1),
@@ -52,7 +55,10 @@ _HALF_COLUMNS = (
 
 
 def step_table(trials: Sequence[Trial]) -> Table:
-    """Return what changing one thing of the reference changes; those of the search start from 32 bisection steps."""
+    """Return what changing one thing of the reference changes.
+
+    Fewer bisection steps start from the most that were tried, a precision from mixed precision of the same model.
+    """
     reference = find_reference(trials)
     rows: list[tuple[Cell, ...]] = [(f"({reference.label})", *_changes(reference, reference))]
     rows += [(what, *_changes(base, trial)) for what, base, trial in _steps(trials, reference)]
@@ -62,27 +68,12 @@ def step_table(trials: Sequence[Trial]) -> Table:
 def _steps(trials: Sequence[Trial], reference: Trial) -> Iterator[tuple[str, Trial, Trial]]:
     """Yield name, starting point and trial of each single step that was measured."""
     model = reference.model
-    plain = [trial for trial in trials if trial.setting.codec is None]
+    plain = [trial for trial in trials if trial.setting.codec is None and trial.model.precision == MIXED]
     for trial in plain:
         if trial.model.lights is None and trial.model.method == model.method and trial.model.degree != model.degree:
             yield f"degree {model.degree} → {trial.model.degree}", reference, trial
-    searches = {
-        trial.model.method.to_config()["iterations"]: trial
-        for trial in plain
-        if trial.model.degree == model.degree
-        and trial.model.lights is None
-        and trial.model.method.to_config().get("solver") == "bisection"
-    }
-    if searches:
-        most = max(searches)
-        for steps, trial in sorted(searches.items(), reverse=True):
-            if steps != most:
-                yield f"bisection steps {most} → {steps}", searches[most], trial
-        yield (
-            f"bisection, {most} steps → {model.method.to_config().get('solver', model.method.id)}",
-            searches[most],
-            reference,
-        )
+    yield from _search_steps(plain, reference)
+    yield from _precision_steps(trials, reference)
     for trial in plain:
         if trial.model.lights is not None and (trial.model.method, trial.model.degree) == (model.method, model.degree):
             yield f"lights {reference.row['n_light']} → {trial.model.lights}", reference, trial
@@ -96,6 +87,38 @@ def _steps(trials: Sequence[Trial], reference: Trial) -> Iterator[tuple[str, Tri
     for trial in trials:
         if trial.setting.codec is not None and trial.model == model:
             yield f"float32 → {storage_label(trial.setting)}", reference, trial
+
+
+def _search_steps(plain: Sequence[Trial], reference: Trial) -> Iterator[tuple[str, Trial, Trial]]:
+    model = reference.model
+    halved, newton = {}, {}
+    for trial in plain:
+        method = trial.model.method
+        if trial.model == replace(model, method=method) and isinstance(method, ConstrainedLeastSquares):
+            if method.solver == "bisection":
+                halved[method.iterations] = trial
+            elif not method.ends:
+                newton[search_label(method)] = trial
+    if halved:
+        most = max(halved)
+        for steps, trial in sorted(halved.items(), reverse=True):
+            if steps != most:
+                yield f"bisection steps {most} → {steps}", halved[most], trial
+        yield f"bisection, {most} steps → newton", halved[most], reference
+    for label, trial in newton.items():
+        yield f"newton to its end → {label}", reference, trial
+
+
+def _precision_steps(trials: Sequence[Trial], reference: Trial) -> Iterator[tuple[str, Trial, Trial]]:
+    mixed = {(trial.model, trial.setting): trial for trial in trials if trial.model.precision == MIXED}
+    pairs = [
+        (mixed[replace(trial.model, precision=MIXED), trial.setting], trial)
+        for trial in trials
+        if trial.model.precision != MIXED
+    ]
+    for base, trial in sorted(pairs, key=lambda pair: pair[0] is not reference):
+        of = "" if base is reference else f"{base.model.label}: "
+        yield f"{of}{MIXED} precision → {trial.model.precision}", base, trial
 
 
 def _changes(base: Trial, trial: Trial) -> tuple[float, ...]:
