@@ -16,17 +16,22 @@ from clrelight.device import Device
 from clrelight.fit import collect_fit, prepare_fit
 from clrelight.fit.linear import LARGEST_CONDITION
 from clrelight.fit.plan import IMAGE_ROUNDING
+from clrelight.fit.precision import DOUBLE, MIXED, SINGLE
 from clrelight.metrics import measure_errors
 from clrelight.relight import relight
 from clrelight.sampling import make_pattern
 
 IMAGE_LIMIT = 2e-5
 """Error of a fitted image as a part of the brightest sample."""
+DOUBLE_LIMIT = 2e-7
+"""The same in double precision, where only the coefficients are rounded."""
 BOUND_LIMIT = 1e-5
 """Part of E_c that the energy of coefficients may be above it."""
 DEGREES = (1, 2, 4, 6, 8, 10, 12, 15, 31)
 CAPS = (60, 30, 10, 2)
 """Radii in degrees."""
+PRECISION_DEGREES = (4, 8, 15, 31)
+"""Those of single and double precision."""
 SCALES = (1e-30, 1e-15, 1e15, 1e30)
 FACTORS = (1e-12, 1e-6, 1e-2, 10.0, 1e3)
 
@@ -66,8 +71,7 @@ def run_selftest(device: Device) -> Iterator[Statement]:
     """Yield the statements, each as soon as it is measured."""
     yield from _basis()
     for degree in DEGREES:
-        lights = make_pattern("uniform", 256 if degree <= 15 else 1024)
-        yield from _fits(device, lights, degree, f"degree {degree}", ("cls", "ceb", "uls", "spline"))
+        yield from _fits(device, _dome(degree), degree, f"degree {degree}", ("cls", "ceb", "uls", "spline"))
     for radius in CAPS:
         yield from _fits(device, _cap(200, radius), 6, f"degree 6, cap of {radius}°", ("cls", "ceb", "uls"))
     clusters = make_pattern("scattered", 120, seed=3)
@@ -80,13 +84,20 @@ def run_selftest(device: Device) -> Iterator[Statement]:
         yield from _fits(device, lights, 4, f"degree 4, samples x {scale:g}", ("cls", "ceb"), scale=scale)
     for factor in FACTORS:
         yield from _fits(device, lights, 4, f"degree 4, energy {factor:g}", ("cls", "ceb"), energy=factor)
+    for degree in PRECISION_DEGREES:
+        case, bounded = f"degree {degree}", ("cls", "ceb", "spline")
+        yield from _fits(device, _dome(degree), degree, case, ("cls",), precision=SINGLE)
+        if device.info.float64:
+            yield from _fits(device, _dome(degree), degree, case, bounded, precision=DOUBLE)
     yield from _powers_of_two(device, lights)
     yield from _codecs(device)
     yield from _images(device)
 
 
-def _fit(device: Device, stack: LightStack, method: str, degree: int, options: dict[str, float]) -> CoefficientMap:
-    return collect_fit(prepare_fit(stack, method, degree, options=options, device=device))
+def _fit(
+    device: Device, stack: LightStack, method: str, degree: int, options: dict[str, float], precision: str = MIXED
+) -> CoefficientMap:
+    return collect_fit(prepare_fit(stack, method, degree, options=options, precision=precision, device=device))
 
 
 def _fits(
@@ -98,6 +109,7 @@ def _fits(
     *,
     scale: float = 1.0,
     energy: float = 1.0,
+    precision: str = MIXED,
 ) -> Iterator[Statement]:
     stack = _stack(lights_i3, scale)
     sample_ip = stack.images_ihwc.reshape(stack.n_light, -1).astype(np.float64)
@@ -112,9 +124,9 @@ def _fits(
         if method == "uls" and len(lights_i3) < basis_ik.shape[1]:
             continue
         options = {"energy": energy} if method in ("cls", "ceb") else {"lam": 0.1} if method == "spline" else {}
-        fitted = _fit(device, stack, method, degree, options)
+        fitted = _fit(device, stack, method, degree, options, precision)
         found_kp = fitted.coeffs_khwc.reshape(fitted.n_coeff, -1).astype(np.float64)
-        limit = IMAGE_LIMIT
+        limit = DOUBLE_LIMIT if precision == DOUBLE else IMAGE_LIMIT
         if method == "cls":
             exact_kp = rotation @ _constrained(sigma, z_rp, energy_p)
         elif method == "ceb":
@@ -129,10 +141,11 @@ def _fits(
             exact_kp = _smoothed(basis_ik, sample_ip, degree)
         error = np.abs(basis_ik @ (found_kp - exact_kp)).max() / sample_ip.max()
         at = f"{case}, condition {condition:.0e}" if method == "uls" else case
-        yield Statement(method, at, "image error, of the brightest sample", float(error), limit)
+        part = method if precision == MIXED else f"{method} {precision}"
+        yield Statement(part, at, "image error, of the brightest sample", float(error), limit)
         if method in ("cls", "ceb"):
             excess = np.max(np.sum(found_kp**2, axis=0) / np.where(energy_p > 0.0, energy_p, 1.0) - 1.0)
-            yield Statement(method, case, "energy above the bound, of the bound", float(max(excess, 0.0)), BOUND_LIMIT)
+            yield Statement(part, case, "energy above the bound, of the bound", float(max(excess, 0.0)), BOUND_LIMIT)
 
 
 def _constrained(sigma: NDArray, z_rp: NDArray, energy_p: NDArray) -> NDArray[np.float64]:
@@ -221,6 +234,10 @@ def _images(device: Device) -> Iterator[Statement]:
         mse_i = np.mean((np.clip(exact_ip, 0.0, 1.0) - np.clip(sample_ip, 0.0, 1.0)) ** 2, axis=1)
         off_db = np.abs(10.0 * np.log10(measure_errors(fitted, stack, device=device) / mse_i)).max()
         yield Statement("psnr", f"degree {degree}", "error in dB", float(off_db), 1e-3)
+
+
+def _dome(degree: int) -> NDArray[np.float64]:
+    return make_pattern("uniform", 256 if degree <= 15 else 1024)
 
 
 def _cap(count: int, radius: float) -> NDArray[np.float64]:

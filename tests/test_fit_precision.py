@@ -266,6 +266,9 @@ def test_the_command_takes_and_records_a_precision(tmp_path):
     for line, expected in (
         ([*words, "--precision", "quadruple"], "precision must be one of mixed, single, double, got 'quadruple'"),
         ([*config, "--precision", "double"], "--precision: "),
+        (["bench", tmp_path / "ring.h5", "--precision", "half"], "precision must be one of mixed, single, double"),
+        (["bench", tmp_path / "one.toml", "--precision", "double"], "--precision: "),
+        (["bench", "--speed", "--precision", "double"], "--precision is an option of experiments, not of --speed"),
         (["bench", tmp_path / "bad.toml"], "precision must be one of mixed, single, double, got 'half'"),
         (["bench", tmp_path / "worse.toml"], "precision must be text, got 64"),
     ):
@@ -288,3 +291,5 @@ def test_a_row_of_bench_knows_its_precision(tmp_path):
     assert '"precision":"double"' in second["fit_config"]
     assert second["psnr_mean"] == pytest.approx(first["psnr_mean"], abs=1e-3)
     assert len(succeed("bench", tmp_path / "double.toml", *out).json["rows"]) == 2
+    small = ["--size", 8, "--lights", 30, "--methods", "cls", "--degrees", 2, "--codecs", "none"]
+    assert len(succeed("bench", "ring", *small, "--precision", "double", *out).json["rows"]) == 2

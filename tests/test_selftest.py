@@ -9,6 +9,7 @@ from tests.commands import call
 @pytest.fixture
 def short(monkeypatch):
     """A selftest of few cases."""
+    monkeypatch.setattr(selftest, "PRECISION_DEGREES", (4,))
     for name, values in {"DEGREES": (2,), "CAPS": (10,), "SCALES": (1e30,), "FACTORS": (1e-12,)}.items():
         monkeypatch.setattr(selftest, name, values)
 
@@ -17,8 +18,11 @@ def test_everything_holds(device, short):
     statements = list(run_selftest(device))
     assert [s for s in statements if not s.holds] == []
     assert {s.part for s in statements} == {
-        *("basis", "cls", "ceb", "uls", "spline", "half", "uniform", "wavelet", "relight", "psnr")
+        *("basis", "cls", "ceb", "uls", "spline", "half", "uniform", "wavelet", "relight", "psnr"),
+        *("cls single", "cls double", "ceb double", "spline double"),
     }
+    limits = {s.limit for s in statements if s.part == "cls double" and s.what.startswith("image error")}
+    assert limits == {2e-7}
     assert len({(s.part, s.case, s.what) for s in statements}) == len(statements)
 
 

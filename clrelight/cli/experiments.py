@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 @click.option("--codecs", type=Names(), help="Codecs; default none,half,s3tc,uniform,wavelet.")
 @click.option("--rates", type=Numbers(float, "0.5,1,2"), help="Bits per coefficient of codecs that take a rate.")
 @holdout_option("the fits")
+@click.option("--precision", help="Of the fits' kernels: mixed (default), single or double.")
 @click.option("--size", type=whole_number(8, 1 << 16), help="Ring: width and height; default 256.")
 @click.option(
     "--lights", type=Numbers(int, "64,256"), help="Ring: number of lights; default 256. With --speed: those to compare."
@@ -63,6 +64,7 @@ def bench(
     codecs: tuple[str, ...] | None,
     rates: tuple[float, ...] | None,
     holdout: int | None,
+    precision: str | None,
     size: int | None,
     lights: tuple[int, ...] | None,
     pattern: str | None,
@@ -94,7 +96,7 @@ def bench(
       clrelight bench --speed --sizes 64,256,1024 --report speed
     """
     of_experiments = given(methods=methods, codecs=codecs, rates=rates, holdout=holdout, size=size)
-    of_experiments.update(given(pattern=pattern, seed=seed, force=force or None))
+    of_experiments.update(given(precision=precision, pattern=pattern, seed=seed, force=force or None))
     of_speed = given(sizes=sizes, threads=threads, rounds=rounds, quick=quick or None, memory=memory, report=report_to)
     _check_kind(speed, what, of_experiments, of_speed)
     if speed:
@@ -115,7 +117,7 @@ def bench(
         )
     elif what is not None:
         ring = given(size=size, lights=_only_number("--lights", lights), pattern=pattern, seed=seed)
-        grid = given(methods=methods, degrees=degrees, codecs=codecs, rates=rates, holdout=holdout)
+        grid = given(methods=methods, degrees=degrees, codecs=codecs, rates=rates, holdout=holdout, precision=precision)
         _bench_grid(what, out or "results.h5", grid, ring, force=force, device=device, as_json=as_json)
 
 

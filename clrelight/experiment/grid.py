@@ -146,6 +146,7 @@ def paper_experiment(
     codecs: tuple[str, ...] = (NO_CODEC, "half", "s3tc", "uniform", "wavelet"),
     rates: tuple[float, ...] | None = None,
     holdout: int | None = None,
+    precision: str = MIXED,
     ring: Mapping[str, Any] | None = None,
 ) -> Experiment:
     """Return the paper's experiment (table I and III, figures 7 and 15) on one scene.
@@ -160,7 +161,9 @@ def paper_experiment(
         chosen = rates or (PAPER_RATES if name == "wavelet" else None)
         settings += make_settings(name, {"rate": list(chosen)} if chosen and name in rated else {})
     made = [method for name in methods for method in make_methods(name, {})]
-    return Experiment((scene,), tuple(made), degrees, tuple(settings), holdout, ring=dict(ring or {}))
+    return Experiment(
+        (scene,), tuple(made), degrees, tuple(settings), holdout, ring=dict(ring or {}), precision=precision
+    )
 
 
 def make_methods(method_id: str, config: Mapping[str, Any]) -> list[FitMethod | str]:

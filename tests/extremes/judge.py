@@ -42,13 +42,14 @@ def image_error(stack, fitted, exact_kp):
     return float(np.abs(basis_ik @ (columns_of(fitted) - exact_kp)).max() / samples_of(stack).max())
 
 
-def judge(stack, method, degree, factor=1.0, **options):
+def judge(stack, method, degree, factor=1.0, *, precision="mixed", bound=BOUND, **options):
     """Fit, check that all is finite and the bound holds, and return the error of the image."""
-    fitted = fit(stack, method, degree, options={"energy": factor, **options} if factor != 1.0 or options else None)
+    asked = {"energy": factor, **options} if factor != 1.0 or options else None
+    fitted = fit(stack, method, degree, options=asked, precision=precision)
     found_kp, sample_ip = columns_of(fitted), samples_of(stack)
     assert np.isfinite(found_kp).all()
     energy_p = factor * reference.bound(sample_ip, np.ones(stack.n_light))
-    assert (np.sum(found_kp**2, axis=0) <= energy_p * (1.0 + BOUND)).all()
+    assert (np.sum(found_kp**2, axis=0) <= energy_p * (1.0 + bound)).all()
     basis_ik = basis.real_harmonics(stack.directions_i3, degree)
     if method == "cls":
         exact_kp = reference.constrained(basis_ik, sample_ip, np.ones(stack.n_light), factor)[0]
