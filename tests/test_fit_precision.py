@@ -61,6 +61,7 @@ def check_rounded(found_kp, exact_kp):
 CASES = [
     ("project", {}, 4),
     ("project", {}, 3),
+    ("uls", {}, 0),
     ("uls", {}, 4),
     ("sloan", {}, 4),
     *[("cls", options, degree) for options in SEARCHES for degree in (2, 8)],
@@ -128,6 +129,14 @@ def test_double_with_weights_and_scattered_samples(device):
         scale_k, energy = np.sqrt(angle_i @ basis_ik**2), angle_i @ sample_ip[:, p] ** 2
         exact_k, _ = reference.constrained_dense(basis_ik, sample_ip[:, p], scale_k, energy)
         assert np.abs(columns_of(fitted)[:, p] - exact_k).max() < 1e-7 * np.abs(exact_k).max()
+
+
+@both_styles
+@pytest.mark.parametrize("peak", [1e-30, 1e30])
+def test_double_decodes_extreme_peaks_in_float64(device, peak):
+    directions = make_pattern("uniform", 90)
+    stack = LightStack((peak * make_samples(directions, (2, 19, 3))).astype(np.float32), directions, peak, "srgb")
+    check_rounded(columns_of(fit(stack, "uls", 3, precision="double")), exact(stack, "uls", 3)[0])
 
 
 @pytest.mark.parametrize("power", [-60, 60, 110])
