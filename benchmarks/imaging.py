@@ -70,7 +70,7 @@ def _relight_stored(work: Workload, dtype: str, copies: int, goal: float | None 
     directions_i3 = _directions(work, 1)
     coeffs_khwc = np.tile(work.fitted.coeffs_khwc, (1, copies, 1, 1))
     coeffs_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
-    stored = replace(work.fitted, coeffs_khwc=coeffs_khwc.astype(dtype))
+    stored = replace(work.fitted, coeffs_khwc=coeffs_khwc.astype(dtype), lambda_hwc=None)
     basis_ik = evaluate_basis(directions_i3, work.degree)
     factors = basis_ik[0].astype(np.float32)
     exact_is = basis_ik @ coeffs_kp[:, work.checked_s]
