@@ -176,6 +176,22 @@ def test_halves_are_measured_as_their_float32(device, shape, transfer):
         )
 
 
+def test_halves_are_read_as_halves(device, monkeypatch):
+    stack, read = make_stack(20, (13, 37, 3)), []
+    halves = random_map("float16", (9, 13, 37, 3), scale=1e-3)
+
+    def recording(self, first, end, out_khwc):
+        read.append(out_khwc.dtype)
+        return read_rows(self, first, end, out_khwc)
+
+    read_rows = CoefficientMap.read_rows
+    monkeypatch.setattr(CoefficientMap, "read_rows", recording)
+    stored = replace(halves, coeffs_khwc=Rows(halves.coeffs_khwc))
+    relight(stored, stack.directions_i3[:3])
+    measure_errors(stored, stack)
+    assert read == [np.float16, np.float16]
+
+
 class Rows:
     """Coefficients that can only be read by rows, as those of a file."""
 
@@ -418,9 +434,9 @@ def test_tiles_of_halves_hold_what_they_are_counted_for(method):
     maps = 4 * (method != "uls")
     beside = 2 * 2 * 9 + maps
     column = 2 * 4 * 20 + 4 * (len(prepared.plan.singular_r) + 2) + 4 * (9 + 1) + beside
-    memory = 3 * 64 * 3 * column
-    assert rows_per_tile(prepared, memory, beside=beside) == 3
-    assert rows_per_tile(prepared, memory - 1, beside=beside) == 2
+    memory = 4 * 64 * 3 * column - 1
+    assert rows_per_tile(prepared, memory + 1, beside=beside) == 4
+    assert rows_per_tile(prepared, memory) == 4  # it is the halves that do not fit
     with contextlib.closing(_float16_tiles(prepared, memory, 1)) as tiles:
         found = [(tile, tile.coeffs_khwc.copy()) for tile in tiles]
     assert [(tile.first, tile.end) for tile, _ in found[:2]] == [(0, 3), (3, 6)]
