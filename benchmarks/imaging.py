@@ -13,7 +13,7 @@ from benchmarks.workload import Workload
 from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.metrics import measure_errors, psnr_of
-from clrelight.relight import relight, relight_array
+from clrelight.relight import relight
 from clrelight.speed.peers import squared_errors
 from clrelight.speed.stage import Stage
 
@@ -29,9 +29,9 @@ _CHECKED_LIGHTS = 8
 def imaging_stages(work: Workload) -> Iterator[Stage]:
     """Yield relighting by one light and by many, without coefficients too, and the PSNR of all lights."""
     yield _relight(work, 1)
-    yield _relight_array(work, "float16", 1, RELIGHT_GOAL)
-    yield _relight_array(work, "float32", MANY_COPIES)
-    yield _relight_array(work, "float16", MANY_COPIES)
+    yield _relight_stored(work, "float16", 1, RELIGHT_GOAL)
+    yield _relight_stored(work, "float32", MANY_COPIES)
+    yield _relight_stored(work, "float16", MANY_COPIES)
     yield _relight(work, MANY_LIGHTS)
     yield _relight_view(work, "klt", {"rate": KLT_RATE}, KLT_RELIGHT_GOAL)
     yield _relight_view(work, "whitened", {"codec": "half"}, None)
@@ -62,27 +62,28 @@ def _relight(work: Workload, lights: int) -> Stage:
     )
 
 
-def _relight_array(work: Workload, dtype: str, copies: int, goal: float | None = None) -> Stage:
+def _relight_stored(work: Workload, dtype: str, copies: int, goal: float | None = None) -> Stage:
     """Return relighting of coefficients as they are stored, beside float32 ones: the error has that of rounding them.
 
     Several copies of the view make one that no cache holds.
     """
     directions_i3 = _directions(work, 1)
     coeffs_khwc = np.tile(work.fitted.coeffs_khwc, (1, copies, 1, 1))
-    coeffs_kp, stored_khwc = coeffs_khwc.reshape(len(coeffs_khwc), -1), coeffs_khwc.astype(dtype)
+    coeffs_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
+    stored = replace(work.fitted, coeffs_khwc=coeffs_khwc.astype(dtype), lambda_hwc=None)
     basis_ik = evaluate_basis(directions_i3, work.degree)
     factors = basis_ik[0].astype(np.float32)
     exact_is = basis_ik @ coeffs_kp[:, work.checked_s]
 
     def errors() -> tuple[float, float]:
-        images = (relight_array(stored_khwc, directions_i3, device=work.device), factors @ coeffs_kp)
+        images = (relight(stored, directions_i3, device=work.device), factors @ coeffs_kp)
         ours, theirs = (np.abs(image.reshape(1, -1)[:, work.checked_s] - exact_is).max() for image in images)
         return float(ours), float(theirs)
 
     return Stage(
         f"relight 1 light, {dtype}" + f", {coeffs_kp.shape[1]} columns" * (copies > 1),
         "NumPy float32 matrix-vector",
-        lambda: relight_array(stored_khwc, directions_i3, device=work.device),
+        lambda: relight(stored, directions_i3, device=work.device),
         lambda: factors @ coeffs_kp,
         errors,
         "largest image error / peak" + ", the rounding to binary16 in it" * (dtype == "float16"),

@@ -43,9 +43,10 @@ class Resident:
         return self._stored[key]
 
 
-def measure(path: Path, out: Path, degree: int, memory: int, rounds: int) -> dict[str, float]:
+def measure(path: Path, out: Path, degree: int, memory: int, rounds: int, store: str) -> dict[str, float]:
     """Time fits of one stack, computing only and from file to file in turns; return medians."""
     fit_words = ["fit", str(path), str(out), "--degree", str(degree), "--memory", str(memory), "--no-measure"]
+    fit_words += ["--store", store]
     peak, seconds = 0, np.empty((rounds + 1, 2, 2))
     with open_stack(path) as stack:
         columns = int(np.prod(stack.image_shape))
@@ -78,8 +79,9 @@ def measure(path: Path, out: Path, degree: int, memory: int, rounds: int) -> dic
 @click.option("--degree", type=whole_number(0), default=6, show_default=True)
 @click.option("--memory", type=ByteCount(), default="256MiB", show_default=True)
 @click.option("--rounds", type=whole_number(1), default=3, show_default=True, help="Runs that count, after one more.")
+@click.option("--store", default="float32", show_default=True, help="Type that coefficients are stored in, or float16.")
 @click.option("--child", is_flag=True, hidden=True)
-def main(stacks: tuple[Path, ...], out: Path, degree: int, memory: int, rounds: int, child: bool) -> None:
+def main(stacks: tuple[Path, ...], out: Path, degree: int, memory: int, rounds: int, store: str, child: bool) -> None:
     """Fit stacks with cls: time from file to file over time of computing alone, and the most memory ever resident.
 
     Each stack has a process of its own. Make stacks by benchmarks.big_stack.
@@ -89,11 +91,12 @@ def main(stacks: tuple[Path, ...], out: Path, degree: int, memory: int, rounds: 
       python -m benchmarks.streaming s512.h5 s4096.h5 --out fit.h5
     """
     if child:
-        click.echo(json.dumps(measure(stacks[0], out, degree, memory, rounds)))
+        click.echo(json.dumps(measure(stacks[0], out, degree, memory, rounds, store)))
         return
     rows = []
     for path in stacks:
         words = ["--out", str(out), "--degree", str(degree), "--memory", str(memory), "--rounds", str(rounds)]
+        words += ["--store", store]
         command = [sys.executable, "-m", "benchmarks.streaming", str(path), *words, "--child"]
         found = json.loads(subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout)
         rows.append(

@@ -15,8 +15,13 @@ from clrelight.errors import InputError
 SAMPLE_DTYPES = ("uint8", "uint16", "float16", "float32")
 """The types that images may have; kernels read each of them without conversion on the host."""
 
+COEFFICIENT_DTYPES = ("float32", "float16")
+"""The types that coefficients may be stored in; kernels that relight read both."""
+
 _LEAST_PEAK = 1e-37
 _UNIT_TOLERANCE = 1e-6
+_WIDENED_BYTES = 1 << 24
+"""Halves that are held at a time while they become float32."""
 _SAME_LIGHT = 1.0 - 1e-12  # of the cosine between two directions
 
 
@@ -157,8 +162,9 @@ class CoefficientMap:
 
     Attributes
     ----------
-    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32
+    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), one of `COEFFICIENT_DTYPES`
         Coefficients of linear radiance in units of the peak; ``k = l (l + 1) + m``. May be an HDF5 dataset.
+        `read_rows` and `to_float32` give float32 of either type.
     degree : int
         Largest degree; ``n_coeff = (degree + 1)**2``.
     method : str
@@ -192,8 +198,8 @@ class CoefficientMap:
         shape = tuple(self.coeffs_khwc.shape)
         if len(shape) != 4 or min(shape) < 1:
             raise InputError(f"coefficients must be (coefficient, height, width, channel), got shape {shape}")
-        if self.coeffs_khwc.dtype != np.float32:
-            raise InputError(f"coefficients must be float32, got {self.coeffs_khwc.dtype}")
+        if self.coeffs_khwc.dtype not in (np.float32, np.float16):
+            raise InputError(f"coefficients must be {' or '.join(COEFFICIENT_DTYPES)}, got {self.coeffs_khwc.dtype}")
         if self.degree < 0 or shape[0] != coefficient_count(self.degree):
             raise InputError(f"degree {self.degree} has {(self.degree + 1) ** 2} coefficients, got {shape[0]}")
         if self.transfer not in TRANSFERS:
@@ -208,6 +214,32 @@ class CoefficientMap:
                 raise InputError(
                     f"{label} must be {np.dtype(dtype)} of shape {shape[1:]}, got {value.dtype} {value.shape}"
                 )
+
+    def read_rows(self, first: int, end: int, out_khwc: NDArray) -> NDArray:
+        """Fill `out_khwc`, C-contiguous (n_coeff, end - first, width, channel), with rows first..end and return it.
+
+        It is of the type that the map holds, or float32: then halves become float32, which changes no value.
+        """
+        held = self.coeffs_khwc.dtype
+        if out_khwc.dtype == held:
+            return read_rows_into(self.coeffs_khwc, first, end, out_khwc)
+        if out_khwc.dtype != np.float32:
+            raise TypeError(f"expected an array of {held} or float32, got {out_khwc.dtype}")
+        n_coeff, _, width, channel = out_khwc.shape
+        step = max(1, _WIDENED_BYTES // (n_coeff * width * channel * held.itemsize))
+        for row in range(first, end, step):
+            stop = min(row + step, end)
+            rows_khwc = np.empty((n_coeff, stop - row, width, channel), held)
+            out_khwc[:, row - first : stop - first] = read_rows_into(self.coeffs_khwc, row, stop, rows_khwc)
+        return out_khwc
+
+    def to_float32(self) -> CoefficientMap:
+        """Return this map with its coefficients in memory as float32, which changes no value."""
+        held = self.coeffs_khwc
+        if isinstance(held, np.ndarray) and held.dtype == np.float32:
+            return self
+        height = self.image_shape[0]
+        return replace(self, coeffs_khwc=self.read_rows(0, height, np.empty(held.shape, np.float32)))
 
     @property
     def n_coeff(self) -> int:

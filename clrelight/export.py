@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec import Bc6h, Encoded, encode
 from clrelight.codec.dds import write_dds
-from clrelight.dataset import CoefficientMap, read_rows_into
+from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.images import write_image
@@ -96,8 +96,7 @@ def export_textures(
     """
     check_export(out, file_format)
     target = Path(out)
-    shape = coefficients.coeffs_khwc.shape
-    coeffs_khwc = read_rows_into(coefficients.coeffs_khwc, 0, shape[1], np.empty(shape, np.float32))
+    coeffs_khwc = coefficients.to_float32().coeffs_khwc
     scale = 1.0 if file_format == "exr" or blocks is not None else _choose_scale(coeffs_khwc)
     scaled_khwc = coeffs_khwc if scale == 1.0 else np.divide(coeffs_khwc, scale, dtype=np.float32)
     if file_format == "dds" and blocks is None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.basis import evaluate_basis
-from clrelight.dataset import CoefficientMap, LightStack, read_rows_into
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, tile_defines
@@ -83,20 +83,22 @@ def measure_errors(
         raise InputError("the mask leaves no pixel to measure")
     basis = pack_operator(device, evaluate_basis(stack.directions_i3, coefficients.degree))
     total_i = np.zeros(stack.n_light)
-    step = max(1, _TILE_BYTES // (4 * (stack.n_light + coefficients.n_coeff) * width * channel))
+    dtype = np.dtype(coefficients.coeffs_khwc.dtype)
+    column_bytes = 4 * stack.n_light + dtype.itemsize * coefficients.n_coeff
+    step = max(1, _TILE_BYTES // (column_bytes * width * channel))
     tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
     coeffs_of, samples_of = (itertools.cycle([Buffer(), Buffer()]) for _ in range(2))
     sum_tile = _SumOfErrors(device, basis, stack)
     whole = _arrays_in_place(device, coefficients, stack)
 
-    def read(rows: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray]:
+    def read(rows: tuple[int, int]) -> tuple[NDArray, NDArray]:
         if whole is not None:
             stack.check_rows(*rows)
             return whole
         tile_shape = (rows[1] - rows[0], width, channel)
-        coeffs_khwc = next(coeffs_of).lend((coefficients.n_coeff, *tile_shape), np.float32)
+        coeffs_khwc = next(coeffs_of).lend((coefficients.n_coeff, *tile_shape), dtype)
         samples_ihwc = next(samples_of).lend((stack.n_light, *tile_shape), stack.images_ihwc.dtype)
-        return read_rows_into(coefficients.coeffs_khwc, *rows, coeffs_khwc), stack.read_rows(*rows, samples_ihwc)
+        return coefficients.read_rows(*rows, coeffs_khwc), stack.read_rows(*rows, samples_ihwc)
 
     with reading_ahead(read, tiles) as pieces:
         for (first, end), (coeffs_khwc, samples_ihwc) in zip(tiles, pieces, strict=True):
@@ -109,9 +111,7 @@ def measure_errors(
     return total_i / count
 
 
-def _arrays_in_place(
-    device: Device, coefficients: CoefficientMap, stack: LightStack
-) -> tuple[NDArray[np.float32], NDArray] | None:
+def _arrays_in_place(device: Device, coefficients: CoefficientMap, stack: LightStack) -> tuple[NDArray, NDArray] | None:
     """Return coefficients and images where kernels can read them as they lie in memory, a tile at a time."""
     arrays = coefficients.coeffs_khwc, stack.images_ihwc
     in_place = all(isinstance(array, np.ndarray) and array.flags.c_contiguous for array in arrays)
@@ -126,7 +126,7 @@ class _SumOfErrors:
         self._peak, self._transfer = stack.peak, stack.transfer
 
     def __call__(
-        self, coeffs_khwc: NDArray[np.float32], samples_ihwc: NDArray, weight_p: NDArray[np.float32], columns: slice
+        self, coeffs_khwc: NDArray, samples_ihwc: NDArray, weight_p: NDArray[np.float32], columns: slice
     ) -> NDArray[np.float64]:
         device = self._device
         coeffs_kp = device.upload(coeffs_khwc.reshape(len(coeffs_khwc), -1))
@@ -154,7 +154,12 @@ class _SumOfErrors:
                 1.0 / self._peak,
                 *(columns.start, columns.stop),
                 *(*error_it.shape, *coeffs_kp.shape, self._basis.heights_b.shape[0]),
-                defines={**tile, **sample_defines(source_ip.dtype), "ENCODE": int(self._transfer == "srgb")},
+                defines={
+                    **tile,
+                    **sample_defines(source_ip.dtype),
+                    "COEFF_HALF": int(coeffs_kp.dtype == np.float16),
+                    "ENCODE": int(self._transfer == "srgb"),
+                },
             )
         return device.download(error_it).sum(axis=1, dtype=np.float64)
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.basis import evaluate_basis
-from clrelight.conventions import degree_of, linear_to_srgb
-from clrelight.dataset import CoefficientMap, check_directions, read_rows_into
+from clrelight.conventions import linear_to_srgb
+from clrelight.dataset import CoefficientMap, check_directions
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.matmul import multiply_columns
@@ -27,7 +27,7 @@ def relight(
     Parameters
     ----------
     coefficients : CoefficientMap
-        In memory, or in an open file; then they are read once, tile by tile.
+        In memory, or in an open file; then they are read once, tile by tile. Those in float16 are read as they are.
     directions_i3 : ndarray, shape (n_light, 3), float64
         Unit vectors from the surface to the lights. Below the horizon of a hemispherical fit the result means
         nothing; it is returned as it is.
@@ -38,33 +38,10 @@ def relight(
     ndarray, shape (n_light, height, width, channel), float32
         Linear radiance in units of the peak, not clipped.
     """
-    return combine_maps(device or open_device(), _evaluate_lights(directions_i3, coefficients.degree), coefficients)
-
-
-def relight_array(
-    coeffs_khwc: NDArray, directions_i3: NDArray[np.float64], *, device: Device | None = None
-) -> NDArray[np.float32]:
-    """Return what `relight` does, of coefficients in memory as float32 or, in half the memory, as float16.
-
-    Parameters
-    ----------
-    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), float32 or float16
-    directions_i3 : ndarray, shape (n_light, 3), float64
-    device : Device, optional
-    """
-    if coeffs_khwc.dtype not in (np.float32, np.float16):
-        raise InputError(f"coefficients must be float32 or float16, got {coeffs_khwc.dtype}")
-    basis_ik = _evaluate_lights(directions_i3, degree_of(len(coeffs_khwc)))
-    coeffs_kp = np.ascontiguousarray(coeffs_khwc).reshape(len(coeffs_khwc), -1)
-    images_ip = multiply_columns(device or open_device(), basis_ik, coeffs_kp)
-    return images_ip.reshape(len(basis_ik), *coeffs_khwc.shape[1:])
-
-
-def _evaluate_lights(directions_i3: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     check_directions(directions_i3, None)
     if not len(directions_i3):
         raise InputError("relighting needs at least 1 light, got none")
-    return evaluate_basis(directions_i3, degree)
+    return combine_maps(device or open_device(), evaluate_basis(directions_i3, coefficients.degree), coefficients)
 
 
 def combine_maps(device: Device, factor_ik: NDArray[np.float64], coefficients: CoefficientMap) -> NDArray[np.float32]:
@@ -79,14 +56,15 @@ def combine_maps(device: Device, factor_ik: NDArray[np.float64], coefficients: C
 def _combine_tiles(device: Device, factor_ik: NDArray[np.float64], coefficients: CoefficientMap) -> NDArray[np.float32]:
     """Combine coefficients that lie in a file: of them, two tiles of rows are held at a time."""
     height, width, channel = coefficients.image_shape
-    step = max(1, _TILE_BYTES // (4 * coefficients.n_coeff * width * channel))
+    dtype = np.dtype(coefficients.coeffs_khwc.dtype)
+    step = max(1, _TILE_BYTES // (dtype.itemsize * coefficients.n_coeff * width * channel))
     tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
     buffers = itertools.cycle([Buffer(), Buffer()])
     images_ihwc = np.empty((len(factor_ik), height, width, channel), np.float32)
 
-    def read(rows: tuple[int, int]) -> NDArray[np.float32]:
+    def read(rows: tuple[int, int]) -> NDArray:
         shape = (coefficients.n_coeff, rows[1] - rows[0], width, channel)
-        return read_rows_into(coefficients.coeffs_khwc, *rows, next(buffers).lend(shape, np.float32))
+        return coefficients.read_rows(*rows, next(buffers).lend(shape, dtype))
 
     with reading_ahead(read, tiles) as pieces:
         for (first, end), coeffs_khwc in zip(tiles, pieces, strict=True):

@@ -92,7 +92,8 @@ def test_directions_may_be_off_by_rounding():
     ("changed", "message"),
     [
         ({"coeffs_khwc": np.zeros((4, 2, 3), np.float32)}, r"got shape \(4, 2, 3\)"),
-        ({"coeffs_khwc": np.zeros((4, 2, 3, 1))}, "coefficients must be float32, got float64"),
+        ({"coeffs_khwc": np.zeros((4, 2, 3, 1))}, "coefficients must be float32 or float16, got float64"),
+        ({"coeffs_khwc": np.zeros((4, 2, 3, 1), ">f4")}, "float32 or float16, got >f4"),
         ({"degree": 2}, "degree 2 has 9 coefficients, got 4"),
         ({"degree": -3}, "got 4"),
         ({"transfer": "log"}, "got 'log'"),

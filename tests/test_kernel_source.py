@@ -96,6 +96,7 @@ def test_build_error_names_a_line_after_an_include(folder):
         ("fit/cls.cl", {}, "N_COMPONENT must be defined"),
         ("fit/ceb.cl", {"N_COMPONENT": 4}, "CROSSING must be defined"),
         ("metrics/relit_error.cl", {"SAMPLE_T": "float", "SAMPLE_HALF": 0}, "ENCODE must be defined"),
+        ("metrics/relit_error.cl", {"SAMPLE_T": "float", "SAMPLE_HALF": 0, "ENCODE": 0}, "COEFF_HALF must be defined"),
     ],
 )
 def test_a_missing_define_is_an_error(device, file, defines, names):

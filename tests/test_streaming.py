@@ -121,11 +121,13 @@ def test_tiles_keep_their_values_as_long_as_was_asked(device, held):
     row_bytes = 7 * 3 * 4 * (20 + 20 + 9 + 2 + held * (9 + 1))
     assert rows_per_tile(prepared, 2 * row_bytes, held=held) == 2
     with closing(fit_tiles(prepared, memory_bytes=2 * row_bytes, held=held)) as tiles:
-        kept, copies = [], []
+        kept, copies, maps = [], [], []
         for tile in tiles:
             kept, copies = [*kept, tile][-held:], [*copies, tile.coeffs_khwc.copy()][-held:]
+            maps = [*maps, (tile.lambda_hwc, tile.lambda_hwc.copy())]
             for one, copy in zip(kept, copies, strict=True):
                 np.testing.assert_array_equal(one.coeffs_khwc, copy)
+    assert all((lambda_hwc == copy).all() for lambda_hwc, copy in maps)  # a tile's own, kept for ever
     assert io_threads() == []
 
 

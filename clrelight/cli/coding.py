@@ -98,7 +98,7 @@ def encode(
     opened = open_device(device)
     seconds: dict[str, float] = {}
     since = time.perf_counter()
-    coefficients = read_fit(fit_file)
+    coefficients = read_fit(fit_file).to_float32()
     seconds["read"] = time.perf_counter() - since
     notes: list[str] = []
     noise = None

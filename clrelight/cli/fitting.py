@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import time
+from collections.abc import Generator
 from contextlib import closing
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -44,6 +47,13 @@ if TYPE_CHECKING:
     help="Of kernels: mixed, single (float32) or double (float64).",
 )
 @click.option("--config", type=click.Path(), metavar="FILE.toml", help="All of this from a file, as trade writes it.")
+@click.option(
+    "--store",
+    type=click.Choice(["float32", "float16"]),
+    default="float32",
+    show_default=True,
+    help="Type that coefficients are stored in: float16 takes half the bytes.",
+)
 @click.option("--measure/--no-measure", "measured", default=True, help="Whether to measure PSNR after fitting.")
 @memory_option("256MiB", "one tile of the fit")
 @device_option
@@ -60,6 +70,7 @@ def fit(
     sampling: str,
     precision: str,
     config: str | None,
+    store: str,
     measured: bool,
     memory: int,
     device: str | None,
@@ -73,7 +84,10 @@ def fit(
       clrelight fit stack.h5 fit.h5 --method cls --degree 6 --holdout 5
       clrelight fit stack.h5 fit.h5 --method auto --degree auto
       clrelight fit stack.h5 fit.h5 --config trade.toml
+      clrelight fit stack.h5 fit.h5 --method ceb --store float16
     """
+    import os
+
     from clrelight.dataset import CoefficientMap
     from clrelight.device import open_device
     from clrelight.fit.run import prepare_fit
@@ -112,6 +126,7 @@ def fit(
             "n_light": len(fitted),
             "n_holdout": len(held),
             "config": dict(prepared.config),
+            "dtype": store,
             "condition": report.condition,
             "device": opened.info.label,
             "notes": report.notes,
@@ -127,9 +142,8 @@ def fit(
             "config": prepared.config,
             "name": source.name,
         }
-        with create_fit(
-            out, image_shape=source.image_shape, has_lambda=kind.has_lambda, has_rank=kind.has_rank, **about
-        ) as sink:
+        maps: dict[str, Any] = {"has_lambda": kind.has_lambda, "has_rank": kind.has_rank}
+        with create_fit(out, image_shape=source.image_shape, dtype=store, **maps, **about) as sink:
             _fill(sink, prepared, memory)
             # Before the file stands: where measuring fails, or is interrupted, an old file stays.
             if measured:
@@ -138,6 +152,7 @@ def fit(
                 report.add("measure", since)
             since = time.perf_counter()
         report.add("write", since)
+        facts["bytes_on_disk"] = os.stat(out).st_size
         facts["seconds"] = report.seconds
     if as_json:
         print_json(facts)
@@ -147,6 +162,7 @@ def fit(
         {
             "fit": out,
             "method": f"{kind.title}, degree {prepared.degree}, {len(fitted)} lights",
+            "stored": f"{store}, {facts['bytes_on_disk']} bytes",
             "condition": f"{report.condition:.3g}",
             **psnr_lines(facts.get("psnr")),
             "time": seconds_line(report.seconds),
@@ -170,13 +186,13 @@ def _read_config(context: click.Context, config: str, settled: list[str]) -> Exp
 
 
 def _fill(sink: FitSink, prepared: PreparedFit, memory: int) -> None:
-    from clrelight.fit.run import fit_tiles
     from clrelight.streaming import writing_behind
 
     def write(tile: FittedTile) -> None:
         sink.write_rows(tile.first, tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc)
 
-    tiles = fit_tiles(prepared, memory_bytes=memory, held=2, row_step=sink.coeffs_khwc.chunks[1])
+    make = _float32_tiles if sink.coeffs_khwc.dtype.itemsize == 4 else _float16_tiles
+    tiles = make(prepared, memory, sink.coeffs_khwc.chunks[1])
     with progress_bar(f"fitting {prepared.method.title}") as bar, closing(tiles):
         with writing_behind(write) as put:
             for tile in tiles:
@@ -185,6 +201,33 @@ def _fill(sink: FitSink, prepared: PreparedFit, memory: int) -> None:
                 since = prepared.report.add("write", since)
                 bar(tile.end, prepared.stack.image_shape[0])
         prepared.report.add("write", since)
+
+
+def _float32_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:
+    from clrelight.fit.run import fit_tiles
+
+    return fit_tiles(prepared, memory_bytes=memory, held=2, row_step=row_step)
+
+
+def _float16_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:
+    """Yield each tile rounded to halves: of one tile the float32 are held, of two, one being written, the halves."""
+    import numpy as np
+
+    from clrelight.codec.rounding import rounding_rows
+    from clrelight.fit.run import fit_tiles
+    from clrelight.streaming import Buffer
+
+    map_bytes = 4 * (prepared.method.has_lambda + prepared.method.has_rank)
+    beside = 2 * 2 * (prepared.degree + 1) ** 2 + map_bytes
+    halves_of = itertools.cycle([Buffer(), Buffer()])
+    tiles = fit_tiles(prepared, memory_bytes=memory, row_step=row_step, beside=beside)
+    with rounding_rows(prepared.device) as round_rows, closing(tiles):
+        for tile in tiles:
+            since = time.perf_counter()
+            halves_khwc = next(halves_of).lend(tile.coeffs_khwc.shape, np.float16)
+            rounded = replace(tile, coeffs_khwc=round_rows(tile.coeffs_khwc, halves_khwc, tile.first))
+            prepared.report.add("round", since)
+            yield rounded
 
 
 COMMANDS = (fit,)

@@ -85,21 +85,29 @@ class _Finite:
         self.shape, self.dtype = stored_khwc.shape, stored_khwc.dtype
         self._path, self._stored = path, stored_khwc
 
-    def read_rows_into(self, first: int, end: int, out: NDArray[np.float32]) -> None:
+    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
         self._stored.read_rows_into(first, end, out)
         _check_finite(self._path, out, first)
 
 
-def _check_finite(path: str, coeffs_khwc: NDArray[np.float32], first_row: int = 0) -> None:
+def _check_finite(path: str, coeffs_khwc: NDArray, first_row: int = 0) -> None:
     import numpy as np
 
     for k, plane_hwc in enumerate(coeffs_khwc):
-        if not np.isfinite(plane_hwc).all():
+        if not _all_finite(plane_hwc):
             row, column, channel = (int(v) for v in np.argwhere(~np.isfinite(plane_hwc))[0])
             raise InputError(
                 f"{path}: coefficient {k} at row {first_row + row}, column {column}, channel {channel} is "
                 f"{plane_hwc[row, column, channel]}, expected a finite number"
             )
+
+
+def _all_finite(values: NDArray) -> bool:
+    import numpy as np
+
+    if values.dtype == np.float16:  # NumPy looks at halves one by one, and at their bits at the speed of memory
+        return bool((values.view(np.uint16) & 0x7FFF).max() < 0x7C00)
+    return bool(np.isfinite(values).all())
 
 
 def measure(

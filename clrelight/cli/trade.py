@@ -16,6 +16,7 @@ from clrelight.errors import InputError
 
 if TYPE_CHECKING:
     from clrelight.experiment.front import Trial
+    from clrelight.experiment.grid import CodecSetting
 
 _MARK = "# The setting that clrelight trade chose:"
 
@@ -120,11 +121,19 @@ def trade(
         click.echo("")
     if limits.are_set:
         facts["it reaches"] = f"{decibel(chosen.psnr)} held out, {chosen.size} bytes, {chosen.seconds:.3g} s"
-        facts["next"] = f"clrelight fit {stack} fit.h5 --config {target}"
-        if chosen.setting.codec is not None:
-            rate = "" if math.isnan(chosen.setting.rate) else f" --rate {chosen.setting.rate:g}"
-            facts["then"] = f"clrelight encode fit.h5 small.h5 --codec {chosen.setting.id}{rate}"
+        facts |= _commands(stack, target, chosen.setting)
     print_facts(facts)
+
+
+def _commands(stack: str, config: Path, setting: CodecSetting) -> dict[str, str]:
+    """Return the commands that make what was chosen."""
+    fit = f"clrelight fit {stack} fit.h5 --config {config}"
+    if setting.codec is None:
+        return {"next": fit}
+    rate = "" if math.isnan(setting.rate) else f" --rate {setting.rate:g}"
+    then = f"clrelight encode fit.h5 small.h5 --codec {setting.id}{rate}"
+    # The same coefficients; the fit keeps its map of lambda or rank beside them.
+    return {"next": fit, "then": then, **({"or at once": f"{fit} --store float16"} if setting.id == "half" else {})}
 
 
 def _summary(chosen: Trial) -> str:

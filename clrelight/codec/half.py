@@ -23,7 +23,7 @@ OVERFLOW = 65520.0
 STRETCH = 1024
 """Values that a work-item of a CPU, or a group of a GPU's, converts."""
 _GROUP = 128
-_VANISHING = 2.0**-25
+VANISHING = 2.0**-25
 """Largest magnitude that rounds to 0."""
 
 
@@ -54,17 +54,12 @@ class Half(Codec):
         """
         check_not_vanishing(coeffs_khwc)
         halves_p = np.empty(coeffs_khwc.size, np.float16)
-        overflows = _convert("encode_half_p", halves_p, coeffs_khwc.reshape(-1), device, clamp=self.clamp)
+        overflows = convert("encode_half_p", halves_p, coeffs_khwc.reshape(-1), device, clamp=self.clamp)
         clamped = 0
         if overflows:
-            large = np.abs(coeffs_khwc) >= OVERFLOW
             if not self.clamp:
-                where = tuple(int(i) for i in np.unravel_index(int(large.argmax()), large.shape))
-                raise InputError(
-                    f"coefficient (k, row, column, channel) = {where} is {coeffs_khwc[where]:g}, which binary16 cannot"
-                    f" hold (|x| must be below {OVERFLOW:g}); fit with a constrained method, or clamp"
-                )
-            clamped = int(np.count_nonzero(large))
+                raise overflow_error(coeffs_khwc, "clamp")
+            clamped = int(np.count_nonzero(np.abs(coeffs_khwc) >= OVERFLOW))
         return halves_p.tobytes(), {"clamped": float(clamped)}
 
     def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise:
@@ -83,7 +78,7 @@ class Half(Codec):
             raise PayloadError(f"codec half: shape {shape} takes {expected} bytes, the body has {len(body)}")
         coeffs_khwc = np.empty(shape, np.float32)
         halves_p = np.require(np.frombuffer(body, np.float16), requirements="A")
-        if _convert("decode_half_p", coeffs_khwc.reshape(-1), halves_p, device, clamp=False):
+        if convert("decode_half_p", coeffs_khwc.reshape(-1), halves_p, device, clamp=False):
             raise PayloadError("codec half: the body holds an infinity or a NaN")
         return coeffs_khwc
 
@@ -102,19 +97,39 @@ def rounding_variance(values: NDArray[np.float32]) -> NDArray[np.float64]:
 
 def check_not_vanishing(coeffs_khwc: NDArray[np.float32]) -> None:
     """Raise InputError where every coefficient rounds to 0 as binary16, though not all are 0."""
-    coeffs_p = coeffs_khwc.reshape(-1)
+    check_largest(find_largest(coeffs_khwc))
+
+
+def find_largest(coeffs_khwc: NDArray[np.float32]) -> float:
+    """Return the largest magnitude, or one that binary16 holds as soon as one is found."""
+    coeffs_p, largest = coeffs_khwc.reshape(-1), 0.0
     for slab in slabs(coeffs_p.size, 1 << 10):  # small ones: nearly always the first ends the search
-        if np.abs(coeffs_p[slab]).max() > _VANISHING:
-            return
-    largest = float(np.abs(coeffs_p).max())
-    if largest > 0.0:
+        largest = max(largest, float(np.abs(coeffs_p[slab]).max()))
+        if largest > VANISHING:
+            break
+    return largest
+
+
+def check_largest(largest: float) -> None:
+    """Raise InputError where a map's largest magnitude rounds to 0 as binary16, and is not 0."""
+    if 0.0 < largest <= VANISHING:
         raise InputError(
             f"the largest coefficient is {largest:g}, and as binary16 all would be 0: give the stack a peak near its "
             "brightest sample"
         )
 
 
-def _convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, clamp: bool) -> bool:
+def overflow_error(coeffs_khwc: NDArray[np.float32], otherwise: str, first_row: int = 0) -> InputError:
+    """Return what says which of these coefficients, of rows from `first_row` on, is the first to overflow."""
+    k, row, column, channel = (int(i) for i in np.argwhere(np.abs(coeffs_khwc) >= OVERFLOW)[0])
+    return InputError(
+        f"coefficient (k, row, column, channel) = {(k, first_row + row, column, channel)} is "
+        f"{coeffs_khwc[k, row, column, channel]:g}, which binary16 cannot hold (|x| must be below {OVERFLOW:g}); "
+        f"fit with a constrained method, or {otherwise}"
+    )
+
+
+def convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, clamp: bool) -> bool:
     """Fill `out_p` from `values_p` with a kernel; return whether it refused a value."""
     refused = False
     for slab in slabs(values_p.size, 4):

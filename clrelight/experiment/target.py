@@ -76,6 +76,7 @@ def encode_to_quality(
     InputError
         If not even the uncompressed fit reaches the target.
     """
+    coefficients = coefficients.to_float32()
     fitted, held = split_by_fit(stack, coefficients)
     lights = held if len(held) else fitted
     chosen = stack if len(lights) == stack.n_light else stack.select(lights)

@@ -77,7 +77,7 @@ class FittedTile:
 
     first: int
     end: int
-    coeffs_khwc: NDArray[np.float32]
+    coeffs_khwc: NDArray
     lambda_hwc: NDArray[np.float32] | None
     rank_hwc: NDArray[np.int32] | None
 
@@ -254,7 +254,9 @@ def collect_fit(
     )
 
 
-def rows_per_tile(prepared: PreparedFit, memory_bytes: int, *, held: int = 1, row_step: int = 1) -> int:
+def rows_per_tile(
+    prepared: PreparedFit, memory_bytes: int, *, held: int = 1, row_step: int = 1, beside: int = 0
+) -> int:
     """Return how many rows a tile has within the budget; see `fit_tiles`."""
     stack = prepared.stack
     height, width, channel = stack.image_shape
@@ -265,9 +267,9 @@ def rows_per_tile(prepared: PreparedFit, memory_bytes: int, *, held: int = 1, ro
     if prepared.precision == DOUBLE and plan.synthesis_kr is not None:
         work += 8 * n_coeff  # before they are rounded
     result = 4 * (n_coeff + 1)
-    if memory_bytes // (width * channel * (sample + work + result)) >= height:
+    if memory_bytes // (width * channel * (sample + work + result + beside)) >= height:
         return height  # one tile: nothing is read ahead
-    row_bytes = width * channel * (2 * sample + work + held * result)
+    row_bytes = width * channel * (2 * sample + work + held * result + beside)
     rows = memory_bytes // row_bytes
     if rows < 1:
         raise InputError(f"one row of this fit takes {row_bytes} bytes, more than the memory budget {memory_bytes}")
@@ -282,7 +284,7 @@ def rows_per_tile(prepared: PreparedFit, memory_bytes: int, *, held: int = 1, ro
 
 
 def fit_tiles(
-    prepared: PreparedFit, *, memory_bytes: int = DEFAULT_MEMORY, held: int = 1, row_step: int = 1
+    prepared: PreparedFit, *, memory_bytes: int = DEFAULT_MEMORY, held: int = 1, row_step: int = 1, beside: int = 0
 ) -> Generator[FittedTile, None, None]:
     """Yield the fitted rows from top to bottom; times go to ``prepared.report``.
 
@@ -296,9 +298,11 @@ def fit_tiles(
         Bytes that tiles may take: samples of the one being read, samples and components of the one being fitted, and
         the coefficients of those held.
     held : int
-        A tile's arrays keep their values until so many more have been asked for.
+        A tile's coefficients keep their values until so many more have been asked for; its other maps are its own.
     row_step : int
         Tiles have a multiple of this many rows where the budget has room: those of a chunk of where they are written.
+    beside : int
+        Bytes that the caller takes of the budget for each pixel and channel of a tile.
 
     Raises
     ------
@@ -318,7 +322,7 @@ def fit_tiles(
         return _Operators.upload(device, plan, scaling.curve.operator_scale(), dtype)
 
     height, width, channel = stack.image_shape
-    step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step)
+    step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step, beside=beside)
     tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
     # Fresh memory costs a page fault per 4 KiB, as much time as a kernel: tiles share these.
     samples_of = itertools.cycle([Buffer() for _ in tiles[:2]])

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
+from clrelight.codec.rounding import rounding_rows
 from clrelight.conventions import coefficient_count
-from clrelight.dataset import CoefficientMap
+from clrelight.dataset import COEFFICIENT_DTYPES, CoefficientMap
+from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import FIT
@@ -28,7 +30,7 @@ class FitSink:
 
     Attributes
     ----------
-    coeffs_khwc : Sink, (n_coeff, height, width, channel) float32
+    coeffs_khwc : Sink, (n_coeff, height, width, channel) float32 or float16
     lambda_hwc : Sink, (height, width, channel) float32, or None
     rank_hwc : Sink, (height, width, channel) int32, or None
     """
@@ -40,11 +42,14 @@ class FitSink:
     def write_rows(
         self,
         first: int,
-        coeffs_khwc: NDArray[np.float32],
+        coeffs_khwc: NDArray,
         lambda_hwc: NDArray[np.float32] | None,
         rank_hwc: NDArray[np.int32] | None,
     ) -> None:
-        """Fill rows from `first` on, chunk by chunk: so the file's bytes do not depend on how many come at a time."""
+        """Fill rows from `first` on, chunk by chunk: so the file's bytes do not depend on how many come at a time.
+
+        Coefficients come in the type of their sink; `clrelight.codec.rounding` makes halves.
+        """
         end = first + coeffs_khwc.shape[1]
         chunk_rows = self.coeffs_khwc.chunks[1]
         for row in range(first - first % chunk_rows, end, chunk_rows):
@@ -71,6 +76,7 @@ def create_fit(
     name: str,
     has_lambda: bool = False,
     has_rank: bool = False,
+    dtype: DTypeLike = np.float32,
 ) -> Iterator[FitSink]:
     """Write a fit piece by piece: lend its arrays, to be filled by slices of rows.
 
@@ -86,6 +92,8 @@ def create_fit(
         (height, width, channel).
     has_lambda, has_rank : bool
         Whether the method gives such a map.
+    dtype : dtype
+        Of the coefficients: float32 or float16.
 
     Raises
     ------
@@ -94,26 +102,65 @@ def create_fit(
     """
     if not 0 <= degree <= _MAX_DEGREE:
         raise InputError(f"degree must be within 0 and {_MAX_DEGREE}, got {degree}")
-    shape = (coefficient_count(degree), *image_shape)
-    blank = np.broadcast_to(np.float32(0), shape)  # takes no memory, carries shape and type to the checks
+    shape, stored = (coefficient_count(degree), *image_shape), coefficient_dtype(dtype)
+    blank = np.broadcast_to(stored.type(0), shape)  # takes no memory, carries shape and type to the checks
     CoefficientMap(blank, degree, method, peak, transfer, directions_i3, config, name=name)
-    chunks = chunk_shape(shape, 4)
-    n_bytes = padded_bytes(shape, chunks, 4) // shape[0] * (shape[0] + has_lambda + has_rank)
+    chunks = chunk_shape(shape, stored.itemsize)
+    map_chunks = chunks[1:]  # written and read together
+    n_bytes = padded_bytes(shape, chunks, stored.itemsize)
+    n_bytes += (has_lambda + has_rank) * padded_bytes(image_shape, map_chunks, 4)
     with drafting(path, FIT, n_bytes) as draft:
         draft.attributes({"method": method, "degree": int(degree), "peak": float(peak), "transfer": transfer})
         draft.attributes({"name": name, "config": config_text(config)})
         draft.dataset("directions", directions_i3, ("light", "xyz"))
-        map_chunks = chunks[1:]  # written and read together
         yield FitSink(
-            draft.sink("coefficients", shape, np.float32, ("coefficient", *_IMAGE_AXES), chunks),
+            draft.sink("coefficients", shape, stored, ("coefficient", *_IMAGE_AXES), chunks),
             draft.sink("lambda", image_shape, np.float32, _IMAGE_AXES, map_chunks) if has_lambda else None,
             draft.sink("rank", image_shape, np.int32, _IMAGE_AXES, map_chunks) if has_rank else None,
         )
 
 
-def write_fit(path: str | os.PathLike, coefficients: CoefficientMap) -> None:
-    """Write a coefficient map; InputError if the file cannot be written."""
-    with create_fit(
+def coefficient_dtype(dtype: DTypeLike) -> np.dtype:
+    """Return the type that coefficients are to be stored in; InputError if they cannot be."""
+    try:
+        asked = np.dtype(dtype)
+    except TypeError:
+        asked = None
+    if asked is None or asked not in (np.float32, np.float16):
+        raise InputError(f"coefficients are stored as {' or '.join(COEFFICIENT_DTYPES)}, not as {dtype}")
+    return asked
+
+
+def write_fit(
+    path: str | os.PathLike,
+    coefficients: CoefficientMap,
+    *,
+    dtype: DTypeLike | None = None,
+    device: Device | None = None,
+) -> None:
+    """Write a coefficient map.
+
+    Parameters
+    ----------
+    path : path
+        Where the file is to stand.
+    coefficients : CoefficientMap
+    dtype : dtype, optional
+        Type to store coefficients in: float32, or float16, to which float32 is rounded as codec `half` does it.
+        Default: the type that they have.
+    device : Device, optional
+        Where to round.
+
+    Raises
+    ------
+    InputError
+        If a coefficient is too large for float16 or the whole map too small, or the file cannot be written.
+    """
+    held = np.dtype(coefficients.coeffs_khwc.dtype)
+    stored = held if dtype is None else coefficient_dtype(dtype)
+    rounds = stored.itemsize < held.itemsize
+    rounding = rounding_rows(device or open_device()) if rounds else nullcontext()
+    sinking = create_fit(
         path,
         degree=coefficients.degree,
         image_shape=coefficients.image_shape,
@@ -125,13 +172,20 @@ def write_fit(path: str | os.PathLike, coefficients: CoefficientMap) -> None:
         name=coefficients.name,
         has_lambda=coefficients.lambda_hwc is not None,
         has_rank=coefficients.rank_hwc is not None,
-    ) as sink:
+        dtype=stored,
+    )
+    with sinking as sink, rounding as round_rows:  # which may refuse the whole map before the file stands
+        height, width, channel = coefficients.image_shape
         step = sink.coeffs_khwc.chunks[1]
-        for row in range(0, coefficients.image_shape[0], step):
-            rows = slice(row, row + step)
+        for row in range(0, height, step):
+            rows = slice(row, min(row + step, height))
+            shape = (coefficients.n_coeff, rows.stop - row, width, channel)
+            coeffs_khwc = coefficients.read_rows(row, rows.stop, np.empty(shape, held if rounds else stored))
+            if round_rows is not None:
+                coeffs_khwc = round_rows(coeffs_khwc, np.empty(shape, stored), row)
             sink.write_rows(
                 row,
-                np.asarray(coefficients.coeffs_khwc[:, rows]),
+                coeffs_khwc,
                 None if coefficients.lambda_hwc is None else coefficients.lambda_hwc[rows],
                 None if coefficients.rank_hwc is None else coefficients.rank_hwc[rows],
             )

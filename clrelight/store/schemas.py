@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from clrelight.dataset import SAMPLE_DTYPES
+from clrelight.dataset import COEFFICIENT_DTYPES, SAMPLE_DTYPES
 from clrelight.results import ROW_DTYPE
 
 SCHEMA_ATTRIBUTE = "clrelight_schema"
@@ -81,7 +81,7 @@ FIT = Schema(
     "fit",
     1,
     {
-        "coefficients": Field(("coefficient", *_IMAGE), _dtypes("float32")),
+        "coefficients": Field(("coefficient", *_IMAGE), _dtypes(*COEFFICIENT_DTYPES)),
         "directions": _DIRECTIONS,
         "lambda": Field(_IMAGE, _dtypes("float32"), required=False),
         "rank": Field(_IMAGE, _dtypes("int32"), required=False),

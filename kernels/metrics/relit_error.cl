@@ -2,7 +2,7 @@
  * never leaves the cache.
  *
  *   error_mn    (M, N) float      sum over the columns of tile n of weight (a - b)^2
- *   coeffs_kp   (K, P) float      coefficients of linear radiance
+ *   coeffs_kp   (K, P) COEFF_T    coefficients of linear radiance
  *   source_mp   (M, P) SAMPLE_T   code values; b = clip(scale source) to [0, 1]
  *   weight_p    (P) float         1 where the pixel counts, else 0
  *   packed_o    basis (M, K) in row blocks (matmul.py packs it); a = clip(basis coeffs) to [0, 1], by the transfer
@@ -10,6 +10,7 @@
  *   first, end  int               columns where tile 0 begins, and where the last one ends
  *
  *   ENCODE      0 linear, 1 sRGB
+ *   COEFF_HALF  1 where COEFF_T is half, 0 where it is float
  *
  * float32 error of a sum below eps32 TILE / 8 of it.
  */
@@ -20,6 +21,19 @@
 
 #ifndef ENCODE
 #error "ENCODE must be defined"
+#endif
+#ifndef COEFF_HALF
+#error "COEFF_HALF must be defined: 0 or 1"
+#endif
+
+#if COEFF_HALF
+#define COEFF_T half
+#define LOAD_COEFF(pointer, index) vload_half((index), (pointer))
+#define LOAD_COEFF8(pointer) LOAD_HALF8(__global const, pointer)
+#else
+#define COEFF_T float
+#define LOAD_COEFF(pointer, index) ((pointer)[index])
+#define LOAD_COEFF8(pointer) AT(__global const, float8, pointer)
 #endif
 
 /* NaN stays NaN. */
@@ -67,19 +81,19 @@ static float sum_errors(__local const float *relit, __global const SAMPLE_T *sou
 }
 
 /* tile[k][c] = coeffs[k0 + k][column + c] for c < count, else 0. */
-static void load_coeffs(__local float *tile, __global const float *restrict coeffs_kp, const int k0, const int rows,
+static void load_coeffs(__local float *tile, __global const COEFF_T *restrict coeffs_kp, const int k0, const int rows,
                         const int column, const int count, const int size_p)
 {
     for (int k = 0; k < rows; k++) {
-        __global const float *row = coeffs_kp + (long)(k0 + k) * size_p + column;
+        __global const COEFF_T *row = coeffs_kp + (long)(k0 + k) * size_p + column;
         int c = 0;
-        for (; c + 8 <= count; c += 8) AT(__local, float8, tile + k * TILE + c) = AT(__global const, float8, row + c);
-        for (; c < count; c++) tile[k * TILE + c] = row[c];
+        for (; c + 8 <= count; c += 8) AT(__local, float8, tile + k * TILE + c) = LOAD_COEFF8(row + c);
+        for (; c < count; c++) tile[k * TILE + c] = LOAD_COEFF(row, c);
         for (; c < TILE; c++) tile[k * TILE + c] = 0.0f;
     }
 }
 
-__kernel void sum_relit_error_mn(__global float *restrict error_mn, __global const float *restrict coeffs_kp,
+__kernel void sum_relit_error_mn(__global float *restrict error_mn, __global const COEFF_T *restrict coeffs_kp,
                                  __global const SAMPLE_T *restrict source_mp, __global const float *restrict weight_p,
                                  __global const float *restrict packed_o, __global const int *restrict heights_b,
                                  const float scale, const int first, const int end, const int size_m, const int size_n,
