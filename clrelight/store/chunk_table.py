@@ -1,9 +1,12 @@
-"""Rows of a stored array, read past HDF5: its chunks' bytes go straight to where they belong, and are summed there."""
+"""Rows of an array in an HDF5 file: its chunks' bytes go straight to where they belong, and are summed there.
+
+HDF5 reads on one thread, under h5py's lock: it copies each chunk twice, and sums it between.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -21,6 +24,53 @@ ASIDE_BYTES = 16 << 20
 """Memory for images that nobody asked for, which share chunks with others."""
 
 _MOST_BUFFERS = 1024  # of one call of the system (IOV_MAX)
+_FARTHEST = 1 << 62  # addresses, which a damaged file may have, of which the system takes the sum with a size
+
+
+class RowReader:
+    """Reads rows of a dataset of images, straight from its file where that can be done, else by HDF5.
+
+    Parameters
+    ----------
+    dataset : h5py.Dataset
+        Nothing may be written to it any more.
+    """
+
+    def __init__(self, dataset: h5py.Dataset) -> None:
+        self._dataset = dataset
+        self._tables: list[ChunkTable | None] = []  # one, once it was asked for
+
+    def read_into(self, first: int, end: int, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
+        """Read ``[picked_n, first:end]`` into a C-contiguous array of that shape and the dataset's type.
+
+        Raises OSError, as h5py does, where a chunk is damaged.
+        """
+        for rows in self._read_directly(first, out, picked_n):
+            key, place = np.s_[:, rows.start : rows.stop], np.s_[:, rows.start - first : rows.stop - first]
+            if picked_n is None:
+                self._dataset.read_direct(out, key, place)
+            else:
+                self._pick(rows, out[place], picked_n)
+
+    def _read_directly(self, first: int, out: NDArray, picked_n: NDArray[np.intp] | None) -> Iterable[range]:
+        """Read what can be read past HDF5; yield the ranges of rows that it must read."""
+        dataset, everything = self._dataset, [range(first, first + out.shape[1])]
+        if out.nbytes < LEAST_BYTES or out.dtype != dataset.dtype:
+            return everything
+        images_n = np.arange(len(dataset)) if picked_n is None else picked_n
+        if not self._tables:
+            self._tables.append(ChunkTable.of(dataset))
+        table = self._tables[0]
+        if table is None or len(np.unique(images_n)) < len(images_n) or not takes_sums(out.nbytes):
+            return everything
+        return table.read(dataset.file.id.get_vfd_handle(), first, out, images_n)
+
+    def _pick(self, rows: range, out: NDArray, picked_n: NDArray[np.intp]) -> None:
+        # HDF5 reads scattered images slowly and rows of all images fast: pick after reading, a few rows at a time.
+        step = self._dataset.chunks[1] if self._dataset.chunks else len(rows)
+        for start in range(rows.start, rows.stop, step):
+            stop = min(start + step, rows.stop)
+            out[:, start - rows.start : stop - rows.start] = self._dataset[:, start:stop][picked_n]
 
 
 @dataclass(frozen=True)
@@ -56,18 +106,23 @@ class ChunkTable:
         ):
             return None
         row_bytes = int(np.prod(shape[2:], dtype=np.int64)) * dataset.dtype.itemsize
-        address_gb = np.full((shape[0] // chunks[0], -(-shape[1] // chunks[1])), -1, np.int64)
         stored_bytes = chunks[0] * chunks[1] * row_bytes + CHECKSUM_BYTES
+        grid = shape[0] // chunks[0], -(-shape[1] // chunks[1])
+        places: list[tuple[int, ...]] = []
+        addresses: list[int] = []
 
         def note(chunk: h5py.h5d.StoreInfo) -> None:
-            if chunk.filter_mask == 0 and chunk.size == stored_bytes:
-                place = chunk.chunk_offset[0] // chunks[0], chunk.chunk_offset[1] // chunks[1]
-                address_gb[place] = chunk.byte_offset
+            if chunk.filter_mask == 0 and chunk.size == stored_bytes and chunk.byte_offset < _FARTHEST:
+                places.append(chunk.chunk_offset)
+                addresses.append(chunk.byte_offset)
 
         dataset.id.chunk_iter(note)
-        return cls(address_gb, chunks[0], chunks[1], row_bytes)
+        # In a damaged index HDF5 may find other chunks than it lists: the list must be just what it should be.
+        if places != [(g * chunks[0], b * chunks[1], *(0,) * len(shape[2:])) for g, b in np.ndindex(grid)]:
+            return None
+        return cls(np.reshape(addresses, grid), chunks[0], chunks[1], row_bytes)
 
-    def read(self, descriptor: int, first: int, out_nhwc: NDArray, lights_n: NDArray[np.intp]) -> Iterator[range]:
+    def read(self, descriptor: int, first: int, out_nhwc: NDArray, images_n: NDArray[np.intp]) -> Iterator[range]:
         """Read rows from `first` on of some images, each once; yield the ranges of rows that HDF5 must still read.
 
         Whatever is not just as it should be is left to HDF5, for it to say so or to know better.
@@ -80,25 +135,24 @@ class ChunkTable:
             First row.
         out_nhwc : ndarray, shape (n, rows, ...)
             C-contiguous, of the array's type.
-        lights_n : ndarray, shape (n,), int
+        images_n : ndarray, shape (n,), int
             Which images.
         """
         end = first + out_nhwc.shape[1]
-        whole = range(-(-first // self.rows), end // self.rows)  # a last band that is cut off has other bytes too
-        if not (whole and takes_sums(out_nhwc.nbytes)):
+        bands = range(-(-first // self.rows), end // self.rows)  # a chunk that the array's edge cuts off has more bytes
+        if not bands:
             yield range(first, end)
             return
-        if first < whole.start * self.rows:
-            yield range(first, whole.start * self.rows)
         rows_nx = out_nhwc.reshape(len(out_nhwc), -1).view(np.uint8)
         row_of = np.full(len(self.address_gb) * self.images, -1)
-        row_of[lights_n] = np.arange(len(lights_n))
+        row_of[images_n] = np.arange(len(images_n))
         for group, row_of_m in enumerate(row_of.reshape(-1, self.images)):
             if (row_of_m >= 0).any():
-                for band in self._read_group(descriptor, group, whole, rows_nx, row_of_m, first):
+                for band in self._read_group(descriptor, group, bands, rows_nx, row_of_m, first):
                     yield range(band * self.rows, (band + 1) * self.rows)
-        if end > whole.stop * self.rows:
-            yield range(whole.stop * self.rows, end)
+        for start, stop in ((first, bands.start * self.rows), (bands.stop * self.rows, end)):
+            if start < stop:
+                yield range(start, stop)
 
     def _read_group(
         self,
@@ -142,7 +196,7 @@ def _read_into(descriptor: int, address: int, buffers: list[Any]) -> bool:
         for i in range(0, len(buffers), _MOST_BUFFERS):
             some = buffers[i : i + _MOST_BUFFERS]
             n_bytes = sum(map(len, some))
-            if address < 0 or os.preadv(descriptor, some, address) != n_bytes:
+            if os.preadv(descriptor, some, address) != n_bytes:
                 return False
             address += n_bytes
     except OSError:

@@ -18,27 +18,28 @@ class ChunkWriter:
     Parameters
     ----------
     dataset : h5py.Dataset
-        As `clrelight.store.writing` makes them.
+        As `clrelight.store.writing` makes them; its last axes are height, width and channel.
     """
 
     def __init__(self, dataset: h5py.Dataset) -> None:
-        shape, chunks = dataset.shape, dataset.chunks
-        self._id, self._dtype, self._chunks = dataset.id, dataset.dtype, chunks
-        self._takes = len(shape) > 1 and (shape[0], *shape[2:]) == (chunks[0], *chunks[2:])
+        self._id, self._dtype, self._chunks = dataset.id, dataset.dtype, dataset.chunks
+        self._axis = dataset.ndim - 3  # of rows
+        others = [i for i in range(dataset.ndim) if i != self._axis]
+        self._takes = self._axis >= 0 and all(dataset.shape[i] == self._chunks[i] for i in others)
         self._sum_of: dict[int, np.uint32] = {}  # by a chunk's first row
         self._chunk_x = np.empty(0, np.uint8)  # a chunk and its checksum
 
-    def sum_rows(self, first: int, rows_nhwc: NDArray) -> None:
+    def sum_rows(self, first: int, rows: NDArray) -> None:
         """Take the sums of the whole chunks among rows from `first` on; nothing where HDF5 must take them."""
-        if not self._takes or rows_nhwc.dtype != self._dtype or not rows_nhwc.flags.c_contiguous:
+        if not self._takes or rows.dtype != self._dtype or not rows.flags.c_contiguous:
             return
         # A chunk that the array's edge cuts off is stored whole: not by these bytes alone.
-        chunk_rows = self._chunks[1]
-        bands = range(-(-first // chunk_rows), (first + rows_nhwc.shape[1]) // chunk_rows)
-        if not (bands and takes_sums(rows_nhwc.nbytes)):
+        n_rows, chunk_rows = rows.shape[self._axis], self._chunks[self._axis]
+        bands = range(-(-first // chunk_rows), (first + n_rows) // chunk_rows)
+        if not (bands and takes_sums(rows.nbytes)):
             return
-        rows_nx = rows_nhwc.reshape(len(rows_nhwc), -1).view(np.uint8)
-        row_bytes = rows_nx.shape[1] // rows_nhwc.shape[1]
+        rows_nx = rows.reshape(-1, rows[0].size if self._axis else rows.size).view(np.uint8)
+        row_bytes = rows_nx.shape[1] // n_rows
         images_n = np.arange(len(rows_nx))
         sums_bs = add_pieces(
             rows_nx,
@@ -52,15 +53,16 @@ class ChunkWriter:
         self._sum_of.update(zip((band * chunk_rows for band in bands), checksums(sums_bs), strict=True))
 
     def write(self, key: Any, values: NDArray) -> bool:
-        """Write ``[:, rows]`` if that is a whole chunk whose sum was taken; return whether it was."""
-        if not self._sum_of or values.shape != self._chunks or len(key) != 2 or key[0] != slice(None):
+        """Write ``[rows]`` or ``[:, rows]`` if that is a whole chunk whose sum was taken; return whether it was."""
+        *before, rows = key if isinstance(key, tuple) else (key,)
+        if values.shape != self._chunks or len(before) != self._axis or not isinstance(rows, slice):
             return False
-        summed = self._sum_of.pop(key[1].start, None)
+        summed = self._sum_of.pop(rows.start, None)
         if summed is None:
             return False
         if not self._chunk_x.size:
             self._chunk_x = np.empty(values.nbytes + CHECKSUM_BYTES, np.uint8)
         self._chunk_x[:-CHECKSUM_BYTES].view(self._dtype).reshape(values.shape)[...] = values
         self._chunk_x[-CHECKSUM_BYTES:].view(SUM_DTYPE)[0] = summed
-        self._id.write_direct_chunk((0, key[1].start, *(0,) * (values.ndim - 2)), self._chunk_x)
+        self._id.write_direct_chunk((*(0,) * self._axis, rows.start, 0, 0), self._chunk_x)
         return True

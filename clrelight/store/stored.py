@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import StoreFormatError
-from clrelight.store.chunk_table import LEAST_BYTES, ChunkTable
+from clrelight.store.chunk_table import RowReader
 from clrelight.store.walk import CHECKSUM_BYTES
 
 
@@ -32,9 +32,9 @@ class StoredArray:
         self.shape, self.dtype, self.chunks = tuple(dataset.shape), dataset.dtype, dataset.chunks
         self.ndim, self.size = len(self.shape), dataset.size
         self._dataset, self._path = dataset, path
+        self._rows = RowReader(dataset)
         self._deflated = dataset.compression == "gzip"
         self._inflatable: set[tuple[int, ...]] = set()
-        self._tables: list[ChunkTable | None] = []  # one, once it was asked for
 
     @property
     def id(self) -> h5py.h5d.DatasetID:
@@ -48,35 +48,13 @@ class StoredArray:
 
     def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
         """Read ``[:, first:end]`` into a C-contiguous array of that shape and this dtype."""
-        self.read_some_into(np.arange(len(self)), first, end, out)
+        with self._reading(np.s_[:, first:end]):
+            self._rows.read_into(first, end, out)
 
     def read_some_into(self, picked_n: NDArray[np.intp], first: int, end: int, out: NDArray) -> None:
         """Read ``[picked_n, first:end]`` into a C-contiguous array of that shape and this dtype."""
         with self._reading(np.s_[:, first:end]):
-            for rows in self._read_directly(picked_n, first, end, out):
-                key, place = np.s_[:, rows.start : rows.stop], np.s_[:, rows.start - first : rows.stop - first]
-                if np.array_equal(picked_n, np.arange(len(self))):
-                    self._dataset.read_direct(out, key, place)
-                else:
-                    self._read_picked(picked_n, rows, out[place])
-
-    def _read_directly(self, picked_n: NDArray[np.intp], first: int, end: int, out: NDArray) -> Iterable[range]:
-        """Read what can be read past HDF5; yield the ranges of rows that it must read."""
-        if out.nbytes < LEAST_BYTES or out.dtype != self.dtype or len(np.unique(picked_n)) < len(picked_n):
-            return [range(first, end)]
-        if not self._tables:
-            self._tables.append(ChunkTable.of(self._dataset))
-        table = self._tables[0]
-        if table is None:
-            return [range(first, end)]
-        return table.read(self._dataset.file.id.get_vfd_handle(), first, out, picked_n)
-
-    def _read_picked(self, picked_n: NDArray[np.intp], rows: range, out: NDArray) -> None:
-        # HDF5 reads scattered images slowly and rows of all images fast: pick after reading, a few rows at a time.
-        step = self.chunks[1] if self.chunks else len(rows)
-        for start in range(rows.start, rows.stop, step):
-            some = slice(start, min(start + step, rows.stop))
-            out[:, start - rows.start : some.stop - rows.start] = self._dataset[:, some][picked_n]
+            self._rows.read_into(first, end, out, picked_n)
 
     @contextmanager
     def _reading(self, key: Any) -> Iterator[None]:

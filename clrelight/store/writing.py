@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clrelight.errors import InputError
+from clrelight.store.chunk_table import RowReader
 from clrelight.store.chunk_writer import ChunkWriter
 from clrelight.store.durable import Part, naming, replacing, syncing
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
@@ -46,7 +47,9 @@ class Sink:
     def __init__(self, target: Any, chunks: tuple[int, ...], wrote: Callable[[int], None]) -> None:
         self.shape, self.dtype, self.chunks = tuple(target.shape), target.dtype, chunks
         self._target, self._wrote = target, wrote
-        self._chunk_writer = ChunkWriter(target) if isinstance(target, h5py.Dataset) else None
+        in_file = isinstance(target, h5py.Dataset)
+        self._writer = ChunkWriter(target) if in_file else None
+        self._reader = RowReader(target) if in_file else None
         self._extent = np.broadcast_to(np.False_, self.shape)  # takes no memory, says what a key selects
         self._missing = self._extent.size
 
@@ -59,23 +62,22 @@ class Sink:
         values, selected = source[part], self._extent[key].shape
         if values.dtype != self.dtype or values.shape != selected:
             raise TypeError(f"expected {self.dtype} {selected}, got {values.dtype} {values.shape}")
-        if self._chunk_writer is not None and self._chunk_writer.write(key, values):
-            pass
-        elif self._chunk_writer is not None and source.flags.c_contiguous and part is not ...:
-            self._target.write_direct(source, part, key)
-        else:
-            self._target[key] = values
+        if self._writer is None or not self._writer.write(key, values):
+            if self._writer is not None and source.flags.c_contiguous and part is not ...:
+                self._target.write_direct(source, part, key)
+            else:
+                self._target[key] = values
         self._missing -= values.size
         self._wrote(values.nbytes)
 
-    def sum_rows(self, first: int, rows_nhwc: NDArray) -> None:
-        """Sum what is about to be filled with rows from `first` on, so that filling them, chunk by chunk, is fast.
+    def sum_rows(self, first: int, rows: NDArray) -> None:
+        """Sum rows from `first` on that are about to be filled, so that filling them, chunk by chunk, is fast.
 
-        Sums are taken on a CPU device: by a thread whose kernels the device has ended, for others would go first. The
-        rows must not change until they are filled.
+        Sums are taken on a CPU device, after the kernels that it has to run already. The rows must not change until
+        they are filled.
         """
-        if self._chunk_writer is not None:
-            self._chunk_writer.sum_rows(first, rows_nhwc)
+        if self._writer is not None:
+            self._writer.sum_rows(first, rows)
 
     def __getitem__(self, key: Any) -> NDArray:
         """Read back what was filled, before the file is finished."""
@@ -83,8 +85,8 @@ class Sink:
 
     def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
         """Read back ``[:, first:end]`` into a C-contiguous array of that shape and this dtype."""
-        if isinstance(self._target, h5py.Dataset):
-            self._target.read_direct(out, np.s_[:, first:end])
+        if self._reader is not None and not self._missing:
+            self._reader.read_into(first, end, out)
         else:
             out[...] = self._target[:, first:end]
 
