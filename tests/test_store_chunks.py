@@ -1,6 +1,7 @@
 """Chunks read and written past HDF5: their checksums, their place in an array, and what is left to HDF5."""
 
 import errno
+import functools
 import itertools
 import os
 import threading
@@ -142,7 +143,9 @@ def test_without_a_device_hdf5_sums(tmp_path, directly, monkeypatch):
 
     monkeypatch.setattr(writing, "IN_MEMORY_BYTES", 0)
     files = [write_summed(tmp_path / "with.h5")]
-    monkeypatch.setattr("clrelight.device.open_device", none)
+    monkeypatch.setattr("clrelight.device.make_device", none)
+    monkeypatch.setattr(fletcher, "_device", functools.cache(fletcher._device.__wrapped__))
+    assert not fletcher.takes_sums(1)
     files.append(write_summed(tmp_path / "without.h5"))
     assert files[0] == files[1]
     values = values_of((6, 11, 5, 3), "uint8")

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import functools
+import threading
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import DeviceError
+
+if TYPE_CHECKING:
+    from clrelight.device import Device
 
 SUM_DTYPE = np.dtype("<u4")
 """How HDF5 writes a sum behind its chunk."""
@@ -14,14 +21,24 @@ LARGEST_BYTES = 1 << 30
 """Arrays of more bytes are left to HDF5: a device may not take them."""
 
 
-def takes_sums(n_bytes: int) -> bool:
-    """Return whether an array of so many bytes can be summed here; else HDF5 must do it."""
-    from clrelight.device import open_device
+_lock = threading.Lock()
+
+
+@functools.cache
+def _device() -> Device | None:
+    """Return the device that takes sums, for who holds `_lock`; None where there is none."""
+    from clrelight.device import make_device
 
     try:
-        return 0 < n_bytes <= LARGEST_BYTES and open_device("cpu", style="cpu").shares_memory
+        return make_device("cpu", style="cpu")
     except DeviceError:
-        return False
+        return None
+
+
+def takes_sums(n_bytes: int) -> bool:
+    """Return whether an array of so many bytes can be summed here; else HDF5 must do it."""
+    with _lock:
+        return 0 < n_bytes <= LARGEST_BYTES and _device() is not None
 
 
 def add_pieces(
@@ -54,25 +71,26 @@ def add_pieces(
     ndarray, shape (chunks, 2), uint64
         To be added to those of the chunks' other pieces, for `checksums`.
     """
-    from clrelight.device import open_device
-
-    device = open_device("cpu", style="cpu")
-    sums_bs = device.empty((chunks, 2), np.uint64)
-    device.launch(
-        "store/fletcher.cl",
-        "sum_chunks_bs",
-        (chunks,),
-        sums_bs,
-        device.upload(rows_mx),
-        device.upload(np.asarray(image_n, np.int32)),
-        device.upload(np.asarray(place_n, np.int32)),
-        piece,
-        skipped,
-        pieces,
-        rows_mx.shape[1],
-        len(image_n),
-    )
-    return device.download(sums_bs)
+    with _lock:
+        device = _device()
+        if device is None:
+            raise DeviceError("there is no CPU device to take sums: ask takes_sums first")
+        sums_bs = device.empty((chunks, 2), np.uint64)
+        device.launch(
+            "store/fletcher.cl",
+            "sum_chunks_bs",
+            (chunks,),
+            sums_bs,
+            device.upload(rows_mx),
+            device.upload(np.asarray(image_n, np.int32)),
+            device.upload(np.asarray(place_n, np.int32)),
+            piece,
+            skipped,
+            pieces,
+            rows_mx.shape[1],
+            len(image_n),
+        )
+        return device.download(sums_bs)
 
 
 def checksums(sums_bs: NDArray[np.uint64]) -> NDArray[np.uint32]:
