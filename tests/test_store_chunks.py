@@ -137,6 +137,22 @@ def test_an_image_twice_is_read_twice(tmp_path, directly):
         assert out.tobytes() == values[[1, 4, 1]].tobytes()
 
 
+@pytest.mark.parametrize(
+    ("first", "end", "out"),
+    [
+        (0, 12, np.zeros((6, 12, 5, 3), np.uint8)),
+        (-1, 2, np.zeros((6, 3, 5, 3), np.uint8)),
+        (0, 2, np.zeros((6, 3, 5, 3), np.uint8)),
+        (0, 2, np.zeros((5, 2, 5, 3), np.uint8)),
+        (0, 2, np.zeros((6, 4, 5, 3), np.uint8)[:, ::2]),
+    ],
+)
+def test_an_array_that_does_not_fit(tmp_path, directly, first, end, out):
+    with dataset_of(tmp_path / "x.h5", values_of((6, 11, 5, 3), "uint8"), (6, 1, 5, 3), fletcher32=True) as dataset:
+        with pytest.raises(ValueError, match=r"expected rows of 11 in a C-contiguous array"):
+            RowReader(dataset).read_into(first, end, out)
+
+
 def test_without_a_device_hdf5_sums(tmp_path, directly, monkeypatch):
     def none(*_, **__):
         raise DeviceError("none")

@@ -43,8 +43,14 @@ class RowReader:
     def read_into(self, first: int, end: int, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
         """Read ``[picked_n, first:end]`` into a C-contiguous array of that shape and the dataset's type.
 
-        Raises OSError, as h5py does, where a chunk is damaged.
+        Raises OSError, as h5py does, where a chunk is damaged, and ValueError for an array of another shape.
         """
+        height, *others = self._dataset.shape[1:]
+        expected = (len(self._dataset) if picked_n is None else len(picked_n), end - first, *others)
+        if not 0 <= first <= end <= height or out.shape != expected or not out.flags.c_contiguous:
+            raise ValueError(
+                f"expected rows of {height} in a C-contiguous array {expected}, got {out.shape} at {first}"
+            )
         for rows in self._read_directly(first, out, picked_n):
             key, place = np.s_[:, rows.start : rows.stop], np.s_[:, rows.start - first : rows.stop - first]
             if picked_n is None:
@@ -181,7 +187,8 @@ class ChunkTable:
                 here, aside = slice(skipped + b * piece, skipped + (b + 1) * piece), slice(b * piece, (b + 1) * piece)
                 pieces = [*rows_nx[:, here], *aside_nx[:, aside]]
                 buffers = [*(pieces[source] for source in sources), stored_bx[b]]
-                is_bad_b[b] = not _read_into(descriptor, int(self.address_gb[group, band]), buffers)
+                address = int(self.address_gb[group, band])
+                is_bad_b[b] = not _read_into(descriptor, address, buffers, self.images * piece + CHECKSUM_BYTES)
             shape = {"chunks": len(part), "piece": piece, "pieces": self.images}
             sums_bs = add_pieces(rows_nx, row_of_m[wanted_m], wanted_m, skipped=skipped, **shape)
             if aside_m.size:
@@ -190,15 +197,12 @@ class ChunkTable:
             yield from (part[b] for b in np.flatnonzero(is_bad_b))
 
 
-def _read_into(descriptor: int, address: int, buffers: list[Any]) -> bool:
-    """Fill buffers of bytes with a file's bytes from an address on; return whether there were so many."""
+def _read_into(descriptor: int, address: int, buffers: list[Any], n_bytes: int) -> bool:
+    """Fill buffers of `n_bytes` together with a file's bytes from an address on; return whether there were so many."""
+    done = 0
     try:
         for i in range(0, len(buffers), _MOST_BUFFERS):
-            some = buffers[i : i + _MOST_BUFFERS]
-            n_bytes = sum(map(len, some))
-            if os.preadv(descriptor, some, address) != n_bytes:
-                return False
-            address += n_bytes
+            done += os.preadv(descriptor, buffers[i : i + _MOST_BUFFERS], address + done)
     except OSError:
         return False
-    return True
+    return done == n_bytes
