@@ -148,9 +148,12 @@ def test_an_image_twice_is_read_twice(tmp_path, directly):
     ],
 )
 def test_an_array_that_does_not_fit(tmp_path, directly, first, end, out):
-    with dataset_of(tmp_path / "x.h5", values_of((6, 11, 5, 3), "uint8"), (6, 1, 5, 3), fletcher32=True) as dataset:
-        with pytest.raises(ValueError, match=r"expected rows of 11 in a C-contiguous array"):
-            RowReader(dataset).read_into(first, end, out)
+    values = values_of((6, 11, 5, 3), "uint8")
+    with (
+        dataset_of(tmp_path / "x.h5", values, (6, 1, 5, 3), fletcher32=True) as dataset,
+        pytest.raises(ValueError, match=r"expected rows of 11 in a contiguous array"),
+    ):
+        RowReader(dataset).read_into(first, end, out)
 
 
 def test_without_a_device_hdf5_sums(tmp_path, directly, monkeypatch):

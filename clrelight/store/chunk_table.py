@@ -48,9 +48,7 @@ class RowReader:
         height, *others = self._dataset.shape[1:]
         expected = (len(self._dataset) if picked_n is None else len(picked_n), end - first, *others)
         if not 0 <= first <= end <= height or out.shape != expected or not out.flags.c_contiguous:
-            raise ValueError(
-                f"expected rows of {height} in a C-contiguous array {expected}, got {out.shape} at {first}"
-            )
+            raise ValueError(f"expected rows of {height} in a contiguous array {expected}, got {out.shape} at {first}")
         for rows in self._read_directly(first, out, picked_n):
             key, place = np.s_[:, rows.start : rows.stop], np.s_[:, rows.start - first : rows.stop - first]
             if picked_n is None:
