@@ -129,6 +129,11 @@ def test_what_only_hdf5_can_read(tmp_path, directly, other):
         assert out.tobytes() == values[[5, 0]].tobytes()
 
 
+def test_an_array_larger_than_a_buffer_of_the_device_is_left_to_hdf5():
+    assert fletcher.takes_sums(128 << 20)  # the least that OpenCL allows a device
+    assert not fletcher.takes_sums(1 << 60)
+
+
 def test_an_image_twice_is_read_twice(tmp_path, directly):
     values = values_of((6, 11, 5, 3), "uint8")
     with dataset_of(tmp_path / "x.h5", values, (6, 1, 5, 3), fletcher32=True) as dataset:

@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 SUM_DTYPE = np.dtype("<u4")
 """How HDF5 writes a sum behind its chunk."""
 
-LARGEST_BYTES = 1 << 30
-"""Arrays of more bytes are left to HDF5: a device may not take them."""
-
+LEAST_BUFFER = 128 << 20
+"""Bytes of an array that every device takes; and a quarter of its memory where that is more (OpenCL 1.2, table 4.3)."""
 
 _lock = threading.Lock()
 
@@ -38,7 +37,8 @@ def _device() -> Device | None:
 def takes_sums(n_bytes: int) -> bool:
     """Return whether an array of so many bytes can be summed here; else HDF5 must do it."""
     with _lock:
-        return 0 < n_bytes <= LARGEST_BYTES and _device() is not None
+        device = _device()
+        return device is not None and 0 < n_bytes <= max(LEAST_BUFFER, device.info.memory_bytes // 4)
 
 
 def add_pieces(
