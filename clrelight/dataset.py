@@ -139,12 +139,11 @@ class LightSubset:
         return self._images[(slice(None), *rest)][self._lights][lights]
 
     def read_rows_into(self, first: int, end: int, out_ihwc: NDArray) -> None:
-        """Read rows first..end, a few at a time: the lights that are left out take little memory."""
-        chunks = getattr(self._images, "chunks", None)
-        step = chunks[1] if chunks else end - first
-        for row in range(first, end, step):
-            stop = min(row + step, end)
-            out_ihwc[:, row - first : stop - first] = self._images[:, row:stop][self._lights]
+        """Read rows first..end; the lights that are left out take little memory where the images are a file's."""
+        if hasattr(self._images, "read_some_into"):
+            self._images.read_some_into(self._lights, first, end, out_ihwc)
+        else:
+            out_ihwc[...] = self._images[:, first:end][self._lights]
 
 
 def read_rows_into(array_nhwc: Any, first: int, end: int, out_nhwc: NDArray) -> NDArray:

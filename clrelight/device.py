@@ -138,16 +138,29 @@ def open_device(spec: str | None = None, *, style: str | None = None) -> Device:
     DeviceError
         If there is no device, or none fits, or the style is unknown.
     """
+    info = _choose(spec, style)
+    opened = _local_cache("opened")
+    if (info.index, info.style) not in opened:
+        opened[info.index, info.style] = Device(info, _devices()[info.index][1])
+    return opened[info.index, info.style]
+
+
+def make_device(spec: str, *, style: str) -> Device:
+    """Return an object of its own for a device, of which `open_device` knows nothing; the same errors.
+
+    For those who let one thread at a time use it: that costs less than an object for each of many short threads.
+    """
+    info = _choose(spec, style)
+    return Device(info, _devices()[info.index][1])
+
+
+def _choose(spec: str | None, style: str | None) -> DeviceInfo:
     asked = spec if spec is not None else os.environ.get(DEVICE_VARIABLE)
     devices = _devices()
     if not devices:
         raise DeviceError(f"no OpenCL device found; {_INSTALL_HINT}")
     index = _match(asked, [info for info, _ in devices], "" if spec is not None else f" ({DEVICE_VARIABLE})")
-    info = _in_style(devices[index][0], style)
-    opened = _local_cache("opened")
-    if (index, info.style) not in opened:
-        opened[index, info.style] = Device(info, devices[index][1])
-    return opened[index, info.style]
+    return _in_style(devices[index][0], style)
 
 
 def _in_style(info: DeviceInfo, style: str | None) -> DeviceInfo:

@@ -29,7 +29,7 @@ def reading_ahead(read: Callable[[Item], Result], items: Sequence[Item]) -> Iter
     if len(items) < 2:
         yield map(read, items)
         return
-    with _one_thread() as pool, closing(_results(pool, read, items)) as results:
+    with one_thread() as pool, closing(_results(pool, read, items)) as results:
         yield results
 
 
@@ -52,7 +52,7 @@ def writing_behind(write: Callable[[Item], None]) -> Iterator[Callable[[Item], N
     `write` raises comes with the next item, or at the end of the block; the thread has ended when the block has.
     """
     pending: Future[None] | None = None
-    with _one_thread() as pool:
+    with one_thread() as pool:
 
         def put(item: Item) -> None:
             nonlocal pending
@@ -79,7 +79,8 @@ class Buffer:
         return self._bytes[:size].view(dtype).reshape(shape)
 
 
-def _one_thread() -> ThreadPoolExecutor:
+def one_thread() -> ThreadPoolExecutor:
+    """Return an executor of one thread, which leaves Ctrl-C to the main one."""
     return ThreadPoolExecutor(1, thread_name_prefix="clrelight-io", initializer=_leave_interrupts)
 
 

@@ -8,12 +8,17 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from clrelight.errors import InputError
+from clrelight.streaming import one_thread
+
+SYNC_BYTES = 32 << 20
+"""Bytes that a large file gathers before they are sent to the disk."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,32 @@ def replacing(path: str | os.PathLike) -> Iterator[Part]:
     finally:
         os.close(part.descriptor)
     _sync_folder(target.parent)
+
+
+@contextmanager
+def syncing(path: str | os.PathLike, descriptor: int) -> Iterator[Callable[[int], None]]:
+    """Lend a function that is told how many bytes were written: they go to the disk beside whatever comes next.
+
+    So the flush at the end finds little left. What the disk says against it comes with the next call, or at the end
+    of the block, as InputError that names `path`; the thread has ended when the block has.
+    """
+    pending: Future[None] | None = None
+    waiting = 0
+
+    def wrote(n_bytes: int) -> None:
+        nonlocal pending, waiting
+        waiting += n_bytes
+        if waiting >= SYNC_BYTES and (pending is None or pending.done()):
+            if pending is not None:
+                with naming(path):
+                    pending.result()
+            pending, waiting = pool.submit(os.fdatasync, descriptor), 0
+
+    with one_thread() as pool:
+        yield wrote
+        if pending is not None:
+            with naming(path):
+                pending.result()
 
 
 @contextmanager

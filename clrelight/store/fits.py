@@ -39,6 +39,15 @@ class FitSink:
     lambda_hwc: Sink | None
     rank_hwc: Sink | None
 
+    def sum_rows(self, first: int, *rows: NDArray | None) -> None:
+        """Sum what `write_rows` is about to write, see `Sink.sum_rows`: coefficients, lambda and rank from `first` on.
+
+        In the thread that makes them, before kernels for others begin.
+        """
+        for sink, each in zip((self.coeffs_khwc, self.lambda_hwc, self.rank_hwc), rows, strict=True):
+            if sink is not None and each is not None:
+                sink.sum_rows(first, each)
+
     def write_rows(
         self,
         first: int,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import StoreFormatError
+from clrelight.store.chunk_table import RowReader
 from clrelight.store.walk import CHECKSUM_BYTES
 
 
@@ -31,6 +32,7 @@ class StoredArray:
         self.shape, self.dtype, self.chunks = tuple(dataset.shape), dataset.dtype, dataset.chunks
         self.ndim, self.size = len(self.shape), dataset.size
         self._dataset, self._path = dataset, path
+        self._rows = RowReader(dataset)
         self._deflated = dataset.compression == "gzip"
         self._inflatable: set[tuple[int, ...]] = set()
 
@@ -46,9 +48,13 @@ class StoredArray:
 
     def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
         """Read ``[:, first:end]`` into a C-contiguous array of that shape and this dtype."""
-        key = np.s_[:, first:end]
-        with self._reading(key):
-            self._dataset.read_direct(out, key)
+        with self._reading(np.s_[:, first:end]):
+            self._rows.read_into(first, end, out)
+
+    def read_some_into(self, picked_n: NDArray[np.intp], first: int, end: int, out: NDArray) -> None:
+        """Read ``[picked_n, first:end]`` into a C-contiguous array of that shape and this dtype."""
+        with self._reading(np.s_[:, first:end]):
+            self._rows.read_into(first, end, out, picked_n)
 
     @contextmanager
     def _reading(self, key: Any) -> Iterator[None]:

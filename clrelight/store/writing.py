@@ -6,7 +6,7 @@ import json
 import os
 import struct
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clrelight.errors import InputError
-from clrelight.store.durable import Part, naming, replacing
+from clrelight.store.chunk_table import RowReader
+from clrelight.store.chunk_writer import ChunkWriter
+from clrelight.store.durable import Part, naming, replacing, syncing
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
 
 IN_MEMORY_BYTES = 64 << 20
@@ -42,9 +44,12 @@ class Sink:
         As of an HDF5 dataset. Filling whole chunks at a time is fast when the file is too large for memory.
     """
 
-    def __init__(self, target: Any, chunks: tuple[int, ...]) -> None:
+    def __init__(self, target: Any, chunks: tuple[int, ...], wrote: Callable[[int], None]) -> None:
         self.shape, self.dtype, self.chunks = tuple(target.shape), target.dtype, chunks
-        self._target = target
+        self._target, self._wrote = target, wrote
+        in_file = isinstance(target, h5py.Dataset)
+        self._writer = ChunkWriter(target) if in_file else None
+        self._reader = RowReader(target) if in_file else None
         self._extent = np.broadcast_to(np.False_, self.shape)  # takes no memory, says what a key selects
         self._missing = self._extent.size
 
@@ -57,11 +62,22 @@ class Sink:
         values, selected = source[part], self._extent[key].shape
         if values.dtype != self.dtype or values.shape != selected:
             raise TypeError(f"expected {self.dtype} {selected}, got {values.dtype} {values.shape}")
-        if isinstance(self._target, h5py.Dataset) and source.flags.c_contiguous and part is not ...:
-            self._target.write_direct(source, part, key)
-        else:
-            self._target[key] = values
+        if self._writer is None or not self._writer.write(key, values):
+            if self._writer is not None and source.flags.c_contiguous and part is not ...:
+                self._target.write_direct(source, part, key)
+            else:
+                self._target[key] = values
         self._missing -= values.size
+        self._wrote(values.nbytes)
+
+    def sum_rows(self, first: int, rows: NDArray) -> None:
+        """Sum rows from `first` on that are about to be filled, so that filling them, chunk by chunk, is fast.
+
+        Sums are taken on a CPU device, after the kernels that it has to run already. The rows must not change until
+        they are filled.
+        """
+        if self._writer is not None:
+            self._writer.sum_rows(first, rows)
 
     def __getitem__(self, key: Any) -> NDArray:
         """Read back what was filled, before the file is finished."""
@@ -69,8 +85,8 @@ class Sink:
 
     def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
         """Read back ``[:, first:end]`` into a C-contiguous array of that shape and this dtype."""
-        if isinstance(self._target, h5py.Dataset):
-            self._target.read_direct(out, np.s_[:, first:end])
+        if self._reader is not None and not self._missing:
+            self._reader.read_into(first, end, out)
         else:
             out[...] = self._target[:, first:end]
 
@@ -83,8 +99,8 @@ class Sink:
 class Draft:
     """An HDF5 file being written: attributes, datasets with named axes, sinks."""
 
-    def __init__(self, file: h5py.File, in_memory: bool) -> None:
-        self._file, self._in_memory = file, in_memory
+    def __init__(self, file: h5py.File, wrote: Callable[[int], None] | None = None) -> None:
+        self._file, self._in_memory, self._wrote = file, wrote is None, wrote or (lambda n_bytes: None)
         self._sinks: list[Sink] = []
         self._pending: list[tuple[h5py.Dataset, NDArray]] = []
 
@@ -110,7 +126,7 @@ class Draft:
         target = np.zeros(shape, dataset.dtype) if self._in_memory else dataset
         if self._in_memory:
             self._pending.append((dataset, target))
-        self._sinks.append(Sink(target, chunks))
+        self._sinks.append(Sink(target, chunks, self._wrote))
         return self._sinks[-1]
 
     def finish(self) -> None:
@@ -167,7 +183,7 @@ def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int) -> Itera
     # HDF5 takes two files of one name for the same, also in memory: a name that nobody has. It is not stored.
     name, block = uuid.uuid4().hex, max(1 << 16, n_bytes // 8)
     with h5py.File(name, "w", driver="core", backing_store=False, block_size=block, libver="latest") as file:
-        draft = Draft(file, True)
+        draft = Draft(file)
         yield draft
         draft.finish()
         file.flush()
@@ -183,9 +199,10 @@ def _streamed(path: str | os.PathLike, part: Part, n_bytes: int) -> Iterator[Dra
         # HDF5 crashes the process when it closes a file on a full disk: every byte is reserved before the first.
         with naming(path):
             part.reserve(n_bytes + n_bytes // RESERVE_SHARE + RESERVE_BYTES)
-        draft = Draft(file, False)
-        yield draft
-        draft.finish()
+        with syncing(path, part.descriptor) as wrote:
+            draft = Draft(file, wrote)
+            yield draft
+            draft.finish()
     with naming(path):
         head = os.pread(part.descriptor, _SUPERBLOCK.size, 0)
         version, size = _SUPERBLOCK.unpack(head)
