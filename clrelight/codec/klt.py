@@ -16,11 +16,12 @@ from clrelight.codec.lifting import (
     dequantise_map,
     empty_planes,
     forward_transform,
-    inverse_transform,
     list_subbands,
     quantise_map,
+    transform_planes,
 )
 from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.planes import Thrift, code_planes
 from clrelight.codec.principal import (
     MAX_ENTRY,
     ROTATION_UNIT,
@@ -33,16 +34,16 @@ from clrelight.codec.principal import (
     whiten,
 )
 from clrelight.codec.registry import Codec, register
-from clrelight.codec.subbands import Statistics, Thrift, code_indices
+from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.codec.symbols import zero_order_bits
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
-_VERSION = 2
+_VERSION = 3
+_IN_PAIRS = 2  # the version whose planes are coded two by two
 _HEAD = struct.Struct("<BBhfHbb")
 _LEVELS = 5
 _ROUNDING = 0.4  # the largest index that the encoder may take; see `Thrift`
-_GROUP = 2  # planes that are coded together: more are faster, fewer know more of each other
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
 _THRIFT = 0.18
@@ -125,8 +126,8 @@ class Klt(Codec):
         if len(body) < _HEAD.size + channel * channel:
             raise PayloadError(f"a klt body of {channel} channels has at least {_HEAD.size + channel**2} bytes")
         version, levels, exponent, step, count, *biases = _HEAD.unpack_from(body)
-        if version != _VERSION:
-            raise PayloadError(f"klt version {version} is not known, this program reads {_VERSION}")
+        if version not in (_IN_PAIRS, _VERSION):
+            raise PayloadError(f"klt version {version} is not known, this program reads {_IN_PAIRS} and {_VERSION}")
         if not (1 <= levels <= _LEVELS and abs(exponent) <= 150 and _STEP_RANGE[0] <= step <= _STEP_RANGE[1]):
             raise PayloadError(f"a klt body cannot have {levels} levels, exponent {exponent} and step {step}")
         if count > channel * component or len(body) < _HEAD.size + channel * channel + count:
@@ -139,7 +140,12 @@ class Klt(Codec):
         entries = code_vectors(decoder, (count, channel, component), None).reshape(count, channel * component)
         planes_jp = np.ones((count + 1, height * width), np.float32)
         if count:
-            planes_jp[:count] = _decode_planes(decoder, (count, height, width), levels, step, biases, device)
+            bands, in_planes = list_subbands(height, width, levels), (count, height, width)
+            if version == _VERSION:
+                index = code_planes(decoder, bands, in_planes, None)
+            else:
+                index = code_indices(decoder, Statistics(), bands, in_planes, None, group=2)
+            planes_jp[:count] = _dequantise_planes(index, levels, step, biases, device)
         decoder.finish()
         vectors_jd = np.concatenate([Axes(entries, scales).vectors_jd, mean[None]])
         rotation = np.linalg.pinv(rotation_cc / ROTATION_UNIT)
@@ -221,7 +227,7 @@ class _Source:
         if not count:
             return axes, (0, 0)
         thrift = Thrift(planes, _THRIFT)
-        code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index, _GROUP, thrift)
+        code_planes(coder, list_subbands(height, width, _LEVELS), index.shape, index, thrift)
         return axes, _measure_biases(index, planes)
 
     def _quantise(self, step: float) -> tuple[Axes, NDArray[np.int32], NDArray[np.float32]]:
@@ -291,13 +297,11 @@ def _measure_biases(index: NDArray[np.int32], planes: NDArray[np.float32]) -> tu
     return biases[0], biases[1]
 
 
-def _decode_planes(
-    decoder: Decoder, shape: tuple[int, int, int], levels: int, step: float, biases: list[int], device: Device
+def _dequantise_planes(
+    index: NDArray[np.int32], levels: int, step: float, biases: list[int], device: Device
 ) -> NDArray[np.float32]:
-    count, height, width = shape
-    index = code_indices(decoder, Statistics(), list_subbands(height, width, levels), shape, None, _GROUP)
-    as_map = (1, height, width, count)
-    planes = empty_planes(as_map, device)
+    count, height, width = index.shape
+    planes = empty_planes((1, height, width, count), device)
     dequantise_map(planes, 0, index, step, (biases[0] * _BIAS_UNIT, biases[1] * _BIAS_UNIT), device)
-    pixels = inverse_transform(planes, as_map, np.ones(1, np.float32), levels, device)
-    return pixels.reshape(height * width, count).T
+    transform_planes("synthesise", planes, width, levels, device)
+    return device.download(planes)[:, :, :width].reshape(count, height * width)
