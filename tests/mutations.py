@@ -29,7 +29,7 @@ from clrelight.errors import PayloadError
 SHAPES = [(4, 5, 9, 3), (4, 6, 7, 1), (1, 6, 7, 1), (4, 1, 13, 2)]
 OPTIONS = {
     "wavelet": [{"rate": 8.0}, {"rate": 14.0, "allocation": "global", "levels": 5}],
-    "klt": [{"step": 0.05}, {"step": 0.002}],
+    "klt": [{"step": 0.05}, {"step": 0.002}, {"step": 0.03, "transfer": "srgb"}],
     "uniform": [{"bits": 7}, {"bits": 8}],
     "jpeg2000": [{"rate": 60.0}],
     "cpca": [{"clusters": 4, "components": 2, "bits": 5}],
