@@ -76,7 +76,8 @@ def _rows(stack: LightStack, picture: str | None) -> list[list[str]]:
         return summarize_errors(measure_errors(coefficients, unseen, device=device)).psnr_pooled
 
     def code(way: str, source: CoefficientMap, codec: str, **config: object) -> Found:
-        encoded = encode(source.coeffs_khwc, codec_class(codec).from_config(config), device)
+        chosen = codec_class(codec).from_config(config).for_transfer(stack.transfer)
+        encoded = encode(source.coeffs_khwc, chosen, device)
         decoded = replace(source, coeffs_khwc=decode(encoded.to_bytes(), device))
         return Found(way, encoded.encoded_bytes, measure(decoded), decoded)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 TRANSFERS = ("linear", "srgb")
 """Names of the transfer curves between code values and linear radiance."""
@@ -53,15 +53,15 @@ def default_peak(dtype: np.dtype) -> float:
     return float(np.iinfo(dtype).max) if np.issubdtype(dtype, np.integer) else 1.0
 
 
-def srgb_to_linear(encoded: ArrayLike) -> NDArray[np.float64]:
-    """Decode sRGB values in [0, 1] to linear radiance (IEC 61966-2-1); larger values continue the curve."""
-    v = np.asarray(encoded, dtype=np.float64)
+def srgb_to_linear(encoded: ArrayLike, dtype: DTypeLike = np.float64) -> NDArray:
+    """Decode sRGB values in [0, 1] to linear radiance (IEC 61966-2-1), in `dtype`; others continue the curve."""
+    v = np.asarray(encoded, dtype=dtype)
     power = ((np.maximum(v, 0.0) + SRGB_OFFSET) / (1.0 + SRGB_OFFSET)) ** SRGB_GAMMA
     return np.where(v <= SRGB_BREAK_ENCODED, v / SRGB_SLOPE, power)
 
 
-def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
-    """Encode linear radiance with the sRGB curve (IEC 61966-2-1); the inverse of `srgb_to_linear`."""
-    v = np.asarray(linear, dtype=np.float64)
+def linear_to_srgb(linear: ArrayLike, dtype: DTypeLike = np.float64) -> NDArray:
+    """Encode linear radiance with the sRGB curve (IEC 61966-2-1), in `dtype`; the inverse of `srgb_to_linear`."""
+    v = np.asarray(linear, dtype=dtype)
     power = (1.0 + SRGB_OFFSET) * np.maximum(v, 0.0) ** (1.0 / SRGB_GAMMA) - SRGB_OFFSET
     return np.where(v <= SRGB_BREAK_LINEAR, v * SRGB_SLOPE, power)

@@ -29,7 +29,7 @@ from clrelight.errors import PayloadError
 SHAPES = [(4, 5, 9, 3), (4, 6, 7, 1), (1, 6, 7, 1), (4, 1, 13, 2)]
 OPTIONS = {
     "wavelet": [{"rate": 8.0}, {"rate": 14.0, "allocation": "global", "levels": 5}],
-    "klt": [{"step": 0.05}, {"step": 0.002}],
+    "klt": [{"step": 0.05}, {"step": 0.002}, {"step": 0.03, "transfer": "srgb"}],
     "uniform": [{"bits": 7}, {"bits": 8}],
     "jpeg2000": [{"rate": 60.0}],
     "cpca": [{"clusters": 4, "components": 2, "bits": 5}],
@@ -43,6 +43,7 @@ FREE_SECONDS, SECONDS_EACH = 20.0, 1e-6
 """A decoder that takes longer hangs: a thousand times the usual, whatever else the machine does."""
 WRAPPERS = ("principal", "whitened")
 """Codecs that hold another one."""
+FROZEN = Path(__file__).resolve().parent / "frozen"
 RELIT = 3
 """Every so many payloads are relit too, by what needs no coefficients."""
 LIGHT = np.array([[0.0, 0.6, 0.8]])
@@ -75,10 +76,10 @@ def families():
 
 
 def make_payloads(family, device):
-    """Return one payload for each shape and setting of a family."""
+    """Return one payload for each shape and setting of a family, and those that are frozen: of old versions too."""
     outer, _, inner = family.partition("/")
     settings = OPTIONS.get(inner or outer, [{}])
-    payloads = []
+    payloads = [] if inner else [path.read_bytes() for path in sorted(FROZEN.glob(f"{outer}*.bin"))]
     for options in settings[: 1 if inner else None]:
         config = {"codec": inner, "options": options} if inner else options
         for number, shape in enumerate(SHAPES):

@@ -3,7 +3,8 @@ import pytest
 
 from clrelight.codec.entropy import BitCounter, Decoder, Encoder, ModelSet, code_integers
 from clrelight.codec.lifting import list_subbands
-from clrelight.codec.subbands import Statistics, Thrift, code_indices
+from clrelight.codec.planes import Thrift, code_planes
+from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.codec.symbols import ALPHABET, CLASSES, class_floor, classify, geometric_prior, zero_order_bits
 from clrelight.errors import PayloadError
 
@@ -76,6 +77,43 @@ def test_indices_come_back(shape, scale):
     decoder.finish()
 
 
+@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 1, 1), (1, 1, 33), (3, 29, 1), (9, 17, 22), (30, 8, 8)])
+@pytest.mark.parametrize("scale", [0.02, 0.3, 3.0, 1e8])
+def test_planes_come_back(shape, scale):
+    rng = np.random.default_rng(3)
+    bands = list_subbands(*shape[1:], 3)
+    index = np.rint(np.clip(rng.laplace(scale=scale, size=shape), -(2**29), 2**29)).astype(np.int32)
+    for planes in (index, np.full(shape, -(1 << 29), np.int32), np.zeros(shape, np.int32)):
+        encoder, counter = Encoder(), BitCounter()
+        for coder in (encoder, counter):
+            code_planes(coder, bands, shape, planes.copy())
+        assert abs(8 * encoder.byte_count - counter.bits) <= 64 + 0.002 * counter.bits
+        decoder = Decoder(encoder.to_bytes())
+        np.testing.assert_array_equal(code_planes(decoder, bands, shape, None), planes)
+        decoder.finish()
+
+
+def test_planes_alike_cost_less_than_planes_apart():
+    rng = np.random.default_rng(8)
+    edges = np.repeat(rng.random((1, 64, 64)) < 0.05, 12, axis=0)
+    apart = rng.permuted(edges.reshape(12, -1), axis=1).reshape(edges.shape)
+    signs = 2 * rng.integers(0, 2, edges.shape) - 1
+    bands, bits = list_subbands(64, 64, 3), []
+    for where in (edges, apart):
+        counter = BitCounter()
+        code_planes(counter, bands, where.shape, (where * signs).astype(np.int32))
+        bits.append(counter.bits)
+    assert bits[0] < 0.6 * bits[1]
+
+
+def test_zeros_cost_next_to_nothing():
+    index = np.zeros((20, 64, 64), np.int32)
+    index[3, 40, 50] = -2
+    counter = BitCounter()
+    code_planes(counter, list_subbands(64, 64, 5), index.shape, index)
+    assert counter.bits < 250
+
+
 def test_thrift_saves_more_than_it_costs():
     shape, price = (6, 40, 48), 0.2
     rng = np.random.default_rng(6)
@@ -84,12 +122,13 @@ def test_thrift_saves_more_than_it_costs():
     bands, costs = list_subbands(*shape[1:], 3), []
     for thrift in (None, Thrift(values, price)):
         index, encoder = nearest.copy(), Encoder()
-        code_indices(encoder, Statistics(), bands, shape, index, 2, thrift)
+        code_planes(encoder, bands, shape, index, thrift)
         decoder = Decoder(encoder.to_bytes())
-        np.testing.assert_array_equal(code_indices(decoder, Statistics(), bands, shape, None, 2), index)
+        np.testing.assert_array_equal(code_planes(decoder, bands, shape, None), index)
         decoder.finish()
         costs.append(float(((index - values) ** 2).sum()) + price * 8 * encoder.byte_count)
     assert (np.abs(index) <= np.abs(nearest)).all()
+    assert (index * nearest >= 0).all()
     assert costs[1] < 0.97 * costs[0]
 
 

@@ -37,6 +37,11 @@ _MAX_DECIBELS = 1000.0
 @click.option("--target-psnr", type=float, metavar="DB", help="Fewest bytes for this pooled PSNR; needs --stack.")
 @click.option("--rate", type=float, help="Bits per coefficient (wavelet, jpeg2000: default 4; klt: default 0.1).")
 @click.option("--step", type=float, help="Quantiser step, instead of a rate (klt).")
+@click.option(
+    "--transfer",
+    type=click.Choice(["linear", "srgb"]),
+    help="Errors are alike in radiance, or in sRGB code values (klt); default: what the fit's stack holds.",
+)
 @click.option("--bits", type=int, help="Bits per code (uniform, cpca), log2 of the codebook (vq); default 8.")
 @click.option("--allocation", help="How wavelet rates are shared: map (each alike) or global (one step for all).")
 @click.option("--levels", type=int, help="Levels of the wavelet transform (wavelet); default 3.")
@@ -113,7 +118,7 @@ def encode(
             size = float(np.prod(coefficients.coeffs_khwc.shape, dtype=np.int64))
             key, value = ("byte_budget", byte_budget) if codec == "klt" else ("rate", 8.0 * byte_budget / size)
             wanted[key] = value
-        chosen = _choose(codec, basis, wanted)
+        chosen = _choose(codec, basis, wanted).for_transfer(coefficients.transfer)
         with progress_bar(f"encoding {codec}"):
             noise = codecs.predict_noise(coefficients.coeffs_khwc, chosen, opened)
             seconds["predict"] = time.perf_counter() - since

@@ -120,14 +120,9 @@ class Encoder:
         assert symbols is not None
         order, groups = _group(contexts)
         by_context = symbols[order].astype(np.int32)
-        size = models.counts.shape[1]
-        used, histograms = [], []
         for context, part in groups:
             self._range.encode(by_context[part], _categorical(models.counts[context]))
-            used.append(context)
-            histograms.append(np.bincount(by_context[part], minlength=size))
-        if used:
-            models.learn(np.array(used), np.stack(histograms))
+        _learn(models, groups, by_context)
         return symbols
 
     def code_raw(self, widths: NDArray[np.integer], values: NDArray[np.integer] | None) -> NDArray[np.integer]:
@@ -166,14 +161,9 @@ class Decoder:
         """See `Coder`."""
         order, groups = _group(contexts)
         by_context = np.empty(len(contexts), np.int32)
-        size = models.counts.shape[1]
-        used, histograms = [], []
         for context, part in groups:
             by_context[part] = self._take(_categorical(models.counts[context]), part)
-            used.append(context)
-            histograms.append(np.bincount(by_context[part], minlength=size))
-        if used:
-            models.learn(np.array(used), np.stack(histograms))
+        _learn(models, groups, by_context)
         decoded = np.empty_like(by_context)
         decoded[order] = by_context
         return decoded
@@ -226,6 +216,16 @@ def code_integers(
 
 def _categorical(counts: NDArray[np.int64]) -> object:
     return constriction.stream.model.Categorical(counts.astype(np.float64), perfect=False)
+
+
+def _learn(models: ModelSet, groups: list[tuple[int, slice]], by_context: NDArray[np.int32]) -> None:
+    """Let the tables learn symbols that stand in the order of their contexts."""
+    if not groups:
+        return
+    size = models.counts.shape[1]
+    rows = np.repeat(np.arange(len(groups)) * size, [part.stop - part.start for _, part in groups])
+    histograms_cs = np.bincount(rows + by_context, minlength=len(groups) * size).reshape(-1, size)
+    models.learn(np.array([context for context, _ in groups]), histograms_cs)
 
 
 def _group(keys: NDArray[np.integer]) -> tuple[NDArray[np.integer], list[tuple[int, slice]]]:

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
-from clrelight.codec.entropy import BitCounter, Decoder, Encoder
+from clrelight.codec.code_values import code_values_of, radiance_of
+from clrelight.codec.entropy import BitCounter, Encoder
 from clrelight.codec.factored import Factored
-from clrelight.codec.lifting import (
-    dequantise_map,
-    empty_planes,
-    forward_transform,
-    inverse_transform,
-    list_subbands,
-    quantise_map,
+from clrelight.codec.klt_body import (
+    BIAS_UNIT,
+    HEAD_SIZE,
+    LEVELS,
+    MEAN_STEPS,
+    STEP_RANGE,
+    Head,
+    decode_planes,
+    parse_head,
 )
+from clrelight.codec.lifting import forward_transform, list_subbands, quantise_map
 from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.planes import Thrift, code_planes
 from clrelight.codec.principal import (
     MAX_ENTRY,
-    ROTATION_UNIT,
     Axes,
     Whitened,
     code_vectors,
@@ -33,16 +36,12 @@ from clrelight.codec.principal import (
     whiten,
 )
 from clrelight.codec.registry import Codec, register
-from clrelight.codec.subbands import Statistics, Thrift, code_indices
 from clrelight.codec.symbols import zero_order_bits
+from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
-from clrelight.errors import InputError, PayloadError
+from clrelight.errors import InputError
 
-_VERSION = 2
-_HEAD = struct.Struct("<BBhfHbb")
-_LEVELS = 5
 _ROUNDING = 0.4  # the largest index that the encoder may take; see `Thrift`
-_GROUP = 2  # planes that are coded together: more are faster, fewer know more of each other
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
 _THRIFT = 0.18
@@ -51,12 +50,9 @@ _MAX_TRIED = 1 << 24
 """Values of the planes that are tried at once: what bounds memory."""
 _PRICE = 0.1
 """Squared steps of error that a bit must save for an axis to be coded."""
-_MEAN_STEPS = 16  # the mean is quantised this much finer than the planes: its error is in every pixel
-_BIAS_UNIT = 1.0 / 256.0
 _LEAST_USED = 0.972
 _AIM = 0.986
 _MAX_TRIALS = 24
-_STEP_RANGE = (2.0**-22, 2.0**3)
 
 
 @register
@@ -76,8 +72,11 @@ class Klt(Codec):
         Bytes not to be passed. At least 97% are used, unless the finest step needs less.
     step : float, optional
         Quantiser step in radiance times root steradian, relative to the largest coefficient's power of two.
+    transfer : str, optional
+        ``"srgb"`` codes the coefficients of sRGB code values, so that errors are alike in these instead of in linear
+        radiance; by default ``"linear"``. Decoding gives linear radiance with either.
 
-    One of them is given; by default the rate is 0.1.
+    One of rate, byte_budget and step is given; by default the rate is 0.1.
     """
 
     id: ClassVar[str] = "klt"
@@ -86,6 +85,7 @@ class Klt(Codec):
     rate: float | None = None
     byte_budget: int | None = None
     step: float | None = None
+    transfer: str | None = None
 
     def __post_init__(self) -> None:
         given = [name for name in ("rate", "byte_budget", "step") if getattr(self, name) is not None]
@@ -97,12 +97,21 @@ class Klt(Codec):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | float) and 0.0 < value < float("inf")):
                 raise InputError(f"klt {name} must be a positive number, got {value!r}")
-        if self.step is not None and not _STEP_RANGE[0] <= self.step <= _STEP_RANGE[1]:
-            raise InputError(f"klt step must be {_STEP_RANGE[0]:g} to {_STEP_RANGE[1]:g}, got {self.step!r}")
+        if self.step is not None and not STEP_RANGE[0] <= self.step <= STEP_RANGE[1]:
+            raise InputError(f"klt step must be {STEP_RANGE[0]:g} to {STEP_RANGE[1]:g}, got {self.step!r}")
+        if self.transfer is not None and self.transfer not in TRANSFERS:
+            raise InputError(f"klt transfer must be one of {', '.join(TRANSFERS)}, got {self.transfer!r}")
+
+    def for_transfer(self, transfer: str) -> Klt:
+        """See `Codec`."""
+        return self if self.transfer is not None else replace(self, transfer=transfer)
 
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
         """See `Codec`; the step chosen and the number of planes are reported."""
-        source, shape = _Source(coeffs_khwc, device), coeffs_khwc.shape
+        transfer, shape = self.transfer or "linear", coeffs_khwc.shape
+        if transfer == "srgb":
+            coeffs_khwc = code_values_of(coeffs_khwc, device)
+        source = _Source(coeffs_khwc, transfer, device)
         if self.step is not None:
             body, planes = source.encode(self.step)
             return add_ballast(body, shape), {"step": float(self.step), "planes": float(planes)}
@@ -113,60 +122,30 @@ class Klt(Codec):
     @classmethod
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """See `Codec`."""
-        return cls.decode_view(body, shape, device).to_coeffs(device)
+        view, head = decode_planes(body, shape, device)
+        coeffs_khwc = view.to_coeffs(device)
+        return radiance_of(coeffs_khwc, device) if head.transfer == "srgb" else coeffs_khwc
 
     @classmethod
-    def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> Factored:
-        """Return the planes and the matrix that make coefficients, or images, of them."""
-        body = drop_ballast(body, shape)
-        n_coeff, height, width, channel = shape
-        metric = hemisphere_metric(n_coeff)
-        component = len(metric.forward_jk)
-        if len(body) < _HEAD.size + channel * channel:
-            raise PayloadError(f"a klt body of {channel} channels has at least {_HEAD.size + channel**2} bytes")
-        version, levels, exponent, step, count, *biases = _HEAD.unpack_from(body)
-        if version != _VERSION:
-            raise PayloadError(f"klt version {version} is not known, this program reads {_VERSION}")
-        if not (1 <= levels <= _LEVELS and abs(exponent) <= 150 and _STEP_RANGE[0] <= step <= _STEP_RANGE[1]):
-            raise PayloadError(f"a klt body cannot have {levels} levels, exponent {exponent} and step {step}")
-        if count > channel * component or len(body) < _HEAD.size + channel * channel + count:
-            raise PayloadError(f"a klt body of {len(body)} bytes cannot have {count} planes")
-        at = _HEAD.size
-        rotation_cc = np.frombuffer(body, "<i1", channel * channel, at).reshape(channel, channel)
-        scales = np.frombuffer(body, "<u1", count, at + channel * channel)
-        decoder = Decoder(body[at + channel * channel + count :])
-        mean = code_vectors(decoder, (1, channel, component), None).ravel() * (step / _MEAN_STEPS)
-        entries = code_vectors(decoder, (count, channel, component), None).reshape(count, channel * component)
-        planes_jp = np.ones((count + 1, height * width), np.float32)
-        if count:
-            planes_jp[:count] = _decode_planes(decoder, (count, height, width), levels, step, biases, device)
-        decoder.finish()
-        vectors_jd = np.concatenate([Axes(entries, scales).vectors_jd, mean[None]])
-        rotation = np.linalg.pinv(rotation_cc / ROTATION_UNIT)
-        operator_kcj = np.einsum(
-            "kn,cd,jdn->kcj",
-            np.ldexp(metric.inverse_kj, exponent),
-            rotation,
-            vectors_jd.reshape(-1, channel, component),
-            optimize=True,
-        )
-        if not np.abs(operator_kcj).max() <= np.finfo(np.float32).max or not np.isfinite(planes_jp).all():
-            raise PayloadError("a klt body holds values beyond float32's range")
-        return Factored(planes_jp, operator_kcj, height, width)
+    def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> Factored | None:
+        """Return the planes and the matrix that make coefficients, or images, of them; None behind a curve."""
+        if parse_head(drop_ballast(body, shape), shape).transfer != "linear":
+            return None
+        return decode_planes(body, shape, device)[0]
 
 
 class _Source:
     """A map ready to be encoded at any step."""
 
-    def __init__(self, coeffs_khwc: NDArray[np.float32], device: Device) -> None:
-        self._shape, self._device = coeffs_khwc.shape, device
+    def __init__(self, coeffs_khwc: NDArray[np.float32], transfer: str, device: Device) -> None:
+        self._shape, self._transfer, self._device = coeffs_khwc.shape, transfer, device
         largest = float(np.abs(coeffs_khwc).max())
         self._exponent = int(np.clip(np.frexp(largest)[1], -126, 126)) if largest else 0
         self._whitened: Whitened = whiten(coeffs_khwc, self._exponent, device)
         self._vectors, self._deviation = principal_axes(self._whitened)
         largest_mean = float(np.abs(self._whitened.mean_d).max())
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
-        self._finest_step = max(_STEP_RANGE[0], 1.01 * largest_mean * _MEAN_STEPS / MAX_ENTRY)
+        self._finest_step = max(STEP_RANGE[0], 1.01 * largest_mean * MEAN_STEPS / MAX_ENTRY)
 
     def encode(self, step: float) -> tuple[bytes, int]:
         """Return the body at a step, and its number of planes."""
@@ -176,12 +155,12 @@ class _Source:
         encoder = Encoder()
         axes, biases = self._code(encoder, step)
         count = len(axes.scales_j)
-        head = _HEAD.pack(_VERSION, _LEVELS, self._exponent, step, count, *biases)
-        return head + self._whitened.rotation_cc.tobytes() + axes.scales_j.tobytes() + encoder.to_bytes(), count
+        head = Head(self._exponent, step, count, biases, self._transfer)
+        return head.pack() + self._whitened.rotation_cc.tobytes() + axes.scales_j.tobytes() + encoder.to_bytes(), count
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
         """Return the body at the step that fills a budget of bytes best, and what was found."""
-        finest, coarsest = np.log2(self._finest_step), np.log2(_STEP_RANGE[1])
+        finest, coarsest = np.log2(self._finest_step), np.log2(STEP_RANGE[1])
         fine, coarse = finest, coarsest
         tried: list[tuple[float, float]] = []
         place = -5.0
@@ -207,7 +186,7 @@ class _Source:
     def _count_bytes(self, step: float) -> float:
         counter = BitCounter()
         axes, _ = self._code(counter, float(np.float32(step)))
-        fixed = _HEAD.size + self._whitened.rotation_cc.size + len(axes.scales_j)
+        fixed = HEAD_SIZE + self._whitened.rotation_cc.size + len(axes.scales_j)
         return fixed + counter.bits / 8.0 + 4.0
 
     def _code(self, coder: BitCounter | Encoder, step: float) -> tuple[Axes, tuple[int, int]]:
@@ -215,13 +194,13 @@ class _Source:
         component = len(hemisphere_metric(n_coeff).forward_jk)
         axes, index, planes = self._quantise(step)
         count = len(axes.scales_j)
-        mean = np.rint(self._whitened.mean_d * (_MEAN_STEPS / step)).astype(np.int64)
+        mean = np.rint(self._whitened.mean_d * (MEAN_STEPS / step)).astype(np.int64)
         code_vectors(coder, (1, channel, component), mean.reshape(1, channel, component))
         code_vectors(coder, (count, channel, component), axes.entries_jd.reshape(count, channel, component))
         if not count:
             return axes, (0, 0)
         thrift = Thrift(planes, _THRIFT)
-        code_indices(coder, Statistics(), list_subbands(height, width, _LEVELS), index.shape, index, _GROUP, thrift)
+        code_planes(coder, list_subbands(height, width, LEVELS), index.shape, index, thrift)
         return axes, _measure_biases(index, planes)
 
     def _quantise(self, step: float) -> tuple[Axes, NDArray[np.int32], NDArray[np.float32]]:
@@ -250,7 +229,7 @@ class _Source:
         if not planes_pj.size:
             return np.zeros((0, height, width), np.int32), np.zeros((0, height, width), np.float32)
         source = np.ascontiguousarray(planes_pj).reshape(shape)
-        planes = forward_transform(source, np.ones(1, np.float32), _LEVELS, self._device)
+        planes = forward_transform(source, np.ones(1, np.float32), LEVELS, self._device)
         index = quantise_map(planes, 0, shape, step, _ROUNDING, self._device)
         values = self._device.download(planes)[:, :, :width]
         values *= np.float32(1.0 / step)
@@ -287,17 +266,5 @@ def _measure_biases(index: NDArray[np.int32], planes: NDArray[np.float32]) -> tu
     for chosen in (sizes == 1, sizes > 1):
         values = np.abs(planes[chosen])
         excess = float(sizes[chosen].mean()) - float(values.mean(dtype=np.float64)) if values.size else 0.0
-        biases.append(int(np.clip(np.rint(excess / _BIAS_UNIT), -128, 127)))
+        biases.append(int(np.clip(np.rint(excess / BIAS_UNIT), -128, 127)))
     return biases[0], biases[1]
-
-
-def _decode_planes(
-    decoder: Decoder, shape: tuple[int, int, int], levels: int, step: float, biases: list[int], device: Device
-) -> NDArray[np.float32]:
-    count, height, width = shape
-    index = code_indices(decoder, Statistics(), list_subbands(height, width, levels), shape, None, _GROUP)
-    as_map = (1, height, width, count)
-    planes = empty_planes(as_map, device)
-    dequantise_map(planes, 0, index, step, (biases[0] * _BIAS_UNIT, biases[1] * _BIAS_UNIT), device)
-    pixels = inverse_transform(planes, as_map, np.ones(1, np.float32), levels, device)
-    return pixels.reshape(height * width, count).T

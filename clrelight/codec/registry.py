@@ -153,6 +153,10 @@ class Codec(Configurable, ABC):
         """Return the noise to expect of `encode_body`, found in less than its time; None where there is no model."""
         return None
 
+    def for_transfer(self, transfer: str) -> Codec:
+        """Return the codec for a fit whose images are compared behind a transfer curve, where that is left open."""
+        return self
+
     def try_on(self, sample_khwc: NDArray[np.float32], device: Device) -> Noise:
         """Return the noise of a sample, for codecs that code its parts as they code them among all others."""
         body, _ = self.encode_body(sample_khwc, device)

@@ -14,7 +14,6 @@ magnitudes; its sign in a context made of the prediction.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -22,11 +21,19 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy import Coder, ModelSet, code_integers
 from clrelight.codec.lifting import Subband
-from clrelight.codec.symbols import CLASSES, DIRECT, class_floor, classify, geometric_prior
+from clrelight.codec.phases import (
+    BATCHES,
+    PHASES,
+    crop,
+    differentiate,
+    gather,
+    integrate,
+    neighbour_count,
+    relatives_of,
+)
+from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
 from clrelight.errors import PayloadError
 
-_PHASES = ((0, 0), (1, 1), (0, 1), (1, 0))
-_BATCHES = ((0,), (1,), (2, 3))  # the last two phases know the first two only, so they go together
 _PREDICTED = 3  # |prediction| of 0, 1, more
 # Sites: LL, details of channel 0, details of other channels; of each the first phase, and the others.
 # By site and prediction: the mean size as a part of the activity, and where the activity is 0. Only to start from.
@@ -83,22 +90,6 @@ def _magnitude_prior() -> NDArray[np.float64]:
     return geometric_prior(means.ravel())
 
 
-@dataclass(frozen=True)
-class Thrift:
-    """Lets the encoder take smaller indices than the nearest ones where they save bits.
-
-    Attributes
-    ----------
-    values_chw : ndarray, shape (channel, height, width), float32
-        What the indices stand for, in steps.
-    price : float
-        Squared steps of error that a bit must save.
-    """
-
-    values_chw: NDArray[np.float32]
-    price: float
-
-
 def code_indices(
     coder: Coder,
     statistics: Statistics,
@@ -106,7 +97,6 @@ def code_indices(
     shape: tuple[int, int, int],
     index_chw: NDArray[np.int32] | None,
     group: int = 1,
-    thrift: Thrift | None = None,
 ) -> NDArray[np.int32]:
     """Code the indices of one map, and learn from them.
 
@@ -125,9 +115,6 @@ def code_indices(
     group : int
         Channels that are coded together, in the context of the group before. With 1 each channel is predicted from the
         one before; uncorrelated planes, such as those along principal axes, go faster in groups.
-    thrift : Thrift, optional
-        Details are chosen anew, at the bits that they cost in their context, and written to `index_chw`. Only when
-        encoding, with groups of 2 or more.
 
     Returns
     -------
@@ -145,7 +132,7 @@ def code_indices(
     by_name = {(band.name, band.level): band for band in bands}
     for band in bands:
         low = band.name == "LL"
-        relatives = [by_name[key] for key in _relatives(band) if key in by_name]
+        relatives = [by_name[key] for key in relatives_of(band) if key in by_name]
         for first in range(0, shape[0], group):
             count = min(group, shape[0] - first)
             place = (slice(first, first + count), band.rows, band.columns)
@@ -159,21 +146,12 @@ def code_indices(
                     predicted = np.clip(expected, -_MAX_PREDICTED, _MAX_PREDICTED).astype(np.int32)
             known = None if decoding else indices_chw[place] - predicted
             site = 0 if low else 1 if first == 0 else 2
-            exact = None if thrift is None or low else (np.abs(thrift.values_chw[place]), thrift.price)
-            difference, sizes_chw[place] = _code_band(coder, statistics, site, predicted, hints, known, exact)
-            if decoding or exact is not None:
+            difference, sizes_chw[place] = _code_band(coder, statistics, site, predicted, hints, known)
+            if decoding:
                 indices_chw[place] = predicted + difference
             if first and group == 1:
                 statistics.learn_slope(first, low, indices_chw[before], indices_chw[place])
     return indices_chw
-
-
-def _relatives(band: Subband) -> list[tuple[str, int]]:
-    """Return name and level of the parent and of the siblings that are coded before a subband."""
-    if band.name == "LL":
-        return []
-    siblings = {"HL": [], "LH": ["HL"], "HH": ["HL", "LH"]}[band.name]
-    return [(band.name, band.level + 1), *((name, band.level) for name in siblings)]
 
 
 def _code_band(
@@ -183,12 +161,11 @@ def _code_band(
     predicted: NDArray[np.int32],
     hints: list[tuple[NDArray[np.int32], bool]],
     known: NDArray[np.int32] | None,
-    exact: tuple[NDArray[np.float32], float] | None,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Code one subband of some channels; return the differences from the prediction, and their sizes for contexts.
 
     All arrays are (channel, row, column). `hints` are sizes that tell what to expect, and whether they are those of a
-    coarser level. Site 0 is LL. `exact` are the sizes that a `Thrift` chooses for, and its price.
+    coarser level. Site 0 is LL.
     """
     count, height, width = predicted.shape
     # With a border of zeros, and zero where nothing is decoded yet.
@@ -196,31 +173,27 @@ def _code_band(
     values = np.zeros((count, height + 2, width + 2), np.int64 if site == 0 else np.int32)
     sizes = np.zeros((count, height + 2, width + 2), np.int32)
     inner = (slice(None), slice(1, -1), slice(1, -1))
-    for phases in _BATCHES:
+    for phases in BATCHES:
         first = phases == (0,)
         parts = []
         for phase in phases:
-            row, column = _PHASES[phase]
+            row, column = PHASES[phase]
             part = (slice(None), slice(row, None, 2), slice(column, None, 2))
             expected = predicted[part]
             if expected.size == 0:
                 continue
-            hinted = [_crop(size if coarser else size[part], expected.shape) for size, coarser in hints]
+            hinted = [crop(size if coarser else size[part], expected.shape) for size, coarser in hints]
             nearby: NDArray | None = None
             offset: NDArray = np.zeros((), np.int64)
             if not first:
-                neighbours = _neighbour_count(phase, height, width)
-                nearby = 4 * _gather(sizes, phase) // neighbours
-                offset = _gather(values, phase) // neighbours if site == 0 else offset
+                neighbours = neighbour_count(phase, height, width)
+                nearby = 4 * gather(sizes, phase) // neighbours
+                offset = gather(values, phase) // neighbours if site == 0 else offset
             residual = None
             if known is not None and site == 0:
-                residual = _differentiate(known[part]) if first else known[part] - offset
+                residual = differentiate(known[part]) if first else known[part] - offset
             elif known is not None:
                 residual = known[part]
-            if exact is not None and residual is not None:
-                activity = _activity(nearby, hinted, expected.shape)
-                contexts = ((2 * site + (not first)) * _PREDICTED + np.abs(np.clip(expected, -2, 2))) * CLASSES
-                residual = _choose(statistics, contexts + classify(activity), residual, exact[0][part], exact[1])
             parts.append((part, offset, expected, _activity(nearby, hinted, expected.shape), residual))
         if not parts:
             continue
@@ -228,37 +201,12 @@ def _code_band(
         for (part, offset, *_), residual in zip(parts, coded_parts, strict=True):
             coded = residual
             if site == 0:
-                coded = _integrate(residual) if first else residual + offset
+                coded = integrate(residual) if first else residual + offset
             if max(-int(coded.min()), int(coded.max())) > _MAX_DIFFERENCE:
                 raise PayloadError("the range-coded bytes are damaged: an index is too large")
             values[inner][part] = coded
             sizes[inner][part] = np.minimum(np.abs(residual), _MAX_SIZE)
     return values[inner].astype(np.int32, copy=False), sizes[inner]
-
-
-def _choose(
-    statistics: Statistics,
-    contexts: NDArray[np.integer],
-    nearest: NDArray[np.integer],
-    exact: NDArray[np.float32],
-    price: float,
-) -> NDArray[np.integer]:
-    """Return each index, the next smaller one, or 0: whichever error and bits together cost least.
-
-    Only for symbols of their own: where large indices abound, one less saves next to nothing.
-    """
-    chosen = nearest.copy()
-    where = np.nonzero((nearest != 0) & (np.abs(nearest) < DIRECT))
-    counts, context = statistics.magnitudes.counts, contexts[where]
-    total = np.log2(counts.sum(axis=1))[context]
-    size, wanted = np.abs(nearest[where]), exact[where].astype(np.float64)
-    best, least = size, np.full(len(size), np.inf)
-    for candidate in (size, size - 1, np.zeros_like(size)):
-        bits = total - np.log2(counts[context, candidate]) + (candidate > 0)
-        cost = (wanted - candidate) ** 2 + price * bits
-        best, least = np.where(cost < least, candidate, best), np.minimum(cost, least)
-    chosen[where] = np.sign(nearest[where]) * best
-    return chosen
 
 
 def _activity(
@@ -269,51 +217,6 @@ def _activity(
     if nearby is None:
         return 4 * hinted
     return _NEARBY * (_UNIT // 4) * nearby // 4 + (4 - _NEARBY) * hinted
-
-
-def _neighbours_of(phase: int) -> list[tuple[int, int]]:
-    """Return the (row, column) offsets of the four nearest samples that are known in a phase."""
-    return [(-1, -1), (-1, 1), (1, -1), (1, 1)] if phase == 1 else [(0, -1), (0, 1), (-1, 0), (1, 0)]
-
-
-@functools.lru_cache(maxsize=256)
-def _neighbour_count(phase: int, height: int, width: int) -> NDArray[np.int32]:
-    """Return how many of the neighbours lie inside the subband, at least 1."""
-    return np.maximum(_gather(np.pad(np.ones((height, width), np.int32), 1), phase), 1)
-
-
-def _gather(bordered: NDArray, phase: int) -> NDArray:
-    """Return the sum of the four neighbours at each sample of a phase; the array has a border of one."""
-    height, width = bordered.shape[-2:]
-    row, column = _PHASES[phase]
-    parts = [
-        bordered[..., 1 + row + y : height - 1 + y : 2, 1 + column + x : width - 1 + x : 2]
-        for y, x in _neighbours_of(phase)
-    ]
-    return parts[0] + parts[1] + parts[2] + parts[3]
-
-
-def _crop(values: NDArray[np.int32], shape: tuple[int, ...]) -> NDArray[np.int32]:
-    """Return the top left of an array, with zeros where it is too small (subbands of odd sides differ by one)."""
-    values = values[:, : shape[1], : shape[2]]
-    if values.shape == shape:
-        return values
-    return np.pad(values, [(0, wanted - there) for wanted, there in zip(shape, values.shape, strict=True)])
-
-
-def _differentiate(values: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Return each sample less the one to its left; in the first column, less the one above."""
-    result = values.astype(np.int64)
-    result[..., 1:] -= values[..., :-1]
-    result[..., 1:, 0] -= values[..., :-1, 0]
-    return result
-
-
-def _integrate(values: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Undo `_differentiate`."""
-    result = values.astype(np.int64)
-    result[..., 0] = np.cumsum(values[..., 0], axis=-1, dtype=np.int64)
-    return np.cumsum(result, axis=-1)
 
 
 def _code_signed(

@@ -198,8 +198,8 @@ class Bench:
         row["seconds_encode"] = row["seconds_decode"] = 0.0
         row["coding_psnr_independent"] = row["coding_psnr_predicted"] = row["coding_psnr"] = math.inf
         if setting.codec is not None:
-            self._warm_up(setting.codec, coefficients.coeffs_khwc)
-            codec, coeffs_khwc = setting.codec, coefficients.coeffs_khwc
+            codec, coeffs_khwc = setting.codec.for_transfer(self.stack.transfer), coefficients.coeffs_khwc
+            self._warm_up(codec, coeffs_khwc)
             try:
                 noise = predict_noise(coeffs_khwc, codec, self.device)
                 encoded, row["seconds_encode"] = self._timed(lambda: encode(coeffs_khwc, codec, self.device))

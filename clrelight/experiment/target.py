@@ -91,7 +91,7 @@ def encode_to_quality(
             f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: fit with another method "
             "or degree (--method auto --degree auto)"
         )
-    make, fine, coarse = _family(codec)
+    make, fine, coarse = _family(codec, coefficients.transfer)
     trials: list[Trial] = []
     found: tuple[Encoded, Trial] | None = None
     low, high = fine, coarse  # log2 of the setting: low reaches the target (or is untried), high does not
@@ -122,10 +122,10 @@ def encode_to_quality(
     return found[0], trials, why
 
 
-def _family(codec: str) -> tuple[Callable[[float], Codec], float, float]:
+def _family(codec: str, transfer: str) -> tuple[Callable[[float], Codec], float, float]:
     """Return how to make the codec from one number, and the logarithms of its finest and coarsest values."""
     if codec == "klt":
-        return (lambda step: codec_class("klt").from_config({"step": step})), -20.0, 2.5
+        return (lambda step: codec_class("klt").from_config({"step": step, "transfer": transfer})), -20.0, 2.5
     if codec == "wavelet":
         return (lambda rate: codec_class("wavelet").from_config({"rate": rate, "allocation": "global"})), 4.0, -6.0
     raise InputError(f"a quality can be asked of klt and wavelet, not of {codec}")

@@ -1,7 +1,8 @@
 """Write the frozen payloads beside this file: ``python tests/frozen/make_frozen.py [codec ...]``.
 
 Run by hand when a codec is new, never by a test and never over a payload that a release has written: the files
-prove that what was encoded once still decodes to the same values.
+prove that what was encoded once still decodes to the same values. A codec whose bytes are made differently now has
+another payload, with the version of its body behind its name, such as klt.3.
 """
 
 import sys
@@ -13,7 +14,7 @@ from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.device import open_device
 
 # Codes that cross bytes; tables and streams; planes that are not empty.
-OPTIONS = {"uniform": {"bits": 7}, "jpeg2000": {"rate": 8}, "klt": {"step": 0.015625}}
+OPTIONS = {"uniform": {"bits": 7}, "jpeg2000": {"rate": 8}, "klt": {"step": 0.015625}, "klt.3": {"step": 0.0009765625}}
 FOLDER = Path(__file__).resolve().parent
 
 
@@ -27,14 +28,15 @@ def frozen_map():
 
 
 def main(names):
-    """Write NAME.bin (payload) and NAME.npy (its float32 values) for each codec that has none yet."""
+    """Write NAME.bin (payload) and NAME.npy (its float32 values) for each codec, or codec.version, that has none."""
     device = open_device("cpu")
     for name in names or codec_ids():
         payload = FOLDER / f"{name}.bin"
         if payload.exists():
             print(f"{payload.name} exists and is kept")
             continue
-        encoded = encode(frozen_map(), codec_class(name).from_config(OPTIONS.get(name, {})), device).to_bytes()
+        codec = name.partition(".")[0]
+        encoded = encode(frozen_map(), codec_class(codec).from_config(OPTIONS.get(name, {})), device).to_bytes()
         payload.write_bytes(encoded)
         np.save(FOLDER / f"{name}.npy", decode(encoded, device))
         print(f"{payload.name}: {len(encoded)} bytes")

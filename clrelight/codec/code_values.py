@@ -1,0 +1,78 @@
+"""Coefficients of code values, what pictures store, in place of those of linear radiance.
+
+A curve such as sRGB is steep where it is dark: an error of radiance that nobody sees in the light is a large error of
+code values in the shade of the same pixel. Errors of the coefficients of code values are errors of code values wherever
+they are.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.basis import evaluate_basis
+from clrelight.codec.finite import check_sums
+from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.slabs import slabs
+from clrelight.conventions import degree_of, linear_to_srgb, srgb_to_linear
+from clrelight.device import Device
+from clrelight.matmul import multiply_columns
+
+_KEPT = 1e-3
+"""Combinations of coefficients that an image shows less than this part of the most visible one are left at 0."""
+
+Curve = Callable[[NDArray[np.float32], type[np.floating]], NDArray]
+
+
+def code_values_of(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
+    """Return the coefficients of sRGB code values of radiance given by its coefficients, (n_coeff, h, w, channel).
+
+    Radiance is evaluated at the nodes of a quadrature over the hemisphere that is exact for products of two functions
+    of the degree, encoded, and projected back in the hemisphere's metric. More nodes would project better, but come
+    back worse: these few are nearly interpolated. Below 0 and above 1 the curve goes on, so that nothing is clipped and
+    `radiance_of` is near the inverse.
+
+    InputError if a sum passes what float32 holds.
+    """
+    return check_sums(_through(linear_to_srgb, coeffs_khwc, device), device)
+
+
+def radiance_of(values_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
+    """Return the coefficients of linear radiance of sRGB code values given by theirs; see `code_values_of`.
+
+    What passes float32 comes out as infinities or NaN.
+    """
+    return _through(srgb_to_linear, values_khwc, device)
+
+
+def _through(curve: Curve, coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
+    synthesis_ik, analysis_ki = _transforms(len(coeffs_khwc))
+    source_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
+    result_kp = np.empty_like(source_kp)
+    for columns in slabs(source_kp.shape[1], 4 * len(synthesis_ik)):
+        shown_ip = multiply_columns(device, synthesis_ik, np.ascontiguousarray(source_kp[:, columns]))
+        with np.errstate(over="ignore", invalid="ignore"):
+            curved_ip = np.ascontiguousarray(curve(shown_ip, np.float32))
+        result_kp[:, columns] = multiply_columns(device, analysis_ki, curved_ip)
+    return result_kp.reshape(coeffs_khwc.shape)
+
+
+@functools.lru_cache(maxsize=4)
+def _transforms(n_coeff: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what evaluates coefficients at the nodes (n_node, n_coeff), and what projects values there back."""
+    degree = degree_of(n_coeff)
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    n_azimuth = 2 * degree + 1
+    z, azimuth = np.meshgrid((nodes + 1.0) / 2.0, 2.0 * np.pi * np.arange(n_azimuth) / n_azimuth, indexing="ij")
+    radius = np.sqrt(1.0 - z * z)
+    directions_i3 = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1).reshape(-1, 3)
+    weight_i = np.repeat(weights / 2.0 * (2.0 * np.pi / n_azimuth), n_azimuth)
+    synthesis_ik = evaluate_basis(directions_i3, degree)
+    metric = hemisphere_metric(n_coeff, "singular")
+    shown_j = np.linalg.norm(metric.forward_jk, axis=1)
+    inverse_kj = metric.inverse_kj[:, shown_j > _KEPT * shown_j.max()]
+    # The columns of synthesis inverse are orthonormal functions on the hemisphere.
+    return synthesis_ik, inverse_kj @ (synthesis_ik @ inverse_kj).T * weight_i

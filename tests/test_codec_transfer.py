@@ -1,0 +1,143 @@
+"""The codec klt behind a transfer curve: errors are alike in code values instead of in radiance."""
+
+import numpy as np
+import pytest
+
+from clrelight.basis import evaluate_basis
+from clrelight.codec import codec_class, decode, decode_view, encode
+from clrelight.codec.code_values import code_values_of, radiance_of
+from clrelight.codec.klt import Klt
+from clrelight.dataset import LightStack
+from clrelight.errors import InputError, PayloadError
+from clrelight.store import write_stack
+from tests.commands import call, succeed
+
+
+def dense_hemisphere():
+    """Directions and weights of a quadrature of this test's own: uniform in z and azimuth."""
+    z, azimuth = np.meshgrid((np.arange(40) + 0.5) / 40, 2 * np.pi * np.arange(80) / 80, indexing="ij")
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], -1).reshape(-1, 3)
+
+
+def srgb(linear):
+    """IEC 61966-2-1, straight on below 0."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def shaded_sphere(size=32, degree=4):
+    """Coefficients of a Lambertian sphere: half of every pixel's lights leave it in the shade."""
+    y, x = np.mgrid[1 : -1 : size * 1j, -1 : 1 : size * 1j]
+    normals = np.stack([x, y, np.sqrt(np.maximum(1.2 - x * x - y * y, 0.05))], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    albedo = 0.3 + 0.2 * np.sin(9 * x)[..., None] * np.array([1.0, 0.5, -0.5])
+    directions = dense_hemisphere()
+    shading = np.maximum(np.einsum("id,hwd->ihw", directions, normals), 0.02)
+    basis = evaluate_basis(directions, degree)
+    solved = np.linalg.lstsq(basis, shading.reshape(len(basis), -1), rcond=1e-3)[0].reshape(-1, size, size)
+    return (solved[..., None] * albedo).astype(np.float32)
+
+
+def show(coeffs_khwc, degree=4):
+    return np.einsum("ik,khwc->ihwc", evaluate_basis(dense_hemisphere(), degree), coeffs_khwc.astype(np.float64))
+
+
+def test_code_values_are_those_of_least_squares_at_the_nodes(device):
+    degree, coeffs = 4, shaded_sphere(8)
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    z, azimuth = np.meshgrid((nodes + 1) / 2, 2 * np.pi * np.arange(2 * degree + 1) / (2 * degree + 1), indexing="ij")
+    r = np.sqrt(1 - z * z)
+    directions = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], -1).reshape(-1, 3)
+    basis, root = evaluate_basis(directions, degree), np.sqrt(np.repeat(weights, 2 * degree + 1))[:, None]
+    wanted = srgb(basis @ coeffs.reshape(25, -1).astype(np.float64))
+    best = np.linalg.lstsq(root * basis, root * wanted, rcond=1e-3)[0].reshape(coeffs.shape)
+    np.testing.assert_allclose(show(code_values_of(coeffs, device)), show(best), atol=2e-5)
+
+
+def test_there_and_back_changes_little(device):
+    coeffs = shaded_sphere()
+    there = show(coeffs)
+    back = show(radiance_of(code_values_of(coeffs, device), device))
+    assert np.sqrt(np.mean((back - there) ** 2)) < 0.03 * np.sqrt(np.mean(there**2))
+
+
+def test_constant_radiance_is_exact(device):
+    coeffs = np.zeros((9, 2, 3, 1), np.float32)
+    coeffs[0] = np.float32(0.25 * np.sqrt(4 * np.pi))
+    values = code_values_of(coeffs, device)
+    np.testing.assert_allclose(show(values, 2), srgb(np.float64(0.25)), rtol=2e-6)
+    np.testing.assert_allclose(show(radiance_of(values, device), 2), 0.25, rtol=5e-6)
+
+
+def test_code_values_are_better_at_equal_bytes(device):
+    coeffs, errors = shaded_sphere(), []
+    shown = srgb(np.clip(show(coeffs), 0, 1))
+    for transfer in ("linear", "srgb"):
+        encoded = encode(coeffs, Klt(byte_budget=900, transfer=transfer), device)
+        decoded = show(decode(encoded.to_bytes(), device))
+        errors.append(np.mean((srgb(np.clip(decoded, 0, 1)) - shown) ** 2))
+    assert 10 * np.log10(errors[0] / errors[1]) > 1.0
+
+
+def test_linear_is_what_nothing_said_means(device):
+    coeffs = shaded_sphere(16)
+    assert encode(coeffs, Klt(step=0.02, transfer="linear"), device).body == encode(coeffs, Klt(step=0.02), device).body
+
+
+def test_a_stack_fills_in_what_is_left_open():
+    assert Klt(step=0.1).for_transfer("srgb") == Klt(step=0.1, transfer="srgb")
+    assert Klt(step=0.1, transfer="linear").for_transfer("srgb") == Klt(step=0.1, transfer="linear")
+    half = codec_class("half")()
+    assert half.for_transfer("srgb") is half
+
+
+def test_only_linear_planes_relight_as_they_are(device):
+    coeffs = shaded_sphere(16)
+    assert decode_view(encode(coeffs, Klt(step=0.05, transfer="linear"), device), device) is not None
+    assert decode_view(encode(coeffs, Klt(step=0.05, transfer="srgb"), device), device) is None
+
+
+def test_unknown_curves_are_refused(device):
+    with pytest.raises(InputError, match="klt transfer must be one of linear, srgb, got 'gamma'"):
+        Klt(transfer="gamma")
+    encoded = encode(shaded_sphere(8), Klt(step=0.05, transfer="srgb"), device)
+    at = 12  # behind version, levels, exponent, step, count and two biases
+    assert encoded.body[at] == 1
+    with pytest.raises(PayloadError, match="transfer curve 7"):
+        Klt.decode_body(encoded.body[:at] + b"\7" + encoded.body[at + 1 :], encoded.shape, device)
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """A folder with a stack behind the sRGB curve, and its fit."""
+    folder = tmp_path_factory.mktemp("srgb")
+    directions = dense_hemisphere()[::37]
+    images = np.rint(255 * srgb(np.clip(show(shaded_sphere(16))[::37], 0, 1))).astype(np.uint8)
+    write_stack(folder / "stack.h5", LightStack(images, directions, 255.0, "srgb"))
+    succeed("fit", folder / "stack.h5", folder / "fit.h5", "--degree", 4)
+    return folder
+
+
+def test_the_fit_says_which_curve(fitted):
+    enc = fitted / "enc.h5"
+    found = succeed("encode", fitted / "fit.h5", enc, "--codec", "klt", "--step", 0.03, "--json").json
+    assert found["config"]["transfer"] == "srgb"
+    asked = ("--codec", "klt", "--step", 0.03, "--transfer", "linear", "--json")
+    assert succeed("encode", fitted / "fit.h5", enc, *asked).json["config"]["transfer"] == "linear"
+    aimed = succeed("encode", fitted / "fit.h5", enc, "--target-psnr", 25, "--stack", fitted / "stack.h5", "--json")
+    assert aimed.json["config"]["transfer"] == "srgb"
+    succeed("relight", enc, fitted / "relit.png", "--light", "0,0,1")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--codec", "half", "--transfer", "srgb"), "codec half has no option 'transfer'"),
+        (("--codec", "klt", "--transfer", "gamma"), "'gamma' is not one of 'linear', 'srgb'"),
+    ],
+)
+def test_bad_curves_write_nothing(fitted, tmp_path, words, expected):
+    ended = call("encode", fitted / "fit.h5", tmp_path / "out.h5", *words)
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert expected in ended.err
+    assert not list(tmp_path.iterdir())
