@@ -311,3 +311,15 @@ def test_memory_does_not_grow_with_the_height(tmp_path, device):
         )
     # The tall map takes 96 MiB.
     assert peaks[2048] - peaks[64] < 48 << 20
+
+
+@pytest.mark.parametrize("words", ["encode fit.h5 {} --codec uniform", "decode half.h5 {}"])
+def test_an_interrupt_leaves_nothing(coded, tmp_path, monkeypatch, words):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(coded)
+    monkeypatch.setattr(scratch.Scratch, "read_into", interrupted)
+    ended = call(*words.format(tmp_path / "o.h5").split(), "--memory", 4 * 5 * ROW)
+    assert ended.code == 130
+    assert not list(tmp_path.iterdir())

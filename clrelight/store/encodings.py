@@ -136,6 +136,19 @@ def stage_encoded(path: str | os.PathLike, room: ScratchRoom) -> tuple[Encoded, 
             return encoded_of(opened, body)
 
 
+class StoredBody:
+    """The payload of an open file, read as it is sliced."""
+
+    def __init__(self, opened: Opened) -> None:
+        self._stored = opened.arrays["payload"]
+
+    def __len__(self) -> int:
+        return self._stored.size
+
+    def __getitem__(self, part: slice) -> bytes:
+        return self._stored[part].tobytes()
+
+
 def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRecord]:
     """Return what an open file holds; StoreFormatError or InputError if it is not sound.
 
