@@ -59,13 +59,13 @@ class TransformedMaps:
         excess, counts, entropy = np.zeros(2), np.zeros(2), 0.0
         for k in np.flatnonzero(codes != ABSENT).tolist():
             step = step_of(int(codes[k]))
-            magnitudes = np.abs(self._quantise(k, step))
-            for plane in magnitudes:
-                entropy += sum(zero_order_bits(plane[band.rows, band.columns]) for band in self._bands)
-            difference = magnitudes - np.abs(self._values(k)) * np.float32(1.0 / step)
-            for i, chosen in enumerate((magnitudes == 1, magnitudes > 1)):
-                excess[i] += float(difference.sum(where=chosen, dtype=np.float64))
-                counts[i] += np.count_nonzero(chosen)
+            for index_hw, values_hw in zip(self._quantise(k, step), self._values(k), strict=True):
+                magnitudes = np.abs(index_hw)
+                entropy += sum(zero_order_bits(magnitudes[band.rows, band.columns]) for band in self._bands)
+                difference = magnitudes - np.abs(values_hw) * np.float32(1.0 / step)
+                for i, chosen in enumerate((magnitudes == 1, magnitudes > 1)):
+                    excess[i] += float(difference.sum(where=chosen, dtype=np.float64))
+                    counts[i] += np.count_nonzero(chosen)
         biases = np.clip(np.rint(BIAS_SCALE * excess / np.maximum(counts, 1.0)), -128, 127).astype(int)
         return (int(biases[0]), int(biases[1])), entropy
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,13 @@ class StoredSource(Source):
         n_coeff, _, width, channel = self.shape
         coeffs_khwc = next(self._buffers).lend((n_coeff, end - first, width, channel), self._stored.dtype)
         return read_rows_into(self._stored, first, end, coeffs_khwc).astype(np.float32, copy=False)
+
+    @contextmanager
+    def rows(self, multiple: int = 1) -> Iterator[Iterator[tuple[int, NDArray[np.float32]]]]:
+        """See `Source`."""
+        with super().rows(multiple) as parts:
+            yield parts
+        self._buffers = buffers()  # a codec that goes on with maps has their memory
 
     def check(self, coeffs_khwc: NDArray[np.float32], first_row: int) -> None:
         """Raise InputError that names a coefficient which is not finite."""
