@@ -160,7 +160,7 @@ class Codec(Configurable, ABC):
 
     kind: ClassVar[str] = "codec"
     summary: ClassVar[str]
-    encoding_holds: ClassVar[float] = 3.5
+    encoding_holds: ClassVar[float] = 4.0
     decoding_holds: ClassVar[float] = 3.0
     """Times the bytes of a float32 map that the two take at least, whatever the room; 0 for codecs that take parts."""
 
