@@ -9,6 +9,7 @@ import pytest
 from clrelight.codec import codec_class, decode, encode, predict_noise
 from clrelight.codec.half import rounding_variance
 from clrelight.codec.noise import Noise, measure_image_error, sample_blocks, sample_columns
+from clrelight.codec.streams import ArraySource
 from clrelight.errors import InputError
 from clrelight.fit import fit
 from tests.commands import succeed
@@ -123,13 +124,13 @@ def test_whitened_errors_weigh_the_same(device):
     assert noise.image_error() == pytest.approx(np.trace(noise.covariance_jj) / (2 * np.pi), rel=1e-9)
 
 
-def test_samples_are_parts_of_the_map():
+def test_samples_are_parts_of_the_map(device):
     coeffs_khwc = np.arange(4 * 160 * 164 * 3, dtype=np.float32).reshape(4, 160, 164, 3)
-    columns = sample_columns(coeffs_khwc)
+    columns = sample_columns(ArraySource(coeffs_khwc, device))
     assert columns.shape == (4, 1, 16384, 1)
     assert len(set(columns[0].ravel().tolist())) == 16384
     assert (np.diff(columns, axis=0) == 160 * 164 * 3).all()
-    blocks = sample_blocks(coeffs_khwc, 4)
+    blocks = sample_blocks(ArraySource(coeffs_khwc, device), 4)
     assert blocks.shape == (4, 4, 4 * 1024, 3)
     left = blocks[:, :, ::4]
     for x in range(4):

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.options import ByteCount, device_option, given, json_option
+from clrelight.cli.coding_parts import check_memory, decode_again, encode_source, fits, take_source
+from clrelight.cli.options import ByteCount, device_option, given, json_option, memory_option
 from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import measure, psnr_lines
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from clrelight.codec import Codec, Encoded
 
 
 _MAX_DECIBELS = 1000.0
+_TARGET_HOLDS = 5
+"""Times the bytes of a map that a search for a quality takes at least."""
 
 
 @click.command()
@@ -51,9 +57,12 @@ _MAX_DECIBELS = 1000.0
 @click.option("--block", type=int, help="Side of the coded blocks, 0 for pixels (vq); default 0.")
 @click.option("--clamp", is_flag=True, default=None, help="Clamp what a half float cannot hold (half, bc6h).")
 @click.option("--stack", type=click.Path(), help="Measure PSNR of the decoded result against this stack.")
+@memory_option("256MiB", "parts of the map")
 @device_option
 @json_option
+@click.pass_context
 def encode(
+    context: click.Context,
     fit_file: str,
     out: str,
     codec: str | None,
@@ -61,6 +70,7 @@ def encode(
     byte_budget: int | None,
     target_psnr: float | None,
     stack: str | None,
+    memory: int,
     device: str | None,
     as_json: bool,
     **options: Any,
@@ -68,6 +78,7 @@ def encode(
     """Compress the coefficients of a fit.
 
     A target is met at the lights of the stack that the fit has not seen, where there are any, else at those it has.
+    Maps that --memory does not hold are taken in parts, beside a temporary copy on the disk of OUT.
 
     \b
     Example:
@@ -75,13 +86,12 @@ def encode(
       clrelight encode fit.h5 enc.h5 --bytes 20k
       clrelight encode fit.h5 enc.h5 --target-psnr 31 --stack stack.h5
     """
-    import numpy as np
-
     from clrelight import codec as codecs
     from clrelight.device import open_device
     from clrelight.experiment.noise import coding_psnr, predicted_psnr
     from clrelight.experiment.target import encode_to_quality
-    from clrelight.store import check_output, open_stack, read_fit, write_encoded
+    from clrelight.store import check_output, open_fit, open_stack, write_encoded
+    from clrelight.store.scratch import scratch_room
 
     if target_psnr is not None and not abs(target_psnr) <= _MAX_DECIBELS:
         raise InputError(f"--target-psnr must be a number of decibels, got {target_psnr}")
@@ -101,53 +111,66 @@ def encode(
         _choose(codec, basis, wanted)  # says what is wrong before the fit is read
     check_output(out, [fit_file] if stack is None else [fit_file, stack])
     opened = open_device(device)
+    asked = context.get_parameter_source("memory") is click.core.ParameterSource.COMMANDLINE
     seconds: dict[str, float] = {}
-    since = time.perf_counter()
-    coefficients = read_fit(fit_file).to_float32()
-    seconds["read"] = time.perf_counter() - since
     notes: list[str] = []
     noise = None
-    since = time.perf_counter()
-    if target_psnr is not None and stack is not None:
-        with open_stack(stack) as source:
-            encoded, trials, why = encode_to_quality(coefficients, source, target_psnr, codec=codec, device=opened)
-        notes += [f"tried {t.byte_count} bytes: {t.psnr:.2f} dB" for t in trials]
-        notes.append(f"took {encoded.encoded_bytes} bytes: {why}")
-    else:
-        if byte_budget is not None:
-            size = float(np.prod(coefficients.coeffs_khwc.shape, dtype=np.int64))
-            key, value = ("byte_budget", byte_budget) if codec == "klt" else ("rate", 8.0 * byte_budget / size)
-            wanted[key] = value
-        chosen = _choose(codec, basis, wanted).for_transfer(coefficients.transfer)
-        with progress_bar(f"encoding {codec}"):
-            noise = codecs.predict_noise(coefficients.coeffs_khwc, chosen, opened)
-            seconds["predict"] = time.perf_counter() - since
+    with open_fit(fit_file) as coefficients, scratch_room(Path(out).parent, memory) as room:
+        shape = tuple(coefficients.coeffs_khwc.shape)
+        since = time.perf_counter()
+        if target_psnr is not None and stack is not None:
+            notes += check_memory(
+                "encoding to a quality by", codec, _TARGET_HOLDS * 4 * math.prod(shape), memory, asked
+            )
+            _say(notes, as_json)
+            coefficients = coefficients.to_float32()
+            seconds["read"] = time.perf_counter() - since
             since = time.perf_counter()
-            encoded = codecs.encode(coefficients.coeffs_khwc, chosen, opened)
-    seconds["encode"] = time.perf_counter() - since
-    facts = {"file": out, **_size_facts(encoded), "config": dict(encoded.config), "device": opened.info.label}
-    facts["notes"] = notes
-    facts["coding_noise"] = predicted_psnr(noise)
-    if stack is not None:
-        with open_stack(stack) as source:
-            with progress_bar("decoding"):
+            with open_stack(stack) as source:
+                encoded, trials, why = encode_to_quality(coefficients, source, target_psnr, codec=codec, device=opened)
+            told = [f"tried {t.byte_count} bytes: {t.psnr:.2f} dB" for t in trials]
+            told.append(f"took {encoded.encoded_bytes} bytes: {why}")
+        else:
+            if byte_budget is not None:
+                key, value = (
+                    ("byte_budget", byte_budget) if codec == "klt" else ("rate", 8.0 * byte_budget / math.prod(shape))
+                )
+                wanted[key] = value
+            chosen = _choose(codec, basis, wanted).for_transfer(coefficients.transfer)
+            notes += check_memory("encoding by", chosen.id, chosen.bytes_to_encode(shape), memory, asked)
+            _say(notes, as_json)
+            told = []
+            maps = take_source(coefficients, chosen, opened, room)
+            seconds["read"] = time.perf_counter() - since
+            since = time.perf_counter()
+            with progress_bar(f"encoding {codec}") as room.progress:
+                noise = codecs.predict_noise_of(maps, chosen)
+                seconds["predict"] = time.perf_counter() - since
                 since = time.perf_counter()
-                # From the bytes alone, as `decode` will do it.
-                decoded = replace(coefficients, coeffs_khwc=codecs.decode(encoded.to_bytes(), opened))
-                seconds["decode"] = time.perf_counter() - since
-            since = time.perf_counter()
-            facts["coding_noise"] = coding_psnr(noise, coefficients.coeffs_khwc, decoded.coeffs_khwc)
-            facts["psnr"] = measure(decoded, source, opened)
-            seconds["measure"] = time.perf_counter() - since
-    since = time.perf_counter()
-    write_encoded(out, encoded, coefficients)
-    seconds["write"] = time.perf_counter() - since
+                encoded = encode_source(maps, chosen, room)
+        seconds["encode"] = time.perf_counter() - since
+        facts = {"file": out, **_size_facts(encoded), "config": dict(encoded.config), "device": opened.info.label}
+        facts["notes"] = notes + told
+        facts["coding_noise"] = predicted_psnr(noise)
+        if stack is not None:
+            with open_stack(stack) as source:
+                with progress_bar("decoding") as room.progress:
+                    since = time.perf_counter()
+                    decoded = decode_again(encoded, coefficients, opened, room)
+                    seconds["decode"] = time.perf_counter() - since
+                since = time.perf_counter()
+                facts["coding_noise"] = coding_psnr(noise, coefficients.coeffs_khwc, decoded.coeffs_khwc)
+                facts["psnr"] = measure(decoded, source, opened)
+                seconds["measure"] = time.perf_counter() - since
+        since = time.perf_counter()
+        write_encoded(out, encoded, coefficients)
+        seconds["write"] = time.perf_counter() - since
     facts["seconds"] = seconds
     if as_json:
         print_json(facts)
         return
     clamped = int(encoded.info.get("clamped", 0))
-    print_notes(notes + ([f"{clamped} coefficients were clamped"] if clamped else []))
+    print_notes(told + ([f"{clamped} coefficients were clamped"] if clamped else []))
     print_facts(
         {
             "encoded": out,
@@ -162,36 +185,69 @@ def encode(
 @click.command()
 @click.argument("encoded_file", metavar="ENC", type=click.Path())
 @click.argument("out", type=click.Path())
+@memory_option("256MiB", "parts of the map")
 @device_option
 @json_option
-def decode(encoded_file: str, out: str, device: str | None, as_json: bool) -> None:
+@click.pass_context
+def decode(context: click.Context, encoded_file: str, out: str, memory: int, device: str | None, as_json: bool) -> None:
     """Turn an encoded file back into a fit.
 
     \b
     Example:
       clrelight decode enc.h5 decoded.h5
     """
-    from clrelight import codec as codecs
+    from clrelight.codec import bytes_to_decode, decode_stream
+    from clrelight.codec.streams import Room
     from clrelight.device import open_device
-    from clrelight.store import check_output, read_encoded, write_fit
+    from clrelight.store import check_output
+    from clrelight.store.coding import RowTarget
+    from clrelight.store.encodings import create_decoded, stage_encoded
+    from clrelight.store.scratch import scratch_room
+    from clrelight.streaming import writing_behind
 
     check_output(out, [encoded_file])
     opened = open_device(device)
+    asked = context.get_parameter_source("memory") is click.core.ParameterSource.COMMANDLINE
     seconds: dict[str, float] = {}
     since = time.perf_counter()
-    encoded, source = read_encoded(encoded_file)
-    seconds["read"] = time.perf_counter() - since
-    with progress_bar(f"decoding {encoded.codec}"):
-        since = time.perf_counter()
-        coefficients = source.to_map(codecs.decode(encoded, opened))
-        seconds["decode"] = time.perf_counter() - since
-    since = time.perf_counter()
-    write_fit(out, coefficients)
-    seconds["write"] = time.perf_counter() - since
+    with scratch_room(Path(out).parent, memory) as room:
+        encoded, record = stage_encoded(encoded_file, room)
+        seconds["read"] = time.perf_counter() - since
+        notes = check_memory("decoding", encoded.codec, bytes_to_decode(encoded), memory, asked)
+        _say(notes, as_json)
+        with create_decoded(out, encoded, record) as sink:
+
+            def write(rows: tuple[int, NDArray[np.float32]]) -> None:
+                sink.write_rows(*rows, None, None)
+
+            since = time.perf_counter()
+            with (
+                progress_bar(f"decoding {encoded.codec}") as room.progress,
+                writing_behind(write) as put,
+            ):
+                target = RowTarget(
+                    encoded.shape,
+                    opened,
+                    Room() if fits(room, encoded.shape) else room,
+                    lambda first, coeffs_khwc: put((first, coeffs_khwc)),
+                    codec_id=encoded.codec,
+                    row_step=sink.coeffs_khwc.chunks[1],
+                )
+                decode_stream(encoded, target, opened)
+                seconds["decode"] = time.perf_counter() - since
+                since = time.perf_counter()
+        seconds["write"] = time.perf_counter() - since
     if as_json:
-        print_json({"file": out, **_size_facts(encoded), "seconds": seconds, "device": opened.info.label})
+        facts = {"file": out, **_size_facts(encoded), "notes": notes, "seconds": seconds}
+        print_json({**facts, "device": opened.info.label})
         return
     print_facts({"fit": out, **_size_lines(encoded), "time": seconds_line(seconds)})
+
+
+def _say(notes: list[str], as_json: bool) -> None:
+    # Before the work begins; a JSON object holds them at its end.
+    if not as_json:
+        print_notes(notes)
 
 
 def _choose(codec: str, basis: str, options: dict[str, Any]) -> Codec:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from clrelight.codec.entropy import BitCounter, Encoder
 from clrelight.codec.lifting import Subband, quantise_map
 from clrelight.codec.rate import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, find_code, step_of, take_sample
+from clrelight.codec.streams import Planes, Source
 from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.codec.symbols import zero_order_bits
-from clrelight.device import Device, DeviceArray
+from clrelight.device import DeviceArray
 
 ROUNDING = 0.4  # a dead zone of 1.2 steps: best at 0.1 to 1 bit, and 0.02 dB from the best at 4
 ABSENT = 65535  # step code of a map that is zero
@@ -25,11 +26,10 @@ BIAS_SCALE = 256.0
 class TransformedMaps:
     """Wavelet coefficients of all maps, quantised as asked."""
 
-    def __init__(
-        self, planes: DeviceArray, shape: tuple[int, int, int, int], bands: list[Subband], device: Device
-    ) -> None:
-        self._planes, self._shape, self._bands, self._device = planes, shape, bands, device
-        self._host = device.download(planes)[:, :, : shape[2]]
+    def __init__(self, planes: Planes, source: Source, bands: list[Subband]) -> None:
+        self._planes, self._shape, self._bands = planes, source.shape, bands
+        self._device, self._room = source.device, source.room
+        self._held: tuple[int, NDArray[np.float32], DeviceArray] | None = None
 
     @property
     def size(self) -> int:
@@ -38,8 +38,12 @@ class TransformedMaps:
 
     def samples(self) -> dict[int, Sample]:
         """Return a sample of each map that is not zero."""
-        every = {k: self._values(k) for k in range(self._shape[0])}
-        return {k: Sample(values, ROUNDING) for k, values in every.items() if values.any()}
+        found = {}
+        for k in range(self._shape[0]):
+            values = self._values(k)
+            if values.any():
+                found[k] = Sample(values, ROUNDING)
+        return found
 
     def sampled_values(self) -> NDArray[np.float32]:
         """Return every map's values (n_coeff, place) at the same places, some of each subband."""
@@ -47,7 +51,7 @@ class TransformedMaps:
 
     def run(self, coder: BitCounter | Encoder, statistics: Statistics, k: int, code: int) -> None:
         """Code one map."""
-        index = quantise_map(self._planes, k, self._shape, step_of(code), ROUNDING, self._device)
+        index = self._quantise(k, step_of(code))
         code_indices(coder, statistics, self._bands, index.shape, index)
 
     def measure(self, codes: NDArray[np.integer]) -> tuple[tuple[int, int], float]:
@@ -55,19 +59,33 @@ class TransformedMaps:
         excess, counts, entropy = np.zeros(2), np.zeros(2), 0.0
         for k in np.flatnonzero(codes != ABSENT).tolist():
             step = step_of(int(codes[k]))
-            magnitudes = np.abs(quantise_map(self._planes, k, self._shape, step, ROUNDING, self._device))
-            for plane in magnitudes:
-                entropy += sum(zero_order_bits(plane[band.rows, band.columns]) for band in self._bands)
-            difference = magnitudes - np.abs(self._values(k)) * np.float32(1.0 / step)
-            for i, chosen in enumerate((magnitudes == 1, magnitudes > 1)):
-                excess[i] += float(difference.sum(where=chosen, dtype=np.float64))
-                counts[i] += np.count_nonzero(chosen)
+            for index_hw, values_hw in zip(self._quantise(k, step), self._values(k), strict=True):
+                magnitudes = np.abs(index_hw)
+                entropy += sum(zero_order_bits(magnitudes[band.rows, band.columns]) for band in self._bands)
+                difference = magnitudes - np.abs(values_hw) * np.float32(1.0 / step)
+                for i, chosen in enumerate((magnitudes == 1, magnitudes > 1)):
+                    excess[i] += float(difference.sum(where=chosen, dtype=np.float64))
+                    counts[i] += np.count_nonzero(chosen)
         biases = np.clip(np.rint(BIAS_SCALE * excess / np.maximum(counts, 1.0)), -128, 127).astype(int)
         return (int(biases[0]), int(biases[1])), entropy
 
+    def tell(self, done: int, total: int) -> None:
+        """Hear how many maps are coded."""
+        self._room.tell(done, total)
+
     def _values(self, k: int) -> NDArray[np.float32]:
-        channels = self._shape[3]
-        return self._host[k * channels : (k + 1) * channels]
+        return self._hold(k)[0][:, :, : self._shape[2]]
+
+    def _quantise(self, k: int, step: float) -> NDArray[np.int32]:
+        return quantise_map(self._hold(k)[1], 0, (1, *self._shape[1:]), step, ROUNDING, self._device)
+
+    def _hold(self, k: int) -> tuple[NDArray[np.float32], DeviceArray]:
+        """Return a map (channel, height, padded width) on the host and on the device; the last one is kept."""
+        if self._held is None or self._held[0] != k:
+            self._held = None  # its memory goes before more is taken
+            (values_chw,) = self._planes.maps(k, k + 1)
+            self._held = k, values_chw, self._device.upload(values_chw)
+        return self._held[1:]
 
 
 def coding_order(codes: NDArray[np.integer]) -> list[int]:
@@ -139,6 +157,7 @@ def spend_alike(
         if code is not None:
             codes[k] = code
             encoder, statistics = trials.outcomes[code]
+        maps.tell(done + 1, len(others))
     return codes, encoder.to_bytes()
 
 

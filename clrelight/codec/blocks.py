@@ -36,6 +36,11 @@ def block_counts(shape: tuple[int, int, int, int]) -> tuple[int, int]:
     return (k if c == 3 else -(-k // 3), -(-h // 4) * -(-w // 4))
 
 
+def blocks_above(row: int, width: int) -> int:
+    """Return the blocks of a group above a row, a multiple of 4."""
+    return row // 4 * -(-width // 4)
+
+
 def group_slabs(shape: tuple[int, int, int, int]) -> list[tuple[slice, slice]]:
     """Return slices of the groups and of the maps in them, one pair for each launch."""
     k, h, w, c = maps_shape(shape)

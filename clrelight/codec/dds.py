@@ -34,7 +34,7 @@ def write_dds(path: str | Path, encoded: Encoded, group: int | None = None) -> N
     if encoded.codec != "bc6h":
         raise InputError(f"a DDS file holds blocks of codec bc6h, this encoding is {encoded.codec}")
     n_group, n_block = blocks.block_counts(encoded.shape)
-    body = encoded.body
+    body = encoded.body[:]
     if group is not None:
         if not 0 <= group < n_group:
             raise InputError(f"group must be 0 to {n_group - 1}, got {group}")

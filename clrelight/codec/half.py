@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.noise import Noise, sample_columns
-from clrelight.codec.registry import Codec, register
+from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.slabs import slabs
+from clrelight.codec.streams import Body, BodyWriter, Source, Target, columns_of
 from clrelight.device import Device, DeviceArray
 from clrelight.errors import InputError, PayloadError
 
@@ -23,13 +24,13 @@ OVERFLOW = 65520.0
 STRETCH = 1024
 """Values that a work-item of a CPU, or a group of a GPU's, converts."""
 _GROUP = 128
-VANISHING = 2.0**-25
+_VANISHING = 2.0**-25
 """Largest magnitude that rounds to 0."""
 
 
 @register
 @dataclass(frozen=True)
-class Half(Codec):
+class Half(PartsCodec):
     """Round every coefficient to the nearest binary16, ties to even. Body: little-endian halves in khwc order.
 
     Attributes
@@ -47,40 +48,48 @@ class Half(Codec):
         if not isinstance(self.clamp, bool):
             raise InputError(f"codec half: clamp must be true or false, got {self.clamp!r}")
 
-    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
-        """Return the halves; InputError names the first coefficient that overflows, unless clamping.
+    def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
+        """Write the halves; InputError names the first coefficient of a part that overflows, unless clamping.
 
         A map of which nothing would be left is refused too.
         """
-        check_not_vanishing(coeffs_khwc)
-        halves_p = np.empty(coeffs_khwc.size, np.float16)
-        overflows = convert("encode_half_p", halves_p, coeffs_khwc.reshape(-1), device, clamp=self.clamp)
-        clamped = 0
-        if overflows:
-            if not self.clamp:
-                raise overflow_error(coeffs_khwc, "clamp")
-            clamped = int(np.count_nonzero(np.abs(coeffs_khwc) >= OVERFLOW))
-        return halves_p.tobytes(), {"clamped": float(clamped)}
+        _, height, width, channel = source.shape
+        body.reserve(2 * math.prod(source.shape))
+        clamped, largest = 0, 0.0
+        with source.rows() as parts:
+            for first, coeffs_khwc in parts:
+                largest = largest_at_first(coeffs_khwc, largest)
+                halves_kp = np.empty((len(coeffs_khwc), coeffs_khwc[0].size), np.float16)
+                values_p = coeffs_khwc.reshape(-1)
+                if convert("encode_half_p", halves_kp.reshape(-1), values_p, source.device, clamp=self.clamp):
+                    clamped += count_overflows(coeffs_khwc, first, "binary16", clamp=self.clamp)
+                body.write_columns(2 * height * width * channel, 2 * first * width * channel, halves_kp)
+        check_not_vanishing(largest)
+        return {"clamped": float(clamped)}
 
-    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise:
+    def predict_noise(self, source: Source) -> Noise:
         """Return the paper's relative noise: errors even over the spacing of halves at each coefficient, independent.
 
         From a sample of the columns.
         """
-        sample_khwc = sample_columns(coeffs_khwc)
+        sample_khwc = sample_columns(source)
         return Noise.of_coefficients(np.diag(rounding_variance(sample_khwc).mean(axis=(1, 2, 3))))
 
     @classmethod
-    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
-        """Return the coefficients, exactly what was stored; PayloadError on a wrong length, infinity or NaN."""
-        expected = 2 * math.prod(shape)
+    def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
+        """Put the coefficients, exactly what was stored; PayloadError on a wrong length, infinity or NaN."""
+        n_coeff, _, width, channel = target.shape
+        expected = 2 * math.prod(target.shape)
         if len(body) != expected:
-            raise PayloadError(f"codec half: shape {shape} takes {expected} bytes, the body has {len(body)}")
-        coeffs_khwc = np.empty(shape, np.float32)
-        halves_p = np.require(np.frombuffer(body, np.float16), requirements="A")
-        if convert("decode_half_p", coeffs_khwc.reshape(-1), halves_p, device, clamp=False):
-            raise PayloadError("codec half: the body holds an infinity or a NaN")
-        return coeffs_khwc
+            raise PayloadError(f"codec half: shape {target.shape} takes {expected} bytes, the body has {len(body)}")
+        for rows in target.row_parts():
+            ends = (2 * row * width * channel for row in (rows.start, rows.stop))
+            halves_p = columns_of(body, n_coeff, *ends).reshape(-1).view(np.float16)
+            coeffs_khwc = np.empty((n_coeff, rows.stop - rows.start, width, channel), np.float32)
+            if convert("decode_half_p", coeffs_khwc.reshape(-1), halves_p, device, clamp=False):
+                raise PayloadError("codec half: the body holds an infinity or a NaN")
+            target.put_rows(rows.start, coeffs_khwc)
+        target.finish()
 
 
 def rounding_variance(values: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -95,24 +104,37 @@ def rounding_variance(values: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.where(magnitude >= OVERFLOW, (magnitude - LARGEST) ** 2, variance)
 
 
-def check_not_vanishing(coeffs_khwc: NDArray[np.float32]) -> None:
-    """Raise InputError where every coefficient rounds to 0 as binary16, though not all are 0."""
-    check_largest(find_largest(coeffs_khwc))
-
-
-def find_largest(coeffs_khwc: NDArray[np.float32]) -> float:
-    """Return the largest magnitude, or one that binary16 holds as soon as one is found."""
-    coeffs_p, largest = coeffs_khwc.reshape(-1), 0.0
+def largest_at_first(coeffs_khwc: NDArray[np.float32], known: float) -> float:
+    """Return the largest magnitude, or the first found, or known, that is enough for `check_not_vanishing`."""
+    coeffs_p = coeffs_khwc.reshape(-1)
     for slab in slabs(coeffs_p.size, 1 << 10):  # small ones: nearly always the first ends the search
-        largest = max(largest, float(np.abs(coeffs_p[slab]).max()))
-        if largest > VANISHING:
+        if known > _VANISHING:
             break
-    return largest
+        known = max(known, float(np.abs(coeffs_p[slab]).max()))
+    return known
 
 
-def check_largest(largest: float) -> None:
-    """Raise InputError where a map's largest magnitude rounds to 0 as binary16, and is not 0."""
-    if 0.0 < largest <= VANISHING:
+def count_overflows(
+    coeffs_khwc: NDArray[np.float32], first_row: int, holder: str, *, clamp: bool, otherwise: str = "clamp"
+) -> int:
+    """Return how many coefficients binary16 cannot hold; InputError names the first of them, unless clamping.
+
+    It says that `holder` cannot hold it, and what could be done otherwise.
+    """
+    large = np.abs(coeffs_khwc) >= OVERFLOW
+    if large.any() and not clamp:
+        k, row, column, channel = (int(i) for i in np.unravel_index(int(large.argmax()), large.shape))
+        raise InputError(
+            f"coefficient (k, row, column, channel) = {(k, first_row + row, column, channel)} is "
+            f"{coeffs_khwc[k, row, column, channel]:g}, which {holder} cannot hold (|x| must be below {OVERFLOW:g}); "
+            f"fit with a constrained method, or {otherwise}"
+        )
+    return int(np.count_nonzero(large))
+
+
+def check_not_vanishing(largest: float) -> None:
+    """Raise InputError where every coefficient rounds to 0 as binary16, though not all are 0."""
+    if 0.0 < largest <= _VANISHING:
         raise InputError(
             f"the largest coefficient is {largest:g}, and as binary16 all would be 0: give the stack a peak near its "
             "brightest sample"

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from clrelight.codec import codestream
 from clrelight.codec.padding import check_padding, least_bytes, pad_body
-from clrelight.codec.registry import Codec, register
+from clrelight.codec.registry import PartsCodec, register
+from clrelight.codec.streams import Body, BodyWriter, Source, Target
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
@@ -22,7 +23,7 @@ FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 @register
 @dataclass(frozen=True)
-class Jpeg2000(Codec):
+class Jpeg2000(PartsCodec):
     """Scale each map (coefficient and channel) to 16 bits and code it with the irreversible 9/7 wavelet.
 
     Every map gets the same share of the bytes; what one leaves over goes to the next. The body lies at or within 1%
@@ -50,36 +51,43 @@ class Jpeg2000(Codec):
         if not number or not 0.0 < self.rate < math.inf:
             raise InputError(f"codec jpeg2000: rate must be a positive number of bits, got {self.rate!r}")
 
-    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
-        """Return tables and streams; InputError if the rate does not pay for the tables, or without Pillow."""
-        k, h, w, c = coeffs_khwc.shape
+    def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
+        """Write tables and streams; InputError if the rate does not pay for the tables, or without Pillow."""
+        k, h, w, c = source.shape
+        size = math.prod(source.shape)
         if h * w > codestream.MAX_PIXELS:
             raise InputError(f"codec jpeg2000: a map has at most {codestream.MAX_PIXELS} pixels, got {h} x {w}")
         codestream.require_pillow()
-        maps_mhw = coeffs_khwc.transpose(0, 3, 1, 2).reshape(k * c, h, w)
-        tables = 12 * len(maps_mhw) + codestream.steps_size(h, w)
-        available = int(self.rate * coeffs_khwc.size / 8)
-        if available < max(tables, least_bytes(coeffs_khwc.size)):
-            least = 8.0 * max(tables, least_bytes(coeffs_khwc.size)) / coeffs_khwc.size
+        tables = 12 * k * c + codestream.steps_size(h, w)
+        available = int(self.rate * size / 8)
+        if available < max(tables, least_bytes(size)):
+            least = 8.0 * max(tables, least_bytes(size)) / size
             raise InputError(f"codec jpeg2000: the tables alone take {least:.4g} bits per coefficient, got {self.rate}")
-        low_m = maps_mhw.min(axis=(1, 2))
-        width_m = maps_mhw.max(axis=(1, 2)).astype(np.float64) - low_m
+        low_m, high_m = np.empty((2, k * c), np.float32)
+        for part in source.map_parts():
+            coeffs_khwc = source.maps(part.start, part.stop)
+            maps = slice(part.start * c, part.stop * c)
+            low_m[maps] = coeffs_khwc.min(axis=(1, 2)).reshape(-1)
+            high_m[maps] = coeffs_khwc.max(axis=(1, 2)).reshape(-1)
+        width_m = high_m.astype(np.float64) - low_m
         step_m = (width_m / CODE_MAX).astype(np.float32)
         # Subnormal steps round by much, or to 0: rather a wider interval than a clipped one.
         step_m[step_m.astype(np.float64) * CODE_MAX < width_m * (1 - 2.0**-20)] += np.finfo(
             np.float32
         ).smallest_subnormal
-        steps, streams = _encode_maps(maps_mhw, low_m, step_m, available - tables)
+        steps, streams = _encode_maps(source, low_m, step_m, available - tables)
         for m, stream in enumerate(streams):
             if not stream and step_m[m] > 0:
-                low_m[m], step_m[m] = maps_mhw[m].mean(dtype=np.float64), 0.0
+                low_m[m], step_m[m] = _plane(source, m).mean(dtype=np.float64), 0.0
         sizes_m = np.array([len(stream) for stream in streams], np.uint32)
-        body = low_m.tobytes() + step_m.tobytes() + sizes_m.tobytes() + steps + b"".join(streams)
-        return pad_body(body, coeffs_khwc.size), {}
+        coded = low_m.tobytes() + step_m.tobytes() + sizes_m.tobytes() + steps + b"".join(streams)
+        body.write_all(pad_body(coded, size))
+        return {}
 
     @classmethod
-    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
-        """Return the coefficients; PayloadError where tables or streams do not make sense."""
+    def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
+        """Put the coefficients; PayloadError where tables or streams do not make sense."""
+        body, shape = body[:], target.shape
         k, h, w, c = shape
         n_map = k * c
         if len(body) < max(12 * n_map, least_bytes(math.prod(shape))) or h * w > codestream.MAX_PIXELS:
@@ -97,29 +105,39 @@ class Jpeg2000(Codec):
         check_padding(cls.id, body, end, math.prod(shape))
         codestream.require_pillow()
         steps = body[12 * n_map : streams_at]
-        coeffs_khwc = np.empty(shape, np.float32)
         ends_m = streams_at + np.cumsum(sizes_m)
         for m in range(n_map):
+            if m % c == 0:
+                map_hwc = np.empty((h, w, c), np.float32)
             plane_hw = np.zeros((h, w), np.float64)
             if sizes_m[m]:
                 packets = body[ends_m[m] - sizes_m[m] : ends_m[m]]
                 plane_hw += codestream.decode_plane(steps, packets, h, w)
             plane_hw = np.minimum(low_m[m] + step_m[m] * plane_hw, FLOAT32_MAX)
-            coeffs_khwc[m // c, :, :, m % c] = plane_hw
-        return coeffs_khwc
+            map_hwc[:, :, m % c] = plane_hw
+            if m % c == c - 1:
+                target.put_maps(m // c, map_hwc[None])
+                target.room.tell(m // c + 1, k)
+        target.finish()
+
+
+def _plane(source: Source, m: int) -> NDArray[np.float32]:
+    """Return one channel of one map, C-contiguous."""
+    k, channel = divmod(m, source.shape[3])
+    return np.ascontiguousarray(source.maps(k, k + 1)[0, :, :, channel])
 
 
 def _encode_maps(
-    maps_mhw: NDArray[np.float32], low_m: NDArray[np.float32], step_m: NDArray[np.float32], budget: int
+    source: Source, low_m: NDArray[np.float32], step_m: NDArray[np.float32], budget: int
 ) -> tuple[bytes, list[bytes]]:
     """Return the shared quantiser steps and a stream for each map, empty where constant or not affordable."""
-    streams = [b""] * len(maps_mhw)
+    streams = [b""] * len(step_m)
     changing = [int(m) for m in np.flatnonzero(step_m > 0)]
     shared = b""
 
     def improve(m: int, target: int) -> int:
         nonlocal shared
-        codes_hw = (maps_mhw[m] - low_m[m].astype(np.float64)) / step_m[m].astype(np.float64)
+        codes_hw = (_plane(source, m) - low_m[m].astype(np.float64)) / step_m[m].astype(np.float64)
         codes_hw = np.clip(np.rint(codes_hw), 0, CODE_MAX).astype(np.uint16)
         shared, packets = codestream.encode_plane(codes_hw, target)
         streams[m] = packets if len(packets) > len(streams[m]) else streams[m]
@@ -128,6 +146,7 @@ def _encode_maps(
     left = budget
     for done, m in enumerate(changing):
         left -= improve(m, left // (len(changing) - done))
+        source.room.tell(done + 1, len(changing))
     # What is left over after the last map goes to whoever can use it, the largest stream first.
     for m in sorted(changing, key=lambda m: -len(streams[m])):
         if left <= TOLERANCE * budget:

@@ -135,7 +135,12 @@ def transform_planes(verb: str, planes: DeviceArray, width: int, levels: int, de
 def empty_planes(shape: tuple[int, int, int, int], device: Device) -> DeviceArray:
     """Return uninitialised planes for maps of a shape (n_coeff, height, width, channel)."""
     n_coeff, height, width, channels = shape
-    return device.empty((n_coeff * channels, height, -(-width // _LANES) * _LANES), np.float32)
+    return device.empty((n_coeff * channels, height, padded_width(width)), np.float32)
+
+
+def padded_width(width: int) -> int:
+    """Return the values of a row of planes: a multiple of 8."""
+    return round_up(width, _LANES)
 
 
 def quantise_map(

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.metric import hemisphere_metric
-from clrelight.codec.slabs import slabs
+from clrelight.codec.streams import Source
+from clrelight.dataset import read_rows_into
 
 _SAMPLED_COLUMNS = 16384
 _SAMPLED_BLOCKS = 1024
+_MEASURED_BYTES = 1 << 24
+"""Of float64 coefficients that are measured at a time."""
 _GOLDEN = 0.6180339887498949
 
 
@@ -60,18 +63,25 @@ class Noise:
         return hemisphere_metric(len(self.basis_kj), "singular").forward_jk @ self.basis_kj
 
 
-def measure_image_error(coeffs_khwc: NDArray[np.float32], decoded_khwc: NDArray[np.float32]) -> float:
+def measure_image_error(coeffs_khwc: Any, decoded_khwc: Any) -> float:
     """Return the mean over columns and hemisphere of the squared image error that decoded coefficients make.
 
-    In units of the peak squared, nothing clipped: 0 where nothing is lost. Computed in float64.
+    In units of the peak squared, nothing clipped: 0 where nothing is lost. Computed in float64. Both are arrays in
+    memory, or what is read some rows at a time.
     """
-    forward_jk = hemisphere_metric(len(coeffs_khwc), "singular").forward_jk
-    original_kp, decoded_kp = (values.reshape(len(coeffs_khwc), -1) for values in (coeffs_khwc, decoded_khwc))
+    n_coeff, height, width, channel = coeffs_khwc.shape
+    forward_jk = hemisphere_metric(n_coeff, "singular").forward_jk
+    step = max(1, _MEASURED_BYTES // (8 * n_coeff * width * channel))
     total = 0.0
-    for columns in slabs(original_kp.shape[1], 8 * len(original_kp)):
-        seen_jp = forward_jk @ (decoded_kp[:, columns] - original_kp[:, columns].astype(np.float64))
+    for first in range(0, height, step):
+        shape = (n_coeff, min(step, height - first), width, channel)
+        original_kp, decoded_kp = (
+            read_rows_into(values, first, first + shape[1], np.empty(shape, np.float32)).reshape(n_coeff, -1)
+            for values in (coeffs_khwc, decoded_khwc)
+        )
+        seen_jp = forward_jk @ (decoded_kp - original_kp.astype(np.float64))
         total += float(np.vdot(seen_jp, seen_jp))
-    return total / original_kp.shape[1] / (2.0 * np.pi)
+    return total / (height * width * channel) / (2.0 * np.pi)
 
 
 def second_moments(errors_kp: NDArray) -> NDArray[np.float64]:
@@ -80,24 +90,37 @@ def second_moments(errors_kp: NDArray) -> NDArray[np.float64]:
     return errors @ errors.T / errors.shape[1]
 
 
-def sample_columns(coeffs_khwc: NDArray[np.float32]) -> NDArray[np.float32]:
+def sample_columns(source: Source) -> NDArray[np.float32]:
     """Return up to 16384 columns (n_coeff, 1, column, 1) that are spread evenly and follow no row or channel."""
-    coeffs_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
-    count = coeffs_kp.shape[1]
-    chosen_kp = coeffs_kp if count <= _SAMPLED_COLUMNS else coeffs_kp[:, _spread(count, _SAMPLED_COLUMNS)]
-    return np.ascontiguousarray(chosen_kp)[:, None, :, None]
+    n_coeff, height, width, channel = source.shape
+    count = height * width * channel
+    chosen = np.arange(count) if count <= _SAMPLED_COLUMNS else _spread(count, _SAMPLED_COLUMNS)
+    sample_kp = np.empty((n_coeff, len(chosen)), np.float32)
+    with source.rows() as parts:
+        for first, coeffs_khwc in parts:
+            coeffs_kp = coeffs_khwc.reshape(n_coeff, -1)
+            column = chosen - first * width * channel
+            here = np.flatnonzero((column >= 0) & (column < coeffs_kp.shape[1]))
+            sample_kp[:, here] = coeffs_kp[:, column[here]]
+    return sample_kp[:, None, :, None]
 
 
-def sample_blocks(coeffs_khwc: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+def sample_blocks(source: Source, side: int) -> NDArray[np.float32]:
     """Return up to 1024 square blocks (n_coeff, side, side * block, channel), in a row; whole maps of fewer."""
-    n_coeff, height, width, channel = coeffs_khwc.shape
+    n_coeff, height, width, channel = source.shape
     rows, columns = height // side, width // side
     if rows * columns <= _SAMPLED_BLOCKS:
-        return coeffs_khwc
+        return source.whole()
     y, x = np.divmod(_spread(rows * columns, _SAMPLED_BLOCKS), columns)
-    whole = coeffs_khwc[:, : rows * side, : columns * side].reshape(n_coeff, rows, side, columns, side, channel)
-    blocks_bkyxc = whole[:, y, :, x]  # indices that a slice parts come first
-    return np.ascontiguousarray(blocks_bkyxc.transpose(1, 2, 0, 3, 4)).reshape(n_coeff, side, -1, channel)
+    sample_kybxc = np.empty((n_coeff, side, len(y), side, channel), np.float32)
+    with source.rows(side) as parts:
+        for first, coeffs_khwc in parts:
+            deep = coeffs_khwc.shape[1] // side
+            whole = coeffs_khwc[:, : deep * side, : columns * side].reshape(n_coeff, deep, side, columns, side, channel)
+            here = np.flatnonzero((y >= first // side) & (y < first // side + deep))
+            blocks_bkyxc = whole[:, y[here] - first // side, :, x[here]]  # indices that a slice parts come first
+            sample_kybxc[:, :, here] = blocks_bkyxc.transpose(1, 2, 0, 3, 4)
+    return sample_kybxc.reshape(n_coeff, side, -1, channel)
 
 
 def _spread(count: int, wanted: int) -> NDArray[np.int64]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy import Coder, ModelSet, code_integers
 from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.slabs import slabs
 from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
 from clrelight.device import Device
 from clrelight.errors import PayloadError
@@ -71,17 +72,25 @@ def whiten(coeffs_khwc: NDArray[np.float32], exponent: int, device: Device) -> W
     in the others.
     """
     n_coeff, height, width, channel = coeffs_khwc.shape
-    forward_jk = hemisphere_metric(n_coeff).forward_jk
-    coeffs_kp = np.ascontiguousarray(coeffs_khwc).reshape(n_coeff, -1)
-    z_jp = multiply_columns(device, np.ldexp(forward_jk, -exponent), coeffs_kp)
-    z_jpc = z_jp.reshape(len(forward_jk), height * width, channel)
-    sampled = z_jpc[:, :: sample_stride(height * width)].reshape(-1, channel).astype(np.float64)
+    n_pixel = height * width
+    forward_jk = np.ldexp(hemisphere_metric(n_coeff).forward_jk, -exponent)
+    coeffs_kpc = np.ascontiguousarray(coeffs_khwc).reshape(n_coeff, n_pixel, channel)
+
+    def multiply(pixels: slice) -> NDArray[np.float32]:
+        part_kp = np.ascontiguousarray(coeffs_kpc[:, pixels]).reshape(n_coeff, -1)
+        return multiply_columns(device, forward_jk, part_kp).reshape(len(forward_jk), -1, channel)
+
+    sampled = multiply(slice(None, None, sample_stride(n_pixel))).reshape(-1, channel).astype(np.float64)
     _, axes = np.linalg.eigh(sampled.T @ sampled)
     rotation_cc = np.rint(ROTATION_UNIT * axes[:, ::-1].T).astype(np.int8)
-    turned = np.einsum("jpc,dc->pdj", z_jpc, (rotation_cc / ROTATION_UNIT).astype(np.float32), optimize=True)
-    pixels_pd = np.ascontiguousarray(turned.reshape(height * width, -1), dtype=np.float32)
+    turn_dc = (rotation_cc / ROTATION_UNIT).astype(np.float32)
+    pixels_pd = np.empty((n_pixel, channel * len(forward_jk)), np.float32)
+    for pixels in slabs(n_pixel, 4 * pixels_pd.shape[1]):  # beside the whole, only parts of what leads to it
+        turned_pdj = np.einsum("jpc,dc->pdj", multiply(pixels), turn_dc, optimize=True)
+        pixels_pd[pixels] = turned_pdj.reshape(-1, pixels_pd.shape[1])
     mean_d = pixels_pd.mean(axis=0, dtype=np.float64)
-    return Whitened(pixels_pd - mean_d.astype(np.float32), mean_d, rotation_cc)
+    pixels_pd -= mean_d.astype(np.float32)
+    return Whitened(pixels_pd, mean_d, rotation_cc)
 
 
 def principal_axes(whitened: Whitened) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.factored import WhitenedMaps
-from clrelight.codec.finite import check_sums
 from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.principal import sample_stride
-from clrelight.codec.registry import Codec, codec_class, register
+from clrelight.codec.registry import Codec, PartsCodec, codec_class, register
+from clrelight.codec.streams import Body, BodyWriter, Source, Target, rest_of
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
@@ -25,7 +26,7 @@ _LEFT_OUT = 1e-4
 
 @register
 @dataclass(frozen=True)
-class PrincipalMaps(Codec):
+class PrincipalMaps(PartsCodec):
     """Whitened coefficients along the principal axes of a scene, through another codec.
 
     The axes are those of all pixels and channels together, orthonormal in the metric of the hemisphere; the mean is not
@@ -60,27 +61,26 @@ class PrincipalMaps(Codec):
             raise InputError(f"planes must be 1 to 65535, got {self.planes!r}")
         codec_class(self.codec).from_config(self.options)
 
-    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+    def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`; what the inner codec reports is passed on, and the number of planes."""
-        n_coeff, height, width, channel = coeffs_khwc.shape
-        forward_jk = hemisphere_metric(n_coeff).forward_jk
-        sampled = coeffs_khwc.reshape(n_coeff, height * width, channel)[:, :: sample_stride(height * width)]
-        z_jp = forward_jk @ sampled.reshape(n_coeff, -1)
+        forward_jk = hemisphere_metric(source.shape[0]).forward_jk
+        z_jp = forward_jk @ _sample_pixels(source)
         scale = float(np.abs(z_jp).max()) or 1.0  # squares of float32's largest numbers stay finite in float64
         energy, vectors = np.linalg.eigh((z_jp / scale) @ (z_jp / scale).T)
         axes = vectors[:, ::-1].T[: self._count_planes(energy[::-1])].astype("<f2")
         along_jk = np.linalg.pinv(axes.astype(np.float64)).T @ forward_jk
-        maps = check_sums(WhitenedMaps(coeffs_khwc, along_jk).to_coeffs(device), device)
+        maps = source.mapped(along_jk)
         name = self.codec.encode("ascii")
         head = bytes([len(name)]) + name + _COUNT.pack(len(axes)) + axes.tobytes()
         options = dict(self.options)
         if "rate" in options:
-            rate = (options["rate"] * coeffs_khwc.size - 8.0 * len(head)) / maps.size
+            rate = (options["rate"] * math.prod(source.shape) - 8.0 * len(head)) / math.prod(maps.shape)
             if rate <= 0.0:
                 raise InputError(f"{options['rate']:g} bits per coefficient are too few for the table of axes alone")
             options["rate"] = rate
-        body, info = codec_class(self.codec).from_config(options).encode_body(maps, device)
-        return head + body, {**info, "planes": float(len(axes))}
+        body.lead(head)
+        info = codec_class(self.codec).from_config(options).encode_parts(maps, body)
+        return {**info, "planes": float(len(axes))}
 
     def _count_planes(self, energy: NDArray[np.float64]) -> int:
         if self.planes is not None:
@@ -88,35 +88,65 @@ class PrincipalMaps(Codec):
         left = energy.sum() - np.cumsum(energy)
         return int(np.argmax(left <= _LEFT_OUT * energy.sum())) + 1
 
+    def bytes_to_encode(self, shape: tuple[int, int, int, int]) -> int:
+        """See `Codec`; the inner codec's, of as many maps as there may be."""
+        return codec_class(self.codec).from_config(self.options).bytes_to_encode(shape)
+
     @classmethod
-    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+    def bytes_to_decode(cls, body: Body, shape: tuple[int, int, int, int]) -> int:
+        """See `Codec`; the inner codec's."""
+        inner, inverse_kj, inside = _open(body, shape[0])
+        return inner.bytes_to_decode(inside, (inverse_kj.shape[1], *shape[1:]))
+
+    @classmethod
+    def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
         """See `Codec`."""
-        return cls.decode_view(body, shape, device).to_coeffs(device)
+        inner, inverse_kj, inside = _open(body, target.shape[0])
+        inner.decode_parts(inside, target.mapped(inverse_kj, device), device)
 
     @classmethod
     def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> WhitenedMaps:
         """Return the maps along the axes, which relight as they are."""
-        inverse_kj = hemisphere_metric(shape[0]).inverse_kj
-        at = 1 + body[0] if body else 1
-        if len(body) < at + _COUNT.size:
-            raise PayloadError("a principal body starts with the name of its codec, this one is too short")
-        try:
-            inner = codec_class(body[1:at].decode("ascii"))
-        except (InputError, UnicodeDecodeError):
-            raise PayloadError("a principal body names a codec that is not known") from None
-        if inner.id in _NOT_INSIDE:
-            raise PayloadError(f"a principal body cannot hold codec {inner.id}")
-        (count,) = _COUNT.unpack_from(body, at)
-        component = inverse_kj.shape[1]
-        start = at + _COUNT.size
-        end = start + 2 * count * component
-        if not 1 <= count <= component or len(body) < end:
-            raise PayloadError(f"a principal body of {len(body)} bytes cannot have {count} axes")
-        axes = np.frombuffer(body, "<f2", count * component, start).reshape(count, component).astype(np.float64)
-        if not np.abs(axes).max() <= 1.0:
-            raise PayloadError("a principal body holds axes beyond unit length")
-        maps = inner.decode_body(body[end:], (count, *shape[1:]), device)
-        return WhitenedMaps(maps, inverse_kj @ axes.T)
+        inner, inverse_kj, inside = _open(body, shape[0])
+        return WhitenedMaps(inner.decode_body(inside[:], (inverse_kj.shape[1], *shape[1:]), device), inverse_kj)
+
+
+def _sample_pixels(source: Source) -> NDArray[np.float32]:
+    """Return some pixels of all channels, (n_coeff, pixel * channel)."""
+    n_coeff, height, width, channel = source.shape
+    stride = sample_stride(height * width)
+    sampled = []
+    with source.rows() as parts:
+        for first, coeffs_khwc in parts:
+            pixels = coeffs_khwc.reshape(n_coeff, -1, channel)[:, -first * width % stride :: stride]
+            sampled.append(pixels.reshape(n_coeff, -1))
+            if source.shape[1] != coeffs_khwc.shape[1]:
+                sampled[-1] = sampled[-1].copy()  # the part's memory is used again
+    return np.concatenate(sampled, axis=1)
+
+
+def _open(body: Body, n_coeff: int) -> tuple[type[Codec], NDArray[np.float64], Body]:
+    """Return the inner codec, the matrix that makes coefficients of its maps, and its body; or PayloadError."""
+    inverse_kj = hemisphere_metric(n_coeff).inverse_kj
+    at = 1 + (body[:1][0] if len(body) else 0)
+    if len(body) < at + _COUNT.size:
+        raise PayloadError("a principal body starts with the name of its codec, this one is too short")
+    try:
+        inner = codec_class(body[1:at].decode("ascii"))
+    except (InputError, UnicodeDecodeError):
+        raise PayloadError("a principal body names a codec that is not known") from None
+    if inner.id in _NOT_INSIDE:
+        raise PayloadError(f"a principal body cannot hold codec {inner.id}")
+    (count,) = _COUNT.unpack(body[at : at + _COUNT.size])
+    component = inverse_kj.shape[1]
+    start = at + _COUNT.size
+    end = start + 2 * count * component
+    if not 1 <= count <= component or len(body) < end:
+        raise PayloadError(f"a principal body of {len(body)} bytes cannot have {count} axes")
+    axes = np.frombuffer(body[start:end], "<f2").reshape(count, component).astype(np.float64)
+    if not np.abs(axes).max() <= 1.0:
+        raise PayloadError("a principal body holds axes beyond unit length")
+    return inner, inverse_kj @ axes.T, rest_of(body, end)
 
 
 _NOT_INSIDE = ("principal", "whitened", "klt")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from clrelight.codec.finite import all_finite
 from clrelight.codec.metric import MAX_METRIC_DEGREE
 from clrelight.codec.noise import Noise, second_moments
+from clrelight.codec.streams import ArraySource, ArrayTarget, Body, BodyWriter, MemoryBody, Source, Target
 from clrelight.configurable import Configurable
 from clrelight.conventions import degree_of
 from clrelight.device import Device
@@ -26,6 +27,8 @@ WRAPPER_VERSION = 1
 MAX_EXTENT = 1 << 20
 MAX_CHANNELS = 1 << 10
 MAX_COEFFICIENTS = 1 << 32
+_PIECE_BYTES = 1 << 22
+"""Of a body that are summed up at a time."""
 
 _REGISTRY: dict[str, type[Codec]] = {}
 
@@ -42,7 +45,7 @@ class Encoded:
         The codec's options, for the record; decoding does not need them.
     shape : tuple of int
         (n_coeff, height, width, channel).
-    body : bytes
+    body : bytes, or what gives bytes when sliced
         Payload and every side table: all that grows with the data, and what sizes count.
     info : mapping
         What else the codec measured, such as ``entropy_bits`` (an estimate, bits per coefficient).
@@ -51,7 +54,7 @@ class Encoded:
     codec: str
     config: Mapping[str, Any]
     shape: tuple[int, int, int, int]
-    body: bytes
+    body: Body
     info: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -69,16 +72,21 @@ class Encoded:
         name = self.codec.encode("ascii")
         head = MAGIC + struct.pack("<BB", WRAPPER_VERSION, len(name)) + name
         head += struct.pack("<4IQ", *self.shape, len(self.body))
-        return head + struct.pack("<I", zlib.crc32(self.body, zlib.crc32(head)))
+        return head + struct.pack("<I", _checksum(head, self.body))
 
     def to_bytes(self) -> bytes:
         """Return header and body: these bytes alone decode."""
-        return self.header() + self.body
+        return self.header() + self.body[:]
 
     @classmethod
     def from_bytes(cls, payload: bytes) -> Self:
         """Take apart what `to_bytes` made; PayloadError if it is damaged, cut, or not ours."""
         payload = bytes(payload)  # no copy of bytes; a memoryview or bytearray is taken too
+        return cls.from_parts(payload[: header_size(payload)], payload[header_size(payload) :])
+
+    @classmethod
+    def from_parts(cls, payload: bytes, body: Body) -> Self:
+        """Return what a header and its body are; PayloadError if they are damaged, cut, or not ours."""
         if payload[:4] != MAGIC:
             raise PayloadError(f"not a clrelight payload: it starts with {payload[:4]!r}, expected {MAGIC!r}")
         if len(payload) < 6 or len(payload) < 6 + payload[5] + 28:
@@ -86,12 +94,13 @@ class Encoded:
         if payload[4] != WRAPPER_VERSION:
             raise PayloadError(f"payload version {payload[4]} is not known, this program reads {WRAPPER_VERSION}")
         at = 6 + payload[5]
+        if len(payload) > at + 28:
+            raise PayloadError(f"the payload's header should have {at + 28} bytes, it has {len(payload)}")
         *shape, length = struct.unpack_from("<4IQ", payload, at)
         (checksum,) = struct.unpack_from("<I", payload, at + 24)
-        body = payload[at + 28 :]
         if len(body) != length:
             raise PayloadError(f"the payload should have {length} bytes behind its header, it has {len(body)}")
-        if zlib.crc32(body, zlib.crc32(payload[: at + 24])) != checksum:
+        if _checksum(payload[: at + 24], body) != checksum:
             raise PayloadError("the payload's checksum does not fit: it is damaged")
         # Checked although the sum fits: a foreign writer may compute checksums too.
         try:
@@ -100,6 +109,18 @@ class Encoded:
         except ValueError as error:
             raise PayloadError(f"the payload's header is not valid: {error}") from None
         return cls(codec, {}, tuple(shape), body)
+
+
+def header_size(payload: bytes) -> int:
+    """Return the bytes of a header, which may have been cut short."""
+    return 6 + payload[5] + 28 if len(payload) > 5 else len(payload)
+
+
+def _checksum(head: bytes, body: Body) -> int:
+    checksum = zlib.crc32(head)
+    for start in range(0, len(body), _PIECE_BYTES):
+        checksum = zlib.crc32(body[start : start + _PIECE_BYTES], checksum)
+    return checksum
 
 
 def check_shape(shape: tuple[int, ...]) -> None:
@@ -139,6 +160,18 @@ class Codec(Configurable, ABC):
 
     kind: ClassVar[str] = "codec"
     summary: ClassVar[str]
+    encoding_holds: ClassVar[float] = 4.0
+    decoding_holds: ClassVar[float] = 3.0
+    """Times the bytes of a float32 map that the two take at least, whatever the room; 0 for codecs that take parts."""
+
+    def bytes_to_encode(self, shape: tuple[int, int, int, int]) -> int:
+        """Return about how many bytes of memory encoding takes at least, beside those of a room."""
+        return int(4 * self.encoding_holds * math.prod(shape))
+
+    @classmethod
+    def bytes_to_decode(cls, body: Body, shape: tuple[int, int, int, int]) -> int:
+        """Return the same of decoding; PayloadError where the body does not say."""
+        return int(4 * cls.decoding_holds * math.prod(shape))
 
     @abstractmethod
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
@@ -149,7 +182,18 @@ class Codec(Configurable, ABC):
     def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
         """Return the coefficients from the bytes alone; PayloadError if they do not make sense."""
 
-    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise | None:
+    def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
+        """Write what `encode_body` returns; here from the whole map in memory."""
+        content, info = self.encode_body(source.whole(), source.device)
+        body.write_all(content)
+        return info
+
+    @classmethod
+    def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
+        """Put what `decode_body` returns; here the whole map in memory."""
+        target.put_rows(0, cls.decode_body(body[:], target.shape, device))
+
+    def predict_noise(self, source: Source) -> Noise | None:
         """Return the noise to expect of `encode_body`, found in less than its time; None where there is no model."""
         return None
 
@@ -168,6 +212,35 @@ class Codec(Configurable, ABC):
     def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> View | None:
         """Return what relights without becoming coefficients first; None where coefficients are all there is."""
         return None
+
+
+class PartsCodec(Codec):
+    """A codec that takes rows or maps in parts, in memory or from files alike; all bytes are the same."""
+
+    encoding_holds: ClassVar[float] = 0.0
+    decoding_holds: ClassVar[float] = 0.0
+
+    @abstractmethod
+    def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
+        """Write payload with side tables, and return what else was measured."""
+
+    @classmethod
+    @abstractmethod
+    def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
+        """Put the coefficients and finish the target; PayloadError if the bytes do not make sense."""
+
+    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+        """See `Codec`."""
+        body = MemoryBody()
+        info = self.encode_parts(ArraySource(coeffs_khwc, device), body)
+        return body.to_bytes(), info
+
+    @classmethod
+    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+        """See `Codec`."""
+        target = ArrayTarget(shape)
+        cls.decode_parts(body, target, device)
+        return target.coeffs()
 
 
 def register(codec: type[Codec]) -> type[Codec]:
@@ -204,11 +277,17 @@ def _checked(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.flo
     with np.errstate(over="ignore"):  # what float32 cannot hold is infinite now, and refused below
         coeffs = np.ascontiguousarray(given, dtype=np.float32)
     if not all_finite(coeffs, device):
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(coeffs))[0])
-        raise InputError(
-            f"coefficient (k, row, column, channel) = {where} is {coeffs[where]}, expected a finite number"
-        )
+        refuse_infinite(coeffs)
     return coeffs
+
+
+def refuse_infinite(coeffs_khwc: NDArray[np.float32], first_row: int = 0) -> None:
+    """Raise InputError that names a coefficient which is not finite."""
+    k, row, column, channel = (int(i) for i in np.argwhere(~np.isfinite(coeffs_khwc))[0])
+    raise InputError(
+        f"coefficient (k, row, column, channel) = {(k, first_row + row, column, channel)} is "
+        f"{coeffs_khwc[k, row, column, channel]}, expected a finite number"
+    )
 
 
 def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> Encoded:
@@ -248,8 +327,32 @@ def predict_noise(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device
     InputError
         As `encode` does.
     """
-    coeffs = _checked(coeffs_khwc, device)
-    return codec.predict_noise(coeffs, device) if degree_of(len(coeffs)) <= MAX_METRIC_DEGREE else None
+    return predict_noise_of(array_source(coeffs_khwc, device), codec)
+
+
+def array_source(coeffs_khwc: NDArray[np.float32], device: Device) -> ArraySource:
+    """Return coefficients in memory as `encode_stream` takes them; InputError as `encode` raises it."""
+    return ArraySource(_checked(coeffs_khwc, device), device)
+
+
+def predict_noise_of(source: Source, codec: Codec) -> Noise | None:
+    """Return what `predict_noise` does of coefficients that may lie in a file."""
+    return codec.predict_noise(source) if degree_of(source.shape[0]) <= MAX_METRIC_DEGREE else None
+
+
+def encode_stream(source: Source, codec: Codec, body: BodyWriter) -> dict[str, float]:
+    """Encode coefficients that may lie in a file, and return what was measured; the bytes are those of `encode`.
+
+    Raises
+    ------
+    InputError
+        As `encode` does, and where a part does not fit the source's room.
+    """
+    try:
+        check_shape(source.shape)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    return codec.encode_parts(source, body)
 
 
 def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
@@ -261,12 +364,29 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
         If the bytes are damaged, cut short, not ours, or of a codec that is not known here.
     """
     encoded, codec = _open(payload)
-    coeffs = codec.decode_body(encoded.body, encoded.shape, device)
+    coeffs = codec.decode_body(encoded.body[:], encoded.shape, device)
     if coeffs.shape != encoded.shape or coeffs.dtype != np.float32:
         raise PayloadError(f"codec {encoded.codec} gave {coeffs.dtype} {coeffs.shape} for {encoded.shape}")
-    if not all_finite(coeffs, device):  # finite is what was encoded
-        raise PayloadError(f"the payload decodes to values that are not finite: codec {encoded.codec} did not write it")
+    check_decoded(coeffs, encoded.codec, device)
     return coeffs
+
+
+def decode_stream(encoded: Encoded, target: Target, device: Device) -> None:
+    """Decode to where the coefficients shall go; PayloadError as `decode` raises it."""
+    found, codec = _open(encoded)
+    codec.decode_parts(found.body, target, device)
+
+
+def bytes_to_decode(encoded: Encoded) -> int:
+    """Return about how many bytes of memory decoding takes at least; PayloadError as `decode` raises it."""
+    found, codec = _open(encoded)
+    return codec.bytes_to_decode(found.body, found.shape)
+
+
+def check_decoded(coeffs_khwc: NDArray[np.float32], codec_id: str, device: Device) -> None:
+    """Raise PayloadError unless coefficients that were decoded are finite, as those encoded were."""
+    if not all_finite(coeffs_khwc, device):
+        raise PayloadError(f"the payload decodes to values that are not finite: codec {codec_id} did not write it")
 
 
 def decode_view(payload: Encoded | bytes, device: Device) -> View | None:
@@ -275,7 +395,7 @@ def decode_view(payload: Encoded | bytes, device: Device) -> View | None:
     PayloadError as `decode` raises it.
     """
     encoded, codec = _open(payload)
-    return codec.decode_view(encoded.body, encoded.shape, device)
+    return codec.decode_view(encoded.body[:], encoded.shape, device)
 
 
 def _open(payload: Encoded | bytes) -> tuple[Encoded, type[Codec]]:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.half import VANISHING, check_largest, convert, find_largest, overflow_error
+from clrelight.codec.half import check_not_vanishing, convert, count_overflows, largest_at_first
 from clrelight.device import Device
 
 
@@ -33,11 +33,10 @@ def rounding_rows(
         coeffs_khwc: NDArray[np.float32], halves_khwc: NDArray[np.float16], first_row: int
     ) -> NDArray[np.float16]:
         nonlocal largest
-        if largest <= VANISHING:
-            largest = max(largest, find_largest(coeffs_khwc))
+        largest = largest_at_first(coeffs_khwc, largest)
         if convert("encode_half_p", halves_khwc.reshape(-1), coeffs_khwc.reshape(-1), device, clamp=False):
-            raise overflow_error(coeffs_khwc, "store float32", first_row)
+            count_overflows(coeffs_khwc, first_row, "binary16", clamp=False, otherwise="store float32")
         return halves_khwc
 
     yield round_rows
-    check_largest(largest)
+    check_not_vanishing(largest)

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from clrelight.codec import uniform_search as search
 from clrelight.codec.noise import Noise, sample_columns, second_moments
-from clrelight.codec.registry import Codec, register
+from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.slabs import slabs
+from clrelight.codec.streams import Body, BodyWriter, Source, Target
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
@@ -22,7 +23,7 @@ FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 @register
 @dataclass(frozen=True)
-class Uniform(Codec):
+class Uniform(PartsCodec):
     """Quantise each coefficient's map to ``2**bits`` evenly spaced levels.
 
     First level and step are chosen per map by the squared error measured at that number of levels, so outliers may
@@ -48,38 +49,66 @@ class Uniform(Codec):
         if isinstance(self.bits, bool) or not isinstance(self.bits, int) or not 1 <= self.bits <= MAX_BITS:
             raise InputError(f"codec uniform: bits must be an integer from 1 to {MAX_BITS}, got {self.bits!r}")
 
-    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
-        """Return bits, table and codes, and the estimate ``entropy_bits``."""
-        coeffs_kp = coeffs_khwc.reshape(coeffs_khwc.shape[0], -1)
-        quantiser = search.choose_quantiser(coeffs_kp, self.bits, device)
-        codes_kp = _map_values(
-            "quantise_uniform_kp", np.empty(coeffs_kp.shape, np.uint16), coeffs_kp, quantiser, self.bits, device
-        )
-        table = quantiser.low_k.tobytes() + quantiser.step_k.tobytes()
-        info = {"entropy_bits": _entropy_bits(codes_kp) + 8.0 * len(table) / coeffs_kp.size}
-        return bytes([self.bits]) + table + _pack(codes_kp.reshape(-1), self.bits, device).tobytes(), info
+    def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
+        """Write bits, table and codes; the estimate is ``entropy_bits``."""
+        n_coeff, n_value = source.shape[0], math.prod(source.shape[1:])
+        quantiser = self._choose_quantiser(source)
+        table = bytes([self.bits]) + quantiser.low_k.tobytes() + quantiser.step_k.tobytes()
+        body.reserve(len(table) + -(-n_coeff * n_value * self.bits // 8))
+        body.write(0, np.frombuffer(table, np.uint8))
+        at, entropy, left_p = len(table), 0.0, np.empty(0, np.uint16)
+        for part in source.map_parts():
+            coeffs_kp = source.maps(part.start, part.stop).reshape(-1, n_value)
+            codes_kp = np.empty(coeffs_kp.shape, np.uint16)
+            _map_values("quantise_uniform_kp", codes_kp, coeffs_kp, quantiser[part], self.bits, source.device)
+            for codes_p in codes_kp:
+                entropy += _entropy(codes_p)
+            codes_p = np.concatenate([left_p, codes_kp.reshape(-1)]) if left_p.size else codes_kp.reshape(-1)
+            # What does not fill whole bytes waits for the next part.
+            whole = codes_p.size if part.stop == n_coeff else codes_p.size // 8 * 8
+            if whole:
+                packed_b = _pack(codes_p[:whole], self.bits, source.device)
+                body.write(at, packed_b)
+                at += packed_b.size
+            left_p = codes_p[whole:].copy()
+            source.room.tell(part.stop, n_coeff)
+        return {"entropy_bits": entropy / n_coeff + 8.0 * (len(table) - 1) / (n_coeff * n_value)}
 
-    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise:
+    def _choose_quantiser(self, source: Source) -> search.Quantiser:
+        def choose() -> search.Quantiser:
+            parts = []
+            for part in source.map_parts():
+                coeffs_kp = source.maps(part.start, part.stop).reshape(part.stop - part.start, -1)
+                parts.append(search.choose_quantiser(coeffs_kp, self.bits, source.device))
+                source.room.tell(part.stop, source.shape[0])
+            return search.Quantiser.joined(parts)
+
+        return source.remember(("uniform", self.bits), choose)
+
+    def predict_noise(self, source: Source) -> Noise:
         """See `Codec`; the levels are the ones that will be used, the noise is that of a sample of the columns.
 
         Inside the interval that is about a twelfth of the squared step; what is clipped adds its excess.
         """
-        quantiser = search.choose_quantiser(coeffs_khwc.reshape(len(coeffs_khwc), -1), self.bits, device)
-        sample_kp = sample_columns(coeffs_khwc).reshape(len(coeffs_khwc), -1).astype(np.float64)
+        quantiser = self._choose_quantiser(source)
+        sample_kp = sample_columns(source).reshape(source.shape[0], -1).astype(np.float64)
         low_k, step_k = (values.astype(np.float64)[:, None] for values in (quantiser.low_k, quantiser.step_k))
         codes_kp = np.rint((sample_kp - low_k) / np.where(step_k > 0.0, step_k, 1.0))
         levels_kp = low_k + np.clip(codes_kp, 0, 2**self.bits - 1) * step_k
         return Noise.of_coefficients(second_moments(levels_kp - sample_kp))
 
     @classmethod
-    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
-        """Return the coefficients; PayloadError on a wrong length, bit count, level or step."""
-        n_coeff, bits = shape[0], body[0] if body else 0
+    def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
+        """Put the coefficients; PayloadError on a wrong length, bit count, level or step."""
+        n_coeff, height, width, channel = target.shape
+        bits = body[:1][0] if len(body) else 0
         if not 1 <= bits <= MAX_BITS:
             raise PayloadError(f"codec uniform: the body must start with a bit count from 1 to {MAX_BITS}")
-        expected = 1 + 8 * n_coeff + -(-math.prod(shape) * bits // 8)
+        expected = 1 + 8 * n_coeff + -(-math.prod(target.shape) * bits // 8)
         if len(body) != expected:
-            raise PayloadError(f"codec uniform: {bits} bits and shape {shape} take {expected} bytes, got {len(body)}")
+            raise PayloadError(
+                f"codec uniform: {bits} bits and shape {target.shape} take {expected} bytes, got {len(body)}"
+            )
         low_k, step_k = np.frombuffer(body[1 : 1 + 8 * n_coeff], np.float32).reshape(2, n_coeff)
         with np.errstate(invalid="ignore"):
             last_k = low_k.astype(np.float64) + step_k.astype(np.float64) * (2**bits - 1)
@@ -88,10 +117,18 @@ class Uniform(Codec):
             raise PayloadError("codec uniform: a first level or a step is not finite, or a step is negative")
         reach_k = np.maximum(np.abs(low_k).astype(np.float64), np.abs(last_k))
         quantiser = search.Quantiser.of(low_k, step_k, reach_k)
-        codes_p = _unpack(np.frombuffer(body[1 + 8 * n_coeff :], np.uint8), math.prod(shape), bits, device)
-        coeffs_kp = np.empty((n_coeff, math.prod(shape[1:])), np.float32)
-        _map_values("dequantise_uniform_kp", coeffs_kp, codes_p.reshape(coeffs_kp.shape), quantiser, bits, device)
-        return coeffs_kp.reshape(shape)
+        for rows in target.row_parts():
+            codes_kp = np.empty((n_coeff, (rows.stop - rows.start) * width * channel), np.uint16)
+            if rows == slice(0, height):
+                codes_kp = _read_codes(body, n_coeff, 0, codes_kp.size, bits, device).reshape(codes_kp.shape)
+            else:
+                for k, codes_p in enumerate(codes_kp):
+                    start = (k * height + rows.start) * width * channel
+                    codes_p[:] = _read_codes(body, n_coeff, start, start + codes_p.size, bits, device)
+            coeffs_kp = np.empty(codes_kp.shape, np.float32)
+            _map_values("dequantise_uniform_kp", coeffs_kp, codes_kp, quantiser, bits, device)
+            target.put_rows(rows.start, coeffs_kp.reshape(n_coeff, -1, width, channel))
+        target.finish()
 
 
 def _map_values(
@@ -137,11 +174,16 @@ def _unpack(packed_b: NDArray[np.uint8], count: int, bits: int, device: Device) 
     return codes_p
 
 
-def _entropy_bits(codes_kp: NDArray[np.uint16]) -> float:
-    """Return the mean over maps of the zero-order entropy of the codes, in bits."""
-    total = 0.0
-    for codes in codes_kp:
-        share = np.bincount(codes) / codes.size
-        share = share[share > 0]
-        total -= float(share @ np.log2(share))
-    return total / len(codes_kp) + 0.0  # no -0.0
+def _read_codes(body: Body, n_coeff: int, first: int, end: int, bits: int, device: Device) -> NDArray[np.uint16]:
+    """Return codes `first` to `end` of all that a body holds behind its table."""
+    start = first // 8 * 8  # there a byte begins
+    table = 1 + 8 * n_coeff
+    packed = body[table + start * bits // 8 : table + -(-end * bits // 8)]
+    return _unpack(np.frombuffer(packed, np.uint8), end - start, bits, device)[first - start :]
+
+
+def _entropy(codes_p: NDArray[np.uint16]) -> float:
+    """Return the zero-order entropy of a map's codes, in bits."""
+    share = np.bincount(codes_p) / codes_p.size
+    share = share[share > 0]
+    return 0.0 - float(share @ np.log2(share))  # no -0.0

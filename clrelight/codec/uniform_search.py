@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -45,6 +46,15 @@ class Quantiser:
     scaled_step_k: NDArray[np.float32]
     scale_k: NDArray[np.float32]
     unscale_k: NDArray[np.float32]
+
+    def __getitem__(self, maps: slice) -> Self:
+        """Return the quantisers of some of the maps."""
+        return type(self)(*(getattr(self, field.name)[maps] for field in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return the quantisers of the maps of all parts, in turn."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     @classmethod
     def of(cls, low_k: NDArray[np.float32], step_k: NDArray[np.float32], reach_k: NDArray[np.float64]) -> Self:

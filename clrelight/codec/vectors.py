@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.slabs import slabs
+
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
@@ -27,7 +29,11 @@ def exponent_of(values: NDArray[np.float32]) -> int:
 
 def scaled(values: NDArray, exponent: int) -> NDArray[np.float32]:
     """Return ``values * 2**exponent`` in float32, clipped to its range."""
-    return np.clip(np.ldexp(values.astype(np.float64), exponent), -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
+    result = np.empty(values.shape, np.float32)
+    for part in slabs(len(values), 8 * max(values[0].size, 1)):  # float64 of everything at once would be twice as much
+        exact = np.ldexp(values[part].astype(np.float64), exponent)
+        result[part] = np.clip(exact, -FLOAT32_MAX, FLOAT32_MAX, out=exact)
+    return result
 
 
 def spread_sample(count: int, size: int) -> NDArray[np.intp]:

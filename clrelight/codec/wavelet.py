@@ -22,10 +22,18 @@ from clrelight.codec.allocation import (
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
 from clrelight.codec.entropy import Decoder
 from clrelight.codec.expectation import expect_codes, expect_moments
-from clrelight.codec.lifting import dequantise_map, empty_planes, forward_transform, inverse_transform, list_subbands
+from clrelight.codec.lifting import (
+    dequantise_map,
+    empty_planes,
+    forward_transform,
+    inverse_transform,
+    list_subbands,
+    padded_width,
+)
 from clrelight.codec.noise import Noise
 from clrelight.codec.rate import step_of
-from clrelight.codec.registry import Codec, register
+from clrelight.codec.registry import PartsCodec, register
+from clrelight.codec.streams import Body, BodyWriter, Source, Target
 from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -36,7 +44,7 @@ MAX_LEVELS = 5  # more would pass 31 bits at the finest step
 
 @register
 @dataclass(frozen=True)
-class Wavelet(Codec):
+class Wavelet(PartsCodec):
     """CDF 9/7 subbands, one quantiser step per map, context-modelled range coding.
 
     Attributes
@@ -74,21 +82,21 @@ class Wavelet(Codec):
         if not (isinstance(self.levels, int) and 1 <= self.levels <= MAX_LEVELS):
             raise InputError(f"wavelet levels must be 1 to {MAX_LEVELS}, got {self.levels!r}")
 
-    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+    def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`; `entropy_bits` is the zero-order entropy, subband by subband, of the indices coded."""
-        shape = coeffs_khwc.shape
-        asked, budget = self._spendable(shape)
-        maps, exponents = self._transform(coeffs_khwc, device)
+        asked, budget = self._spendable(source.shape)
+        maps, exponents = self._transform(source)
         spend = spend_alike if self.allocation == "map" else spend_by_one_step
         codes, payload = spend(maps, exponents, asked, budget)
         biases, entropy = maps.measure(codes)
-        body = _Tables(self.levels, biases, exponents, codes).to_bytes() + payload
-        return add_ballast(body, shape, self._bound(shape)), {"entropy_bits": entropy / coeffs_khwc.size}
+        coded = _Tables(self.levels, biases, exponents, codes).to_bytes() + payload
+        body.write_all(add_ballast(coded, source.shape, self._bound(source.shape)))
+        return {"entropy_bits": entropy / maps.size}
 
-    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise:
+    def predict_noise(self, source: Source) -> Noise:
         """See `Codec`; quantiser noise and what dead zones swallow, at the steps that the rate should ask for."""
-        asked, budget = self._spendable(coeffs_khwc.shape)
-        maps, exponents = self._transform(coeffs_khwc, device)
+        asked, budget = self._spendable(source.shape)
+        maps, exponents = self._transform(source)
         codes, spread = expect_codes(maps, exponents, asked, budget, self.allocation)
         return Noise.of_coefficients(expect_moments(maps, codes, spread, exponents))
 
@@ -108,31 +116,45 @@ class Wavelet(Codec):
             )
         return 8 * available, 8 * (available - tables)
 
-    def _transform(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[TransformedMaps, NDArray[np.int32]]:
+    def _transform(self, source: Source) -> tuple[TransformedMaps, NDArray[np.int32]]:
         """Return the maps in subbands, and the powers of two that they were divided by."""
-        shape, exponents = coeffs_khwc.shape, _exponents(coeffs_khwc)
-        planes = forward_transform(coeffs_khwc, np.ldexp(np.float32(1.0), -exponents), self.levels, device)
-        return TransformedMaps(planes, shape, list_subbands(shape[1], shape[2], self.levels), device), exponents
+
+        def transform() -> tuple[TransformedMaps, NDArray[np.int32]]:
+            n_coeff, height, width, channel = source.shape
+            planes = source.room.make_planes((n_coeff, channel, height, padded_width(width)))
+            exponents = np.empty(n_coeff, np.int32)
+            for part in source.map_parts():
+                coeffs_khwc = source.maps(part.start, part.stop)
+                exponents[part] = _exponents(coeffs_khwc)
+                scale_k = np.ldexp(np.float32(1.0), -exponents[part])
+                transformed = forward_transform(coeffs_khwc, scale_k, self.levels, source.device)
+                planes.put_maps(part.start, source.device.download(transformed).reshape(-1, *planes.shape[1:]))
+            return TransformedMaps(planes, source, list_subbands(height, width, self.levels)), exponents
+
+        return source.remember(("wavelet", self.levels), transform)
 
     @classmethod
-    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
-        """See `Codec`."""
-        tables, payload = _Tables.from_bytes(drop_ballast(body, shape), shape[0])
-        _, height, width, channels = shape
+    def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
+        """See `Codec`; map by map."""
+        tables, payload = _Tables.from_bytes(drop_ballast(body[:], target.shape), target.shape[0])
+        n_coeff, height, width, channels = target.shape
         bands = list_subbands(height, width, tables.levels)
         biases = (tables.biases[0] / BIAS_SCALE, tables.biases[1] / BIAS_SCALE)
         decoder, shared = Decoder(payload), Statistics()
-        planes = empty_planes(shape, device)
-        zeros = np.zeros((channels, height, width), np.int32)
-        for k in coding_order(tables.codes):
+        one = (1, height, width, channels)
+        for done, k in enumerate(coding_order(tables.codes)):
             code = int(tables.codes[k])
             if code == ABSENT:
-                dequantise_map(planes, k, zeros, 0.0, (0.0, 0.0), device)
+                target.put_maps(k, np.zeros(one, np.float32))
                 continue
             index = code_indices(decoder, statistics_for(code, shared), bands, (channels, height, width), None)
-            dequantise_map(planes, k, index, step_of(code), biases, device)
+            planes = empty_planes(one, device)
+            dequantise_map(planes, 0, index, step_of(code), biases, device)
+            scale_k = np.ldexp(np.float32(1.0), tables.exponents[k : k + 1])
+            target.put_maps(k, inverse_transform(planes, one, scale_k, tables.levels, device))
+            target.room.tell(done + 1, n_coeff)
         decoder.finish()
-        return inverse_transform(planes, shape, np.ldexp(np.float32(1.0), tables.exponents), tables.levels, device)
+        target.finish()
 
 
 @dataclass(frozen=True)

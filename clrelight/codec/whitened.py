@@ -6,21 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from clrelight.codec.factored import WhitenedMaps
-from clrelight.codec.finite import check_sums
 from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.noise import Noise
-from clrelight.codec.registry import Codec, codec_class, register
+from clrelight.codec.registry import Codec, PartsCodec, codec_class, register
+from clrelight.codec.streams import Body, BodyWriter, Source, Target, rest_of
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
 
 @register
 @dataclass(frozen=True)
-class Whitened(Codec):
+class Whitened(PartsCodec):
     """Coefficients in the metric of the hemisphere, ``z = S V' c`` (see `hemisphere_metric`), through another codec.
 
     Attributes
@@ -47,46 +44,63 @@ class Whitened(Codec):
             raise InputError(f"codec {self.codec} is whitened itself, choose another inside whitened")
         codec_class(self.codec).from_config(self.options)
 
-    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+    def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`; what the inner codec reports is passed on."""
-        inner = codec_class(self.codec).from_config(self.options)
-        body, info = inner.encode_body(_whiten(coeffs_khwc, device), device)
         name = self.codec.encode("ascii")
-        return bytes([len(name)]) + name + body, info
+        body.lead(bytes([len(name)]) + name)
+        return self._inner().encode_parts(_whiten(source), body)
 
-    def predict_noise(self, coeffs_khwc: NDArray[np.float32], device: Device) -> Noise | None:
+    def predict_noise(self, source: Source) -> Noise | None:
         """See `Codec`; the inner codec's, in whitened coordinates, where errors weigh the same in the image."""
-        inner = codec_class(self.codec).from_config(self.options)
-        noise = inner.predict_noise(_whiten(coeffs_khwc, device), device)
+        noise = self._inner().predict_noise(_whiten(source))
         if noise is None:
             return None
-        return Noise(noise.covariance_jj, hemisphere_metric(len(coeffs_khwc), "singular").inverse_kj @ noise.basis_kj)
+        return Noise(noise.covariance_jj, hemisphere_metric(source.shape[0], "singular").inverse_kj @ noise.basis_kj)
+
+    def _inner(self) -> Codec:
+        return codec_class(self.codec).from_config(self.options)
+
+    def bytes_to_encode(self, shape: tuple[int, int, int, int]) -> int:
+        """See `Codec`; the inner codec's."""
+        return self._inner().bytes_to_encode(shape)
 
     @classmethod
-    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+    def bytes_to_decode(cls, body: Body, shape: tuple[int, int, int, int]) -> int:
+        """See `Codec`; the inner codec's."""
+        inner, inside = _open(body)
+        return inner.bytes_to_decode(inside, shape)
+
+    @classmethod
+    def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
         """See `Codec`."""
-        return cls.decode_view(body, shape, device).to_coeffs(device)
+        inner, inside = _open(body)
+        inverse_kj = hemisphere_metric(target.shape[0], "singular").inverse_kj
+        inner.decode_parts(inside, target.mapped(inverse_kj, device), device)
 
     @classmethod
     def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> WhitenedMaps:
         """Return the whitened maps, which relight as they are."""
-        if not body or len(body) < 1 + body[0]:
-            raise PayloadError("a whitened body starts with the name of its codec, this one is too short")
-        try:
-            inner = codec_class(body[1 : 1 + body[0]].decode("ascii"))
-        except (InputError, UnicodeDecodeError):
-            raise PayloadError("a whitened body names a codec that is not known") from None
-        if inner.id in _NOT_INSIDE:
-            raise PayloadError(f"a whitened body cannot hold codec {inner.id}")
+        inner, inside = _open(body)
         inverse_kj = hemisphere_metric(shape[0], "singular").inverse_kj
-        maps = inner.decode_body(body[1 + body[0] :], (inverse_kj.shape[1], *shape[1:]), device)
-        return WhitenedMaps(maps, inverse_kj)
+        return WhitenedMaps(inner.decode_body(inside[:], (inverse_kj.shape[1], *shape[1:]), device), inverse_kj)
 
 
-def _whiten(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
-    # The same product as back, with the matrix that leads into the metric.
-    forward_jk = hemisphere_metric(len(coeffs_khwc), "singular").forward_jk
-    return check_sums(WhitenedMaps(coeffs_khwc, forward_jk).to_coeffs(device), device)
+def _whiten(source: Source) -> Source:
+    return source.remember("whitened", lambda: source.mapped(hemisphere_metric(source.shape[0], "singular").forward_jk))
+
+
+def _open(body: Body) -> tuple[type[Codec], Body]:
+    """Return the inner codec and its body, or PayloadError."""
+    length = body[:1][0] if len(body) else 0
+    if len(body) < 1 + length:
+        raise PayloadError("a whitened body starts with the name of its codec, this one is too short")
+    try:
+        inner = codec_class(body[1 : 1 + length].decode("ascii"))
+    except (InputError, UnicodeDecodeError):
+        raise PayloadError("a whitened body names a codec that is not known") from None
+    if inner.id in _NOT_INSIDE:
+        raise PayloadError(f"a whitened body cannot hold codec {inner.id}")
+    return inner, rest_of(body, 1 + length)
 
 
 _NOT_INSIDE = ("principal", "whitened", "klt")

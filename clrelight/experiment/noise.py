@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from clrelight.codec.metric import MAX_METRIC_DEGREE
 from clrelight.codec.noise import Noise, measure_image_error
@@ -24,13 +22,12 @@ def predicted_psnr(noise: Noise | None) -> dict[str, float]:
     }
 
 
-def coding_psnr(
-    noise: Noise | None, coeffs_khwc: NDArray[np.float32], decoded_khwc: NDArray[np.float32]
-) -> dict[str, float]:
+def coding_psnr(noise: Noise | None, coeffs_khwc: Any, decoded_khwc: Any) -> dict[str, float]:
     """Return how far the coding noise lies below the peak, in dB: as predicted, and ``coding_psnr`` as measured.
 
-    Infinite where nothing is lost, NaN beyond the degrees whose hemisphere can be computed.
+    Both are arrays in memory, or what is read some rows at a time. Infinite where nothing is lost, NaN beyond the
+    degrees whose hemisphere can be computed.
     """
-    known = degree_of(len(coeffs_khwc)) <= MAX_METRIC_DEGREE
+    known = degree_of(coeffs_khwc.shape[0]) <= MAX_METRIC_DEGREE
     measured = measure_image_error(coeffs_khwc, decoded_khwc) if known else math.nan
     return {**predicted_psnr(noise), "coding_psnr": float(psnr_of(measured))}

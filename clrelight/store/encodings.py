@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,11 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.registry import Encoded
+from clrelight.codec.streams import Body
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError, StoreFormatError
+from clrelight.store.fits import FitSink, create_fit
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import ENCODED
-from clrelight.store.writing import CHUNK_BYTES, config_text, drafting
+from clrelight.store.scratch import ScratchBody, ScratchRoom
+from clrelight.store.writing import CHUNK_BYTES, Draft, config_text, drafting
+
+_PIECE_BYTES = 4 * CHUNK_BYTES
+"""Of a payload that are copied at a time."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,23 @@ class FitRecord:
         )
 
 
+@contextmanager
+def create_decoded(path: str | os.PathLike, encoded: Encoded, record: FitRecord) -> Iterator[FitSink]:
+    """Write the fit of an encoding piece by piece, as `create_fit` does."""
+    with create_fit(
+        path,
+        degree=record.degree,
+        image_shape=encoded.shape[1:],
+        method=record.method,
+        peak=record.peak,
+        transfer=record.transfer,
+        directions_i3=record.directions_i3,
+        config=record.config,
+        name=record.name,
+    ) as sink:
+        yield sink
+
+
 def write_encoded(path: str | os.PathLike, encoded: Encoded, source: CoefficientMap) -> None:
     """Write encoded coefficients and the record of the fit they come from (its lambda and rank maps are not kept).
 
@@ -64,8 +88,7 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
     if tuple(encoded.shape) != tuple(source.coeffs_khwc.shape):
         raise InputError(f"the payload is of shape {encoded.shape}, its source of {source.coeffs_khwc.shape}")
     header = np.frombuffer(encoded.header(), np.uint8)
-    body = np.frombuffer(encoded.body, np.uint8)
-    with drafting(path, ENCODED, body.size + CHUNK_BYTES) as draft:
+    with drafting(path, ENCODED, encoded.encoded_bytes + CHUNK_BYTES) as draft:
         draft.attributes({"codec": encoded.codec, "config": config_text(encoded.config)})
         draft.attributes({"encoded_bytes": encoded.encoded_bytes})
         draft.attributes({"bits_per_coefficient": float(encoded.bits_per_coefficient)})
@@ -73,8 +96,16 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
         draft.attributes({"transfer": source.transfer, "name": source.name, "fit_config": config_text(source.config)})
         draft.dataset("directions", source.directions_i3, ("light", "xyz"))
         draft.dataset("header", header)
-        draft.dataset("payload", body, chunks=(min(body.size, CHUNK_BYTES),))
+        _write_payload(draft, encoded)
         draft.attributes({key: float(value) for key, value in sorted(encoded.info.items())}, of="payload")
+
+
+def _write_payload(draft: Draft, encoded: Encoded) -> None:
+    size = encoded.encoded_bytes
+    sink = draft.sink("payload", (size,), np.uint8, (), (min(size, CHUNK_BYTES),))
+    for start in range(0, size, _PIECE_BYTES):
+        end = min(start + _PIECE_BYTES, size)
+        sink[start:end] = np.frombuffer(encoded.body[start:end], np.uint8)
 
 
 def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
@@ -91,11 +122,41 @@ def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
         return encoded_of(opened)
 
 
-def encoded_of(opened: Opened) -> tuple[Encoded, FitRecord]:
-    """Return what an open file holds; StoreFormatError or InputError if it is not sound."""
+def stage_encoded(path: str | os.PathLike, room: ScratchRoom) -> tuple[Encoded, FitRecord]:
+    """Return what `read_encoded` does, a payload that is large for the room copied to a file; errors as of it."""
+    with opening(path, "encoded") as opened:
+        stored = opened.arrays["payload"]
+        body = None
+        if not room.holds(stored.size):
+            body = ScratchBody(room)
+            body.reserve(stored.size)
+            for start in range(0, stored.size, _PIECE_BYTES):
+                body.write(start, stored[start : start + _PIECE_BYTES])
+        with refusing(opened.path):
+            return encoded_of(opened, body)
+
+
+class StoredBody:
+    """The payload of an open file, read as it is sliced."""
+
+    def __init__(self, opened: Opened) -> None:
+        self._stored = opened.arrays["payload"]
+
+    def __len__(self) -> int:
+        return self._stored.size
+
+    def __getitem__(self, part: slice) -> bytes:
+        return self._stored[part].tobytes()
+
+
+def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRecord]:
+    """Return what an open file holds; StoreFormatError or InputError if it is not sound.
+
+    `body` is its payload, where that is read already.
+    """
     held = opened.attributes()
-    payload = opened.arrays["header"][...].tobytes() + opened.arrays["payload"][...].tobytes()
-    encoded = Encoded.from_bytes(payload)
+    body = opened.arrays["payload"][...].tobytes() if body is None else body
+    encoded = Encoded.from_parts(opened.arrays["header"][...].tobytes(), body)
     for name, value in (
         ("codec", encoded.codec),
         ("encoded_bytes", encoded.encoded_bytes),

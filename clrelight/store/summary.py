@@ -6,7 +6,7 @@ import math
 import os
 from typing import Any
 
-from clrelight.store.encodings import encoded_of
+from clrelight.store.encodings import StoredBody, encoded_of
 from clrelight.store.fits import fit_of
 from clrelight.store.lights import light_of
 from clrelight.store.opening import Opened, opening, parse_config, refusing
@@ -60,7 +60,7 @@ def _checked(opened: Opened) -> dict[str, Any]:
         case "fit":
             fit_of(opened, opened.arrays.get)
         case "encoded":
-            encoded, _ = encoded_of(opened)
+            encoded, _ = encoded_of(opened, StoredBody(opened))
             info = {key: value if math.isfinite(value) else None for key, value in encoded.info.items()}
             return {"shape": list(encoded.shape), "info": info}
         case "light":

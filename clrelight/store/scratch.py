@@ -1,0 +1,148 @@
+"""Files without a name: maps and payloads that memory should not hold, gone with the process whatever happens."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.streams import BodyWriter, BoundedRoom, Planes, Progress
+from clrelight.store.durable import Part, naming
+
+
+class Scratch:
+    """A file of a fixed size, written and read at any place.
+
+    Parameters
+    ----------
+    folder : path
+        Of what disk.
+    n_bytes : int
+        Reserved at once: InputError, where the disk has no room.
+    """
+
+    def __init__(self, folder: str | os.PathLike, n_bytes: int) -> None:
+        self._what = Path(os.fsdecode(folder), "(temporary file)")
+        with naming(self._what):
+            self._file = tempfile.TemporaryFile(prefix=".clrelight.", suffix=".part", dir=os.fsdecode(folder))  # noqa: SIM115
+            if n_bytes:
+                Part(self._what, self._file.fileno()).reserve(n_bytes)
+
+    def write(self, at: int, values: NDArray) -> None:
+        """Write a C-contiguous array's bytes."""
+        rest, descriptor = values.reshape(-1).view(np.uint8).data, self._file.fileno()
+        with naming(self._what):
+            while rest:
+                done = os.pwrite(descriptor, rest, at)
+                rest, at = rest[done:], at + done
+
+    def read_into(self, at: int, out: NDArray) -> None:
+        """Fill a C-contiguous array with the bytes that were written there."""
+        rest, descriptor = out.reshape(-1).view(np.uint8).data, self._file.fileno()
+        while rest:
+            done = os.preadv(descriptor, [rest], at)
+            if done == 0:
+                raise OSError(errno.EIO, f"{self._what} ends at byte {at}")
+            rest, at = rest[done:], at + done
+
+    def close(self) -> None:
+        """Give the disk its room back."""
+        self._file.close()
+
+
+class ScratchPlanes:
+    """`Planes` in a file, one map after another."""
+
+    def __init__(self, shape: tuple[int, ...], scratch: Scratch) -> None:
+        self.shape, self.dtype = shape, np.dtype(np.float32)
+        self._scratch = scratch
+        self._row_bytes = 4 * math.prod(shape[2:])
+        self._map_bytes = self._row_bytes * shape[1]
+
+    def put_maps(self, first: int, maps: NDArray[np.float32]) -> None:
+        """See `Planes`."""
+        self._scratch.write(first * self._map_bytes, maps)
+
+    def put_rows(self, first: int, rows: NDArray[np.float32]) -> None:
+        """See `Planes`."""
+        for k, rows_of_map in enumerate(rows):
+            self._scratch.write(k * self._map_bytes + first * self._row_bytes, rows_of_map)
+
+    def maps(self, first: int, end: int) -> NDArray[np.float32]:
+        """See `Planes`."""
+        found = np.empty((end - first, *self.shape[1:]), np.float32)
+        self._scratch.read_into(first * self._map_bytes, found)
+        return found
+
+    def read_rows_into(self, first: int, end: int, out: NDArray[np.float32]) -> None:
+        """See `Planes`."""
+        for k, rows_of_map in enumerate(out):
+            self._scratch.read_into(k * self._map_bytes + first * self._row_bytes, rows_of_map)
+
+
+class ScratchBody(BodyWriter):
+    """A codec's body in a file: written, then read by slices."""
+
+    def __init__(self, room: ScratchRoom) -> None:
+        super().__init__()
+        self._room, self._length = room, 0
+        self._scratch: Scratch | None = None
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, stop, _ = part.indices(self._length)
+        found = np.empty(max(stop - start, 0), np.uint8)
+        if self._scratch is not None and found.size:
+            self._scratch.read_into(start, found)
+        return found.tobytes()
+
+    def _allocate(self, n_bytes: int) -> None:
+        self._scratch, self._length = self._room.make_scratch(n_bytes), n_bytes
+
+    def _put(self, at: int, values_b: NDArray[np.uint8]) -> None:
+        if self._scratch is None:
+            raise ValueError("reserve a body's bytes before they are written")
+        self._scratch.write(at, values_b)
+
+
+class ScratchRoom(BoundedRoom):
+    """A bounded room whose intermediate maps lie in files; see `scratch_room`."""
+
+    def __init__(self, folder: str | os.PathLike, memory_bytes: int, progress: Progress | None = None) -> None:
+        super().__init__(memory_bytes, progress)
+        self._folder, self._files = folder, ExitStack()
+
+    def make_planes(self, shape: tuple[int, ...]) -> Planes:
+        """See `Room`."""
+        return ScratchPlanes(shape, self.make_scratch(4 * math.prod(shape)))
+
+    def make_scratch(self, n_bytes: int) -> Scratch:
+        """Return a file that lasts as long as the room."""
+        scratch = Scratch(self._folder, n_bytes)
+        self._files.callback(scratch.close)
+        return scratch
+
+    def close(self) -> None:
+        """Close all files."""
+        self._files.close()
+
+
+@contextmanager
+def scratch_room(
+    folder: str | os.PathLike, memory_bytes: int, progress: Progress | None = None
+) -> Iterator[ScratchRoom]:
+    """Lend a room that keeps to `memory_bytes`; what is put down in files in `folder` is gone when the block ends."""
+    room = ScratchRoom(folder, memory_bytes, progress)
+    try:
+        yield room
+    finally:
+        room.close()
