@@ -225,11 +225,16 @@ def decode(context: click.Context, encoded_file: str, out: str, memory: int, dev
                 progress_bar(f"decoding {encoded.codec}") as room.progress,
                 writing_behind(write) as put,
             ):
+
+                def hand_on(first: int, coeffs_khwc: NDArray[np.float32]) -> None:
+                    sink.sum_rows(first, coeffs_khwc, None, None)
+                    put((first, coeffs_khwc))
+
                 target = RowTarget(
                     encoded.shape,
                     opened,
                     Room() if fits(room, encoded.shape) else room,
-                    lambda first, coeffs_khwc: put((first, coeffs_khwc)),
+                    hand_on,
                     codec_id=encoded.codec,
                     row_step=sink.coeffs_khwc.chunks[1],
                 )
