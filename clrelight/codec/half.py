@@ -141,16 +141,6 @@ def check_not_vanishing(largest: float) -> None:
         )
 
 
-def overflow_error(coeffs_khwc: NDArray[np.float32], otherwise: str, first_row: int = 0) -> InputError:
-    """Return what says which of these coefficients, of rows from `first_row` on, is the first to overflow."""
-    k, row, column, channel = (int(i) for i in np.argwhere(np.abs(coeffs_khwc) >= OVERFLOW)[0])
-    return InputError(
-        f"coefficient (k, row, column, channel) = {(k, first_row + row, column, channel)} is "
-        f"{coeffs_khwc[k, row, column, channel]:g}, which binary16 cannot hold (|x| must be below {OVERFLOW:g}); "
-        f"fit with a constrained method, or {otherwise}"
-    )
-
-
 def convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, clamp: bool) -> bool:
     """Fill `out_p` from `values_p` with a kernel; return whether it refused a value."""
     refused = False
