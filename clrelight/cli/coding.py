@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 
 _MAX_DECIBELS = 1000.0
+_IN_PARTS = "half, s3tc, bc6h, uniform, wavelet and jpeg2000 take parts"
 _TARGET_HOLDS = 5
 """Times the bytes of a map that a search for a quality takes at least."""
 
@@ -119,9 +120,8 @@ def encode(
         shape = tuple(coefficients.coeffs_khwc.shape)
         since = time.perf_counter()
         if target_psnr is not None and stack is not None:
-            notes += check_memory(
-                "encoding to a quality by", codec, _TARGET_HOLDS * 4 * math.prod(shape), memory, asked
-            )
+            needed = _TARGET_HOLDS * 4 * math.prod(shape)
+            notes += check_memory(f"encoding to a quality by {codec}", needed, memory, asked, f"without it {_IN_PARTS}")
             _say(notes, as_json)
             coefficients = coefficients.to_float32()
             seconds["read"] = time.perf_counter() - since
@@ -137,7 +137,7 @@ def encode(
                 )
                 wanted[key] = value
             chosen = _choose(codec, basis, wanted).for_transfer(coefficients.transfer)
-            notes += check_memory("encoding by", chosen.id, chosen.bytes_to_encode(shape), memory, asked)
+            notes += check_memory(f"encoding by {chosen.id}", chosen.bytes_to_encode(shape), memory, asked, _IN_PARTS)
             _say(notes, as_json)
             told = []
             maps = take_source(coefficients, chosen, opened, room)
@@ -213,7 +213,7 @@ def decode(context: click.Context, encoded_file: str, out: str, memory: int, dev
     with scratch_room(Path(out).parent, memory) as room:
         encoded, record = stage_encoded(encoded_file, room)
         seconds["read"] = time.perf_counter() - since
-        notes = check_memory("decoding", encoded.codec, bytes_to_decode(encoded), memory, asked)
+        notes = check_memory(f"decoding {encoded.codec}", bytes_to_decode(encoded), memory, asked)
         _say(notes, as_json)
         with create_decoded(out, encoded, record) as sink:
 

@@ -20,15 +20,17 @@ def fits(room: ScratchRoom, shape: Shape) -> bool:
     return room.holds(4 * math.prod(shape))
 
 
-def check_memory(verb: str, codec: str, needed: int, memory: int, asked: bool) -> list[str]:
-    """Return what to say of a codec that needs more than the budget; InputError where the user set that."""
+def check_memory(work: str, needed: int, memory: int, asked: bool, otherwise: str = "") -> list[str]:
+    """Return what to say of work that needs more than the budget; InputError where the user set that.
+
+    It says what could be done `otherwise`, if anything.
+    """
     if needed <= memory:
         return []
-    text = f"{verb} {codec} holds whole maps, about {needed / 2**20:.0f} MiB"
+    text = f"{work} holds whole maps, about {needed / 2**20:.0f} MiB"
     if asked:
-        raise InputError(
-            f"{text}, more than --memory {memory}; half, s3tc, bc6h, uniform, wavelet and jpeg2000 take parts"
-        )
+        advice = f"; {otherwise}" if otherwise else ""
+        raise InputError(f"{text}, more than the {memory / 2**20:.3g} MiB of --memory{advice}")
     return [text]
 
 

@@ -222,7 +222,7 @@ class BoundedRoom(Room):
     """
 
     def __init__(self, memory_bytes: int, progress: Progress | None = None) -> None:
-        self._part_bytes = memory_bytes // PARTS
+        self._memory_bytes, self._part_bytes = memory_bytes, memory_bytes // PARTS
         self.progress = progress
 
     def part_rows(self, shape: Shape, multiple: int) -> int:
@@ -233,8 +233,8 @@ class BoundedRoom(Room):
         least = min(multiple, height)
         if rows < least:
             raise InputError(
-                f"{least} row(s) of these coefficients take {least * row_bytes} bytes, and {PARTS} times that is more "
-                f"than the memory budget {PARTS * self._part_bytes}"
+                f"{least} row(s) of these coefficients, {PARTS} times, take {PARTS * least * row_bytes} bytes, "
+                f"more than the memory budget {self._memory_bytes}"
             )
         return height if rows >= height else rows - rows % multiple
 
