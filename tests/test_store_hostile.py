@@ -131,7 +131,7 @@ def test_other_schemas_are_named(tmp_path):
     for kind, path in paths.items():
         for other in paths:
             if other != kind:
-                with pytest.raises(StoreFormatError, match=rf"is a {kind}/1 file, expected {other}/1"):
+                with pytest.raises(StoreFormatError, match=rf"is an? {kind}/1 file, expected {other}/1"):
                     content(other, path)
 
     def rename(text):

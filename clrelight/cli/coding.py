@@ -108,6 +108,8 @@ def encode(
     if byte_budget is not None and ("rate" in wanted or "step" in wanted):
         raise InputError("--bytes says the size already, leave out --rate and --step")
     codec = codec or ("klt" if basis == "klt" or byte_budget or target_psnr is not None else "s3tc")
+    if byte_budget is not None and not hasattr(codecs.codec_class(codec), "rate"):
+        raise InputError(f"--bytes: what {codec} takes follows from its options; klt, wavelet and jpeg2000 meet a size")
     if target_psnr is None and byte_budget is None:
         _choose(codec, basis, wanted)  # says what is wrong before the fit is read
     check_output(out, [fit_file] if stack is None else [fit_file, stack])

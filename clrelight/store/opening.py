@@ -85,7 +85,8 @@ class Opened:
             raise StoreFormatError(f"it is of the unknown schema {text[:80]!r}, expected {wanted}")
         schema = SCHEMAS[match[1]]
         if kinds and schema.kind not in kinds:
-            raise StoreFormatError(f"it is a {text} file, expected {wanted}")
+            article = "an" if text[0] in "aeiou" else "a"
+            raise StoreFormatError(f"it is {article} {text} file, expected {wanted}")
         if int(match[2]) > schema.version:
             raise StoreFormatError(f"{text} is newer than this program reads ({schema.name}): upgrade clrelight")
         return schema
