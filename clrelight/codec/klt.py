@@ -113,15 +113,19 @@ class Klt(Codec):
         """See `Codec`; the step chosen and the number of planes are reported."""
         if self.transfer != "srgb":
             return self._encode_as("linear", coeffs_khwc, device)
-        values_khwc, shape = code_values_of(coeffs_khwc, device), coeffs_khwc.shape
+        shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device)
+        there_and_back = code_value_error(radiance_of(values_khwc, device), coeffs_khwc, device)
         bent = self._encode_as("srgb", values_khwc, device)
+        del values_khwc  # as large as the map: room to decode in
         lost = code_value_error(self.decode_body(bent[0], shape, device), coeffs_khwc, device)
-        if lost > _CODED * code_value_error(radiance_of(values_khwc, device), coeffs_khwc, device):
+        if lost > _CODED * there_and_back:
             return bent
-        plain = self._encode_as("linear", coeffs_khwc, device)
-        return (
-            bent if lost < code_value_error(self.decode_body(plain[0], shape, device), coeffs_khwc, device) else plain
-        )
+        try:
+            plain = self._encode_as("linear", coeffs_khwc, device)
+        except InputError:  # the step or budget is none for this way
+            return bent
+        left = code_value_error(self.decode_body(plain[0], shape, device), coeffs_khwc, device)
+        return bent if lost < left else plain
 
     def _encode_as(
         self, transfer: str, coeffs_khwc: NDArray[np.float32], device: Device
