@@ -7,6 +7,7 @@ from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.codec.code_values import code_values_of, radiance_of
 from clrelight.codec.klt import Klt
+from clrelight.codec.klt_body import parse_head
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError, PayloadError
 from clrelight.store import write_stack
@@ -21,8 +22,9 @@ def dense_hemisphere():
 
 
 def srgb(linear):
-    """IEC 61966-2-1, straight on below 0."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    """IEC 61966-2-1, of magnitudes."""
+    size = np.abs(linear)
+    return np.sign(linear) * np.where(size <= 0.0031308, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055)
 
 
 def shaded_sphere(size=32, degree=4):
@@ -77,6 +79,25 @@ def test_code_values_are_better_at_equal_bytes(device):
         decoded = show(decode(encoded.to_bytes(), device))
         errors.append(np.mean((srgb(np.clip(decoded, 0, 1)) - shown) ** 2))
     assert 10 * np.log10(errors[0] / errors[1]) > 1.0
+
+
+def test_dark_and_negative_radiance_bend_alike(device):
+    coeffs = shaded_sphere(8)
+    np.testing.assert_array_equal(code_values_of(-coeffs, device), -code_values_of(coeffs, device))
+
+
+@pytest.mark.parametrize(("byte_budget", "better"), [(900, "srgb"), (6000, "linear")])
+def test_code_values_are_left_where_radiance_is_better(device, byte_budget, better):
+    # What a degree loses of the bent function is less than a small budget does, and more than a large one.
+    coeffs = shaded_sphere()
+    shown, errors, curves = srgb(np.clip(show(coeffs), 0, 1)), {}, {}
+    for transfer in ("linear", "srgb"):
+        encoded = encode(coeffs, Klt(byte_budget=byte_budget, transfer=transfer), device)
+        curves[transfer] = parse_head(encoded.body, encoded.shape).transfer
+        decoded = show(decode(encoded.to_bytes(), device))
+        errors[transfer] = np.mean((srgb(np.clip(decoded, 0, 1)) - shown) ** 2)
+    assert curves == {"linear": "linear", "srgb": better}
+    assert errors["srgb"] <= errors["linear"]
 
 
 def test_linear_is_what_nothing_said_means(device):

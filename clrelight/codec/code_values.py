@@ -23,6 +23,8 @@ from clrelight.matmul import multiply_columns
 
 _KEPT = 1e-3
 """Combinations of coefficients that an image shows less than this part of the most visible one are left at 0."""
+_LOOKED_AT = 1 << 12
+"""Pixels that errors are about measured at."""
 
 Curve = Callable[[NDArray[np.float32], type[np.floating]], NDArray]
 
@@ -32,8 +34,9 @@ def code_values_of(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[
 
     Radiance is evaluated at the nodes of a quadrature over the hemisphere that is exact for products of two functions
     of the degree, encoded, and projected back in the hemisphere's metric. More nodes would project better, but come
-    back worse: these few are nearly interpolated. Below 0 and above 1 the curve goes on, so that nothing is clipped and
-    `radiance_of` is near the inverse.
+    back worse: these few are nearly interpolated. Above 1 the curve goes on, and below 0 it is that of the magnitude,
+    so that nothing is clipped and `radiance_of` is near the inverse. (Straight on below 0 it would be steepest there,
+    and what a fit makes up between its lights would outweigh what they show.)
 
     InputError if a sum passes what float32 holds.
     """
@@ -48,6 +51,29 @@ def radiance_of(values_khwc: NDArray[np.float32], device: Device) -> NDArray[np.
     return _through(srgb_to_linear, values_khwc, device)
 
 
+def code_value_error(found_khwc: NDArray[np.float32], coeffs_khwc: NDArray[np.float32], device: Device) -> float:
+    """Return the mean squared error over the hemisphere of sRGB code values clipped to [0, 1].
+
+    NaN where something is. Of some of the pixels where there are many, and at other directions than the nodes of
+    `code_values_of`, which does best there.
+    """
+    n_coeff, channel = len(coeffs_khwc), coeffs_khwc.shape[-1]
+    degree = degree_of(n_coeff)
+    directions_i3, weight_i = _quadrature(degree + 1)
+    synthesis_ik = evaluate_basis(directions_i3, degree)
+    n_pixel = coeffs_khwc[0, ..., 0].size
+    some = slice(0, None, -(-n_pixel // _LOOKED_AT) | 1)  # odd, to leave no column of an image out
+
+    def show(maps_khwc: NDArray[np.float32]) -> NDArray:
+        chosen_kp = np.ascontiguousarray(maps_khwc.reshape(n_coeff, -1, channel)[:, some]).reshape(n_coeff, -1)
+        shown_ip = multiply_columns(device, synthesis_ik, chosen_kp)
+        return linear_to_srgb(np.clip(shown_ip, 0.0, 1.0, out=shown_ip), np.float32)
+
+    error_ip = show(found_khwc) - show(coeffs_khwc)
+    squared_i = np.einsum("ip,ip->i", error_ip, error_ip, dtype=np.float64) / error_ip.shape[1]
+    return float(weight_i @ squared_i / weight_i.sum())
+
+
 def _through(curve: Curve, coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
     synthesis_ik, analysis_ki = _transforms(len(coeffs_khwc))
     source_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
@@ -55,7 +81,7 @@ def _through(curve: Curve, coeffs_khwc: NDArray[np.float32], device: Device) -> 
     for columns in slabs(source_kp.shape[1], 4 * len(synthesis_ik)):
         shown_ip = multiply_columns(device, synthesis_ik, np.ascontiguousarray(source_kp[:, columns]))
         with np.errstate(over="ignore", invalid="ignore"):
-            curved_ip = np.ascontiguousarray(curve(shown_ip, np.float32))
+            curved_ip = np.copysign(curve(np.abs(shown_ip), np.float32), shown_ip)
         result_kp[:, columns] = multiply_columns(device, analysis_ki, curved_ip)
     return result_kp.reshape(coeffs_khwc.shape)
 
@@ -63,16 +89,20 @@ def _through(curve: Curve, coeffs_khwc: NDArray[np.float32], device: Device) -> 
 @functools.lru_cache(maxsize=4)
 def _transforms(n_coeff: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what evaluates coefficients at the nodes (n_node, n_coeff), and what projects values there back."""
-    degree = degree_of(n_coeff)
-    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
-    n_azimuth = 2 * degree + 1
-    z, azimuth = np.meshgrid((nodes + 1.0) / 2.0, 2.0 * np.pi * np.arange(n_azimuth) / n_azimuth, indexing="ij")
-    radius = np.sqrt(1.0 - z * z)
-    directions_i3 = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1).reshape(-1, 3)
-    weight_i = np.repeat(weights / 2.0 * (2.0 * np.pi / n_azimuth), n_azimuth)
-    synthesis_ik = evaluate_basis(directions_i3, degree)
+    directions_i3, weight_i = _quadrature(degree_of(n_coeff))
+    synthesis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))
     metric = hemisphere_metric(n_coeff, "singular")
     shown_j = np.linalg.norm(metric.forward_jk, axis=1)
     inverse_kj = metric.inverse_kj[:, shown_j > _KEPT * shown_j.max()]
     # The columns of synthesis inverse are orthonormal functions on the hemisphere.
     return synthesis_ik, inverse_kj @ (synthesis_ik @ inverse_kj).T * weight_i
+
+
+def _quadrature(degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return directions (n_node, 3) and solid angles (n_node,), exact for products of two functions of the degree."""
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    n_azimuth = 2 * degree + 1
+    z, azimuth = np.meshgrid((nodes + 1.0) / 2.0, 2.0 * np.pi * np.arange(n_azimuth) / n_azimuth, indexing="ij")
+    radius = np.sqrt(1.0 - z * z)
+    directions_i3 = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1).reshape(-1, 3)
+    return directions_i3, np.repeat(weights / 2.0 * (2.0 * np.pi / n_azimuth), n_azimuth)
