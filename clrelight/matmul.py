@@ -17,8 +17,8 @@ COLUMN_PADDING = 16
 _CHUNK = 256
 _DEPTH = 64
 _MAX_TILE = 256
-_ROW_TILE = 2048
-"""Columns that a work-item makes of a single row: it reads each row of the source in stretches of a page or two."""
+_FEW_ROWS, _FEW_ROWS_SUMS = 4, 4096
+"""Most rows that are summed at once, and sums that a work-item then keeps: it reads the source page by page."""
 _SAMPLE_TYPES = {"uint8": "uchar", "uint16": "ushort", "float16": "half", "float32": "float", "float64": "double"}
 _FLOAT32 = np.dtype(np.float32)
 
@@ -160,17 +160,18 @@ def apply_operator(
         launch_matmul(device, arrays, scale, out_mq.shape, source_ip.shape, defines)
         return
     is_plain = source_ip.dtype.kind == "f" and not defines["CURVE"] and not with_energy
-    if out_mq.shape[0] == 1 and is_plain and real == np.float32:
+    if out_mq.shape[0] <= _FEW_ROWS and is_plain and real == np.float32:
+        columns = _FEW_ROWS_SUMS // max(2, out_mq.shape[0]) // 8 * 8
         device.launch(
-            "one_row.cl",
-            "apply_row_mq",
-            (-(-out_mq.shape[1] // _ROW_TILE),),
+            "few_rows.cl",
+            "apply_few_rows_mq",
+            (-(-out_mq.shape[1] // columns),),
             out_mq,
             source_ip,
             operator.packed_o,
-            out_mq.shape[1],
+            *out_mq.shape,
             *source_ip.shape,
-            defines={**sample_defines(source_ip.dtype), "TILE": _ROW_TILE},
+            defines={**sample_defines(source_ip.dtype), "ROWS": out_mq.shape[0], "TILE": columns},
         )
         return
     tile = tile_defines(device, real)

@@ -21,6 +21,8 @@ _SEGMENT, _GROUP = 4096, 256
 """Columns that a GPU's group sums, and its work-items."""
 _TILE_BYTES = 1 << 24
 """Coefficients and relit images of one tile of rows."""
+_IN_PLACE = 16
+"""Times as much is taken at a time of arrays that are in memory: nothing is copied."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +87,16 @@ def measure_errors(
     total_i = np.zeros(stack.n_light)
     dtype = np.dtype(coefficients.coeffs_khwc.dtype)
     column_bytes = 4 * stack.n_light + dtype.itemsize * coefficients.n_coeff
-    step = max(1, _TILE_BYTES // (column_bytes * width * channel))
+    whole = _arrays_in_place(device, coefficients, stack)
+    step = max(1, _TILE_BYTES * (1 if whole is None else _IN_PLACE) // (column_bytes * width * channel))
     tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
     coeffs_of, samples_of = (itertools.cycle([Buffer(), Buffer()]) for _ in range(2))
     sum_tile = _SumOfErrors(device, basis, stack)
-    whole = _arrays_in_place(device, coefficients, stack)
+
+    def weigh(rows: slice) -> NDArray[np.float32]:
+        return np.repeat(mask_hw[rows].astype(np.float32).ravel(), channel)
+
+    every_p = None if whole is None else weigh(slice(0, height))
 
     def read(rows: tuple[int, int]) -> tuple[NDArray, NDArray]:
         if whole is not None:
@@ -103,9 +110,8 @@ def measure_errors(
     with reading_ahead(read, tiles) as pieces:
         for (first, end), (coeffs_khwc, samples_ihwc) in zip(tiles, pieces, strict=True):
             held = slice(0, height) if whole is not None else slice(first, end)
-            weight_p = np.repeat(mask_hw[held].ravel(), channel).astype(np.float32)
             columns = slice((first - held.start) * width * channel, (end - held.start) * width * channel)
-            total_i += sum_tile(coeffs_khwc, samples_ihwc, weight_p, columns)
+            total_i += sum_tile(coeffs_khwc, samples_ihwc, weigh(held) if every_p is None else every_p, columns)
             if progress is not None:
                 progress(end, height)
     return total_i / count

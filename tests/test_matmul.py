@@ -114,14 +114,28 @@ def test_any_number_of_columns_on_a_gpu(device, n_out, columns):
 @both_styles
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
 @pytest.mark.parametrize("n_in", [1, 7, 8, 9, 49, 257])
-def test_one_row_as_relighting_by_one_light(device, n_in, dtype):
+@pytest.mark.parametrize("n_out", [1, 2, 3, 4])
+def test_few_rows_as_in_relighting_by_one_light(device, n_in, n_out, dtype):
     rng = np.random.default_rng(n_in)
-    operator, source = rng.standard_normal((1, n_in)), make_samples(rng, dtype, (n_in, 2048 + 2049))
+    operator, source = rng.standard_normal((n_out, n_in)), make_samples(rng, dtype, (n_in, 2048 + 2049))
     exact = operator.astype(np.float32).astype(np.float64)
     whole, _ = apply(device, operator, source)
     allowed = UNIT * additions(n_in) * (np.abs(exact) @ source.astype(np.float64))
     assert (np.abs(whole - exact @ source.astype(np.float64)) <= allowed).all()
-    for columns in (1, 15, 16, 17, 2047, 2048, 2049, 2071):  # about a vector's width, and a tile's
+    for columns in (
+        1,
+        15,
+        16,
+        17,
+        1023,
+        1025,
+        1360,
+        1361,
+        2047,
+        2048,
+        2049,
+        2071,
+    ):  # about a vector's width, and a tile's
         part = np.ascontiguousarray(source[:, :columns])
         out, _ = apply(device, operator, part, columns=pad_columns(columns))
         np.testing.assert_array_equal(out[:, :columns], whole[:, :columns])

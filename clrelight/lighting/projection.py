@@ -24,6 +24,8 @@ METHODS = ("auto", "direct", "separable")
 
 _BLOCK = 256
 _FFT_THREADS = 2
+_FEW_ORDERS = 5
+"""Orders up to which a product with their waves takes less time than an FFT."""
 _LOBE_ROWS_PER_DEGREE, _FEWEST_LOBE_ROWS = 4, 64
 
 
@@ -74,9 +76,9 @@ def project_latlong(
 ) -> NDArray[np.float64]:
     """Project a lat-long map with sums over azimuth first, then over rows (frequency-space-environment-maps, 6.1).
 
-    ``L_m(theta) = integral L e^(-i m phi) dphi`` is one FFT per row in the map's precision; ``L_lm`` then sums rows in
-    float64 with Fejer's weights. Radiance band-limited to `degree` comes back exactly from 2 degree + 1 rows and
-    columns on.
+    ``L_m(theta) = integral L e^(-i m phi) dphi`` is one FFT per row, or of few orders m one matrix product, in the
+    map's precision; ``L_lm`` then sums rows in float64 with Fejer's weights. Radiance band-limited to `degree` comes
+    back exactly from 2 degree + 1 rows and columns on.
 
     Parameters
     ----------
@@ -92,8 +94,8 @@ def project_latlong(
     axes = np.eye(3) if matrix is None else matrix
     height, width, channel = radiance_hwc.shape
     plan = _latlong_plan(height, degree)
-    spectrum_hmc = scipy.fft.rfft(radiance_hwc, axis=1, workers=_FFT_THREADS)[:, : degree + 1]
-    m = np.arange(spectrum_hmc.shape[1])  # fewer than degree + 1 where the map has few columns
+    spectrum_hmc = _sum_azimuths(radiance_hwc, min(degree, width // 2) + 1)  # few columns have few orders
+    m = np.arange(spectrum_hmc.shape[1])
     # The sum over columns of L e^(i m phi), phi = longitude_azimuths, in the view's axes ...
     first, step = layouts.longitude_azimuths(width)[0], 2.0 * np.pi / width
     turn_m = np.exp(1j * m * first) * step
@@ -111,6 +113,24 @@ def project_latlong(
         if order:
             coeffs_kc[plan.index_ml[order][1]] = sums_lx[:, channel:]
     return coeffs_kc
+
+
+def _sum_azimuths(radiance_hwc: NDArray[np.floating], orders: int) -> NDArray[np.complexfloating]:
+    """Return ``sum_x L e^(-2 pi i m x / width)`` for m = 0 .. orders - 1, shape (height, orders, channel)."""
+    if orders > _FEW_ORDERS:
+        return scipy.fft.rfft(radiance_hwc, axis=1, workers=_FFT_THREADS)[:, :orders]
+    height, width, channel = radiance_hwc.shape
+    waves_xn = _waves(width, orders, channel, radiance_hwc.dtype)
+    cosine, sine = np.moveaxis((radiance_hwc.reshape(height, -1) @ waves_xn).reshape(height, 2, orders, channel), 1, 0)
+    return cosine - 1j * sine
+
+
+@functools.lru_cache(maxsize=2)
+def _waves(width: int, orders: int, channel: int, dtype: np.dtype) -> NDArray[np.floating]:
+    """Return cosines and sines as a matrix that sums every channel of a row of texels by itself, in one product."""
+    angle_xm = 2.0 * np.pi / width * np.outer(np.arange(width), np.arange(orders))
+    waves_xm = np.concatenate([np.cos(angle_xm), np.sin(angle_xm)], axis=1)
+    return np.kron(waves_xm, np.eye(channel)).astype(dtype)
 
 
 @dataclass(frozen=True)

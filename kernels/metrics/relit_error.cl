@@ -36,6 +36,12 @@
 #define LOAD_COEFF8(pointer) AT(__global const, float8, pointer)
 #endif
 
+#if VECTOR == 16
+#define LOAD_WEIGHTS(p) (vecf)(AT(__global const, float8, p), AT(__global const, float8, (p) + 8))
+#else
+#define LOAD_WEIGHTS(p) AT(__global const, float8, p)
+#endif
+
 /* NaN stays NaN. */
 #define CLIP(x) ((x) < 0.0f ? 0.0f : (x) > 1.0f ? 1.0f : (x))
 
@@ -50,31 +56,30 @@ static float display_value(const float radiance)
 }
 
 /* Sum of weight (a - b)^2 over count columns of one light. */
-static float sum_errors(__local const float *relit, __global const SAMPLE_T *source, __global const float *weight,
+INLINE float sum_errors(__local const vecf *relit, __global const SAMPLE_T *source, __global const float *weight,
                         const float scale, const int count)
 {
     int c = 0;
     float sum = 0.0f;
 #if !ENCODE
     if (count == TILE) {
-        float given[TILE];
-        float8 sums = 0.0f;
+        vecf given[TILE_VECTORS];
+        vecf sums = 0.0f;
 #if SAMPLE_HALF
-        for (; c < TILE; c += 8) AT(, float8, given + c) = scale * LOAD_SAMPLE8(source, c);
+        for (; c < TILE; c += 8) AT(, float8, (float *)given + c) = scale * LOAD_SAMPLE8(source, c);
 #else
         /* A loop of fixed length without calls: compilers vectorise it with the conversion. */
-        for (; c < TILE; c++) given[c] = scale * LOAD_SAMPLE(source, c);
+        for (; c < TILE; c++) ((float *)given)[c] = scale * LOAD_SAMPLE(source, c);
 #endif
-        for (c = 0; c < TILE; c += 8) {
-            const float8 a = AT(__local const, float8, relit + c), b = AT(const, float8, given + c);
-            const float8 d = CLIP(a) - CLIP(b);
-            sums += AT(__global const, float8, weight + c) * d * d;
+        for (int v = 0; v < TILE_VECTORS; v++) {
+            const vecf d = CLIP(relit[v]) - CLIP(given[v]);
+            sums += LOAD_WEIGHTS(weight + v * VECTOR) * d * d;
         }
-        sum = sums.s0 + sums.s1 + sums.s2 + sums.s3 + sums.s4 + sums.s5 + sums.s6 + sums.s7;
+        for (int lane = 0; lane < VECTOR; lane++) sum += ((const float *)&sums)[lane];
     }
 #endif
     for (; c < count; c++) {
-        const float d = display_value(relit[c]) - CLIP(scale * LOAD_SAMPLE(source, c));
+        const float d = display_value(((__local const float *)relit)[c]) - CLIP(scale * LOAD_SAMPLE(source, c));
         sum += weight[c] * d * d;
     }
     return sum;
@@ -118,9 +123,8 @@ __kernel void sum_relit_error_mn(__global float *restrict error_mn, __global con
             apply_block(height, tile, operator + k0 * height, rows, sums, k0 == 0);
         }
         for (int r = 0; r < height; r++, m++)
-            error_mn[(long)m * size_n + n] = sum_errors((__local const float *)(sums + r * TILE_VECTORS),
-                                                        source_mp + (long)m * size_p + column, weight_p + column,
-                                                        scale, count);
+            error_mn[(long)m * size_n + n] = sum_errors(sums + r * TILE_VECTORS, source_mp + (long)m * size_p + column,
+                                                        weight_p + column, scale, count);
         operator += (long)height * size_k;
     }
 }
