@@ -257,6 +257,14 @@ def parts_of(count: int, step: int) -> list[slice]:
     return [slice(start, min(start + step, count)) for start in range(0, count, step)]
 
 
+def _row_parts(room: Room, shape: Shape, multiple: int, row_step: int) -> list[slice]:
+    """Return the rows of each part, which begin at a multiple of `multiple`, and of `row_step` where there is room."""
+    step, together = room.part_rows(shape, multiple), math.lcm(multiple, row_step)
+    if together <= step < shape[1]:
+        step -= step % together
+    return parts_of(shape[1], step)
+
+
 class Source(ABC):
     """Finite float32 coefficients to encode.
 
@@ -282,12 +290,7 @@ class Source(ABC):
     @contextmanager
     def rows(self, multiple: int = 1) -> Iterator[Iterator[tuple[int, NDArray[np.float32]]]]:
         """Lend all rows in parts, each with its first row, which is a multiple of `multiple`."""
-        height = self.shape[1]
-        step = self.room.part_rows(self.shape, multiple)
-        together = math.lcm(multiple, self.row_step)
-        if together <= step < height:
-            step -= step % together
-        parts = parts_of(height, step)
+        height, parts = self.shape[1], _row_parts(self.room, self.shape, multiple, self.row_step)
         with reading_ahead(lambda part: self.read_rows(part.start, part.stop), parts) as read:
 
             def told() -> Iterator[tuple[int, NDArray[np.float32]]]:
@@ -407,11 +410,7 @@ class Target(ABC):
 
     def row_parts(self, multiple: int = 1) -> list[slice]:
         """Return the rows to put together, each part beginning at a multiple of `multiple`."""
-        step = self.room.part_rows(self.shape, multiple)
-        together = math.lcm(multiple, self.row_step)
-        if together <= step < self.shape[1]:
-            step -= step % together
-        return parts_of(self.shape[1], step)
+        return _row_parts(self.room, self.shape, multiple, self.row_step)
 
     @abstractmethod
     def put_rows(self, first: int, coeffs_khwc: NDArray[np.float32]) -> None:
