@@ -7,6 +7,7 @@ import importlib.metadata
 import os
 import signal
 import threading
+import warnings
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +19,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from clrelight.errors import DeviceError, KernelBuildError
 from clrelight.kernel_source import read_kernel_source
+from clrelight.opencl.drivers import leave_out_drivers
+from clrelight.opencl.kernel_cache import KernelCache, own_folder
+from clrelight.opencl.probe import WIDTHS, Verdict, judge_device, machine_identity
 
 DEVICE_VARIABLE = "CLRELIGHT_DEVICE"
 STYLE_VARIABLE = "CLRELIGHT_KERNELS"
@@ -64,13 +68,18 @@ class DeviceInfo:
     local_memory_bytes : int
         Local memory of one work-group.
     vector_width : int
-        Native float vector width.
+        Native float vector width, as the driver reports it.
     packaged : bool
         Whether this is the PoCL that came from the Python package index.
     default : bool
-        Whether it is taken when none is asked for.
+        Whether it is taken when none is asked for; known of devices that `list_devices` gives.
     style : str
         Which kernels it gets, one of `STYLES`: by its kind, unless forced.
+    lanes : int
+        Floats in a vector of its kernels, one of `WIDTHS`: what a test found sound and fastest, unless forced; 0 where
+        nothing is sound, or nobody has looked yet.
+    fault : str
+        Why it is not used; empty for a sound device.
     """
 
     index: int
@@ -87,13 +96,22 @@ class DeviceInfo:
     packaged: bool
     default: bool = False
     style: str = "cpu"
+    lanes: int = 0
+    fault: str = ""
+
+    @property
+    def identity(self) -> str:
+        """What tells one build of a driver and its device from another."""
+        packaged = _packaged_version() if self.packaged else ""
+        return "\0".join([self.platform, self.version, self.driver, self.name, packaged])
 
     @property
     def label(self) -> str:
         """Name and driver in one string, as tables and files record it; its kernels too where forced."""
         # PoCL appends its build options to the version.
         forced = "" if self.style == style_of(self.kind) else f", {self.style} kernels"
-        return f"{self.name} ({self.version.split('  ')[0]}, driver {self.driver}{forced})"
+        lanes = f", {self.lanes} lanes" if self.style == "cpu" and self.lanes else ""
+        return f"{self.name} ({self.version.split('  ')[0]}, driver {self.driver}{lanes}{forced})"
 
 
 @dataclass(frozen=True)
@@ -111,38 +129,48 @@ def style_of(kind: str) -> str:
     return "gpu" if kind == "gpu" else "cpu"
 
 
-def list_devices() -> list[DeviceInfo]:
-    """Return every OpenCL device; empty where there is no driver. The default one has ``default=True``.
+def list_devices(*, again: bool = False) -> list[DeviceInfo]:
+    """Return every OpenCL device, each tested; empty where there is no driver. The default one has ``default=True``.
+
+    Parameters
+    ----------
+    again : bool
+        Test them anew, whatever is known of them.
 
     Raises
     ------
     DeviceError
         If ``CLRELIGHT_KERNELS`` holds an unknown style.
     """
-    return [_in_style(info, None) for info, _ in _devices()]
+    infos = [_judged(_in_style(info, None), again=again) for info, _ in _devices()]
+    first = next((index for index in _preference(infos) if not infos[index].fault), None)
+    return [replace(info, default=info.index == first) for info in infos]
 
 
 def open_device(spec: str | None = None, *, style: str | None = None) -> Device:
-    """Return the device that `spec`, else ``CLRELIGHT_DEVICE``, names; one object per device, style and thread.
+    """Return the device that `spec`, else ``CLRELIGHT_DEVICE``, names; one object per device, style, width and thread.
 
     Parameters
     ----------
     spec : str, optional
-        An index of `list_devices`, ``"gpu"``, ``"cpu"``, ``"pocl"``, or a part of a device's name. Default:
-        a GPU if there is one, else the packaged PoCL, else the first device.
+        An index of `list_devices`, ``"gpu"``, ``"cpu"``, ``"pocl"``, or a part of a device's name; default: the first
+        that computes soundly of the GPUs, the packaged PoCL, and the others. With ``@4``, ``@8`` or ``@16`` behind it,
+        or these alone, its kernels get so many lanes, and nobody asks whether that is sound.
     style : str, optional
         One of `STYLES`. Default: ``CLRELIGHT_KERNELS`` where it is set, else by the kind of the device.
 
     Raises
     ------
     DeviceError
-        If there is no device, or none fits, or the style is unknown.
+        If there is no device, or none fits, or it is not sound, or the style is unknown; in a process forked from
+        one that used OpenCL, whose drivers' threads are not there.
     """
     info = _choose(spec, style)
     opened = _local_cache("opened")
-    if (info.index, info.style) not in opened:
-        opened[info.index, info.style] = Device(info, _devices()[info.index][1])
-    return opened[info.index, info.style]
+    key = (info.index, info.style, info.lanes)
+    if key not in opened:
+        opened[key] = Device(info, _devices()[info.index][1])
+    return opened[key]
 
 
 def make_device(spec: str, *, style: str) -> Device:
@@ -156,11 +184,59 @@ def make_device(spec: str, *, style: str) -> Device:
 
 def _choose(spec: str | None, style: str | None) -> DeviceInfo:
     asked = spec if spec is not None else os.environ.get(DEVICE_VARIABLE)
-    devices = _devices()
-    if not devices:
-        raise DeviceError(f"no OpenCL device found; {_INSTALL_HINT}")
-    index = _match(asked, [info for info, _ in devices], "" if spec is not None else f" ({DEVICE_VARIABLE})")
-    return _in_style(devices[index][0], style)
+    source = "" if spec is not None else f" ({DEVICE_VARIABLE})"
+    wanted, lanes = _split_lanes(asked or "", source)
+    _check_process()
+    infos = [_in_style(info, style) for info, _ in _devices()]
+    if not infos:
+        left_out = "".join(f"; {file}: {fault}" for file, fault in leave_out_drivers().items())
+        raise DeviceError(f"no OpenCL device found; {_INSTALL_HINT}{left_out}")
+    if lanes:
+        return replace(infos[_match(wanted, infos, source)], lanes=lanes)
+    if wanted:
+        info = _judged(infos[_match(wanted, infos, source)])
+        if info.fault:
+            others = f"; choose another with --device or {DEVICE_VARIABLE}: see clrelight devices"
+            raise DeviceError(f"{info.name} ({info.driver}) is not sound: it {info.fault}{others}")
+        return info
+    judged = []
+    for index in _preference(infos):
+        judged.append(_judged(infos[index]))
+        if not judged[-1].fault:
+            return judged[-1]
+    faults = "; ".join(f"{info.index}: {info.name} ({info.driver}) {info.fault}" for info in judged)
+    raise DeviceError(f"no OpenCL device computes soundly: {faults}; another driver may: {_INSTALL_HINT}")
+
+
+def _split_lanes(asked: str, source: str) -> tuple[str, int]:
+    """Return the words before an ``@`` and the lanes behind it, 0 where there is none."""
+    wanted, at, lanes = asked.strip().rpartition("@")
+    if not at:
+        return lanes, 0
+    if lanes not in map(str, WIDTHS):
+        raise DeviceError(f"lanes of a device{source} must be one of {', '.join(map(str, WIDTHS))}, got {asked!r}")
+    return wanted, int(lanes)
+
+
+def _preference(infos: list[DeviceInfo]) -> list[int]:
+    """Return the indices of devices, the one to take first in front: GPUs, then the PoCL that we test, then others."""
+    return [info.index for info in sorted(infos, key=lambda i: (i.kind != "gpu", not i.packaged, i.index))]
+
+
+def _judged(info: DeviceInfo, *, again: bool = False) -> DeviceInfo:
+    """Return what is known of a device with its lanes or its fault, by a test where nothing is known."""
+    key = (info.index, info.style)
+    if again or key not in _verdicts:
+        with _judging:
+            if again or key not in _verdicts:
+                _verdicts[key] = judge_device(
+                    info.name, info.identity, info.index, info.vector_width, info.style, again=again
+                )
+    return replace(info, lanes=_verdicts[key].lanes, fault=_verdicts[key].fault)
+
+
+_verdicts: dict[tuple[int, str], Verdict] = {}
+_judging = threading.Lock()
 
 
 def _in_style(info: DeviceInfo, style: str | None) -> DeviceInfo:
@@ -173,7 +249,7 @@ def _in_style(info: DeviceInfo, style: str | None) -> DeviceInfo:
 def _match(asked: str | None, infos: list[DeviceInfo], source: str = "") -> int:
     """Return the index of the device asked for; `source` tells the user where an unknown name came from."""
     if asked is None or asked == "":
-        return next(info.index for info in infos if info.default)
+        return _preference(infos)[0]
     wanted = asked.strip().lower()
     if wanted.isdigit():
         found = [info.index for info in infos if info.index == int(wanted)]
@@ -192,10 +268,13 @@ def _match(asked: str | None, infos: list[DeviceInfo], source: str = "") -> int:
 
 @functools.cache
 def _devices() -> list[tuple[DeviceInfo, Any]]:
-    import pyopencl as cl
-
+    leave_out_drivers()
+    global _first_process
+    _first_process = os.getpid()
     found: list[tuple[DeviceInfo, Any]] = []
-    with _interrupts_wait():
+    with own_folder(), _interrupts_wait():
+        import pyopencl as cl
+
         try:
             platforms = cl.get_platforms()
         except cl.Error:
@@ -207,11 +286,20 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
                 continue
             for device in devices:
                 found.append((_describe(cl, len(found), platform, device), device))
-    if found:
-        infos = [info for info, _ in found]
-        best = min(infos, key=lambda i: (i.kind != "gpu", not i.packaged, i.index))
-        found[best.index] = (replace(best, default=True), found[best.index][1])
     return found
+
+
+_first_process = 0
+"""The process that loaded the drivers, 0 before."""
+
+
+def _check_process() -> None:
+    """Refuse to use OpenCL where it would wait for ever: threads of drivers do not survive a fork."""
+    if _first_process and _first_process != os.getpid():
+        raise DeviceError(
+            "OpenCL was used before this process was forked, and its drivers do not survive that: start workers with "
+            "multiprocessing.get_context('spawn') or 'forkserver', or open devices only in the child"
+        )
 
 
 def _describe(cl: Any, index: int, platform: Any, device: Any) -> DeviceInfo:
@@ -237,14 +325,20 @@ def _describe(cl: Any, index: int, platform: Any, device: Any) -> DeviceInfo:
 
 
 def _is_packaged_pocl(platform_version: str) -> bool:
+    # The wheel's own libpocl is named to the loader by pyopencl; a system PoCL has another version.
+    version = _packaged_version()
+    return bool(version) and f"PoCL {version}" in platform_version
+
+
+@functools.cache
+def _packaged_version() -> str:
+    """Return the version of the PoCL that came from the Python package index, empty where there is none."""
     for package in ("pocl-binary-distribution", "pocl_binary_distribution"):
         try:
-            version = importlib.metadata.version(package)
+            return importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             continue
-        # The wheel's own libpocl is named to the loader by pyopencl; a system PoCL has another version.
-        return f"PoCL {version}" in platform_version
-    return False
+    return ""
 
 
 _threads = threading.local()
@@ -269,9 +363,12 @@ class Device:
             self._context = cl.Context([device])
             self._queue = cl.CommandQueue(self._context)
         # A driver that is still compiling when the program ends complains on stderr, or worse.
-        weakref.finalize(self, self._queue.finish)
+        weakref.finalize(self, _finish_queue, self._queue, os.getpid())
+        self._cache = KernelCache("\0".join([info.identity, machine_identity()]))
         self._kernels: dict[tuple, tuple[Any, list[tuple[str, str]]]] = {}
-        self._programs: dict[tuple, Any] = {}
+        self._programs: dict[tuple, tuple[Any, str]] = {}
+        self._launched: set[tuple] = set()
+        self._unsealed: set[str] = set()
         # A queued kernel may use host memory that nothing else refers to: keep it until the queue is empty.
         self._in_flight: list[Any] = []
 
@@ -287,6 +384,7 @@ class Device:
 
     def upload(self, array: NDArray) -> DeviceArray:
         """Return `array` for kernels to read; on a CPU its memory is used in place and must not change."""
+        _check_process()
         if not array.flags.c_contiguous:
             raise ValueError(f"expected a C-contiguous array, got strides {array.strides} for shape {array.shape}")
         if array.size == 0:
@@ -301,6 +399,7 @@ class Device:
 
         `host`, when given, is a C-contiguous array of that shape and type; a CPU device writes straight into it.
         """
+        _check_process()
         dtype = np.dtype(dtype)
         size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
         if size == 0:
@@ -328,8 +427,12 @@ class Device:
 
     def finish(self) -> None:
         """Wait until everything launched has ended."""
+        _check_process()
         self._queue.finish()
         self._in_flight.clear()
+        if self._unsealed:
+            self._cache.seal(self._unsealed)
+            self._unsealed = set()
 
     def launch(
         self,
@@ -366,19 +469,29 @@ class Device:
         KernelBuildError
             If the program does not build.
         """
-        compiled, parameters = self._kernel(file, kernel, dict(defines or {}))
+        _check_process()
+        defines = dict(defines or {})
+        compiled, parameters = self._kernel(file, kernel, defines)
         values = check_arguments(f"{file}:{kernel}", parameters, arguments)
-        compiled.set_args(*(v.buffer if isinstance(v, DeviceArray) else v for v in values))
+        for index, value in enumerate(values):
+            # Not set_args, which keeps generated Python code in a database on disk.
+            compiled.set_arg(index, value.buffer if isinstance(value, DeviceArray) else value)
         if any(size < 1 for size in global_size):
             raise ValueError(f"{file}:{kernel}: the global size must be positive, got {global_size}")
+        local_size = local_size or (1,) * len(global_size)
+        # PoCL compiles a kernel anew for each local size, and for grids beyond 16 bits.
+        variant = (file, kernel, tuple(sorted(defines.items())), local_size, max(global_size) >= 1 << 16)
+        if variant not in self._launched:
+            self._launched.add(variant)
+            self._unsealed.add(self._program(file, defines)[1])
         self._in_flight.append(values)
         with _interrupts_wait():
-            self._cl.enqueue_nd_range_kernel(self._queue, compiled, global_size, local_size or (1,) * len(global_size))
+            self._cl.enqueue_nd_range_kernel(self._queue, compiled, global_size, local_size)
 
     def _kernel(self, file: str, name: str, defines: dict[str, object]) -> tuple[Any, list[tuple[str, str]]]:
         key = (file, name, tuple(sorted(defines.items())))
         if key not in self._kernels:
-            compiled = getattr(self._program(file, defines), name)
+            compiled = self._cl.Kernel(self._program(file, defines)[0], name)
             what = self._cl.kernel_arg_info
             parameters = [
                 (compiled.get_arg_info(i, what.TYPE_NAME), compiled.get_arg_info(i, what.NAME))
@@ -387,7 +500,8 @@ class Device:
             self._kernels[key] = (compiled, parameters)
         return self._kernels[key]
 
-    def _program(self, file: str, defines: dict[str, object]) -> Any:
+    def _program(self, file: str, defines: dict[str, object]) -> tuple[Any, str]:
+        """Return a built program and its name in the cache."""
         key = (file, tuple(sorted(defines.items())))
         if key not in self._programs:
             options = [
@@ -395,13 +509,20 @@ class Device:
                 "-cl-std=CL1.2",
                 *(f"-D{k}={v}" for k, v in sorted(defines.items())),
             ]
-            program = self._cl.Program(self._context, read_kernel_source(file))
+            source = read_kernel_source(file)
+            program = self._cl.Program(self._context, source)
             try:
-                with _interrupts_wait():
-                    self._programs[key] = program.build(options)
+                with self._cache.building(source, options) as name, _interrupts_wait(), warnings.catch_warnings():
+                    warnings.simplefilter("ignore", self._cl.CompilerWarning)  # of any word that a compiler says
+                    self._programs[key] = program.build(options, cache_dir=False), name
             except self._cl.RuntimeError as error:  # not the builtin RuntimeError
                 raise KernelBuildError(file, defines, str(error)) from None
         return self._programs[key]
+
+
+def _finish_queue(queue: Any, process: int) -> None:
+    if process == os.getpid():
+        queue.finish()
 
 
 @contextmanager

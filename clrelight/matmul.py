@@ -64,15 +64,10 @@ class PackedOperator:
     shape: tuple[int, int]
 
 
-def vector_width(device: Device) -> int:
-    """Return the lanes of the vectors that kernels use on this device, 8 or 16."""
-    return 16 if device.info.vector_width >= 16 else 8
-
-
 def tile_defines(device: Device, real: np.dtype = _FLOAT32) -> dict[str, object]:
     """Return the definitions that tiles of `real` need: the largest tile whose local memory the device has."""
     size = real.itemsize
-    vector = vector_width(device) if real == np.float32 else 8
+    vector = device.info.lanes if real == np.float32 else 8
     tile = _MAX_TILE
     while tile > 2 * vector and tile * size * (_CHUNK + 8) > device.info.local_memory_bytes:
         tile //= 2
@@ -110,7 +105,7 @@ def pack_operator(device: Device, operator_mi: NDArray, real: np.dtype = _FLOAT3
         return PackedOperator(device.upload(pack_rows(operator)), None, operator.shape)
     # 32 vector registers hold two vectors of sums for 8 rows; where there are 16, for 6, or for 3 of eight doubles.
     narrow = 6 if real == np.float32 else 3
-    heights = row_blocks(len(operator), 8 if vector_width(device) == 16 else narrow)
+    heights = row_blocks(len(operator), 8 if device.info.lanes == 16 else narrow)
     ends = np.cumsum(heights)
     blocks = [operator[end - height : end].T.ravel() for height, end in zip(heights, ends, strict=True)]
     return PackedOperator(

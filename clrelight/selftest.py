@@ -91,7 +91,18 @@ def run_selftest(device: Device) -> Iterator[Statement]:
             yield from _fits(device, _dome(degree), degree, case, bounded, precision=DOUBLE)
     yield from _powers_of_two(device, lights)
     yield from _codecs(device)
-    yield from _images(device)
+    yield from _images(device, (2, 6, 10))
+
+
+def run_quick_selftest(device: Device) -> Iterator[Statement]:
+    """Yield one statement or a few of each kind of kernel: what a driver that can be trusted computes right."""
+    lights = make_pattern("uniform", 40)
+    yield from _fits(device, lights, 3, "degree 3", ("cls", "ceb", "uls", "spline"))
+    if device.info.float64:
+        yield from _fits(device, lights, 3, "degree 3", ("cls", "ceb"), precision=DOUBLE)
+    yield from _codes(device)
+    yield from _transform(device, (1, 2, 5, 8, 13), (1, 7, 16, 33))
+    yield from _images(device, (3,), halves=False)
 
 
 def _fit(
@@ -210,24 +221,50 @@ def _codecs(device: Device) -> Iterator[Statement]:
             error = float(np.max(np.abs(found.astype(np.float64) - scaled) / np.where(span_k111 > 0, span_k111, 1.0)))
             # 256 levels; the interval may be narrower than the range, at most by what costs less than it saves.
             yield Statement("uniform", f"{case}, x {scale:g}", "error, of a map's range", error, 0.02)
+    yield from _transform(device, tuple(range(1, 41)), (1, 2, 5, 20, 41))
+
+
+def _transform(device: Device, heights: tuple[int, ...], widths: tuple[int, ...]) -> Iterator[Statement]:
+    rng = np.random.default_rng(1)
     worst, unit = 0.0, np.ones(1, np.float32)
-    for height in range(1, 41):
-        for width in {1, 2, 5, height, 41 - height}:
+    for height in heights:
+        for width in {*widths, height, 41 - height}:
             coeffs = rng.standard_normal((1, height, width, 1)).astype(np.float32)
             planes = forward_transform(coeffs, unit, 3, device)
             back = inverse_transform(planes, coeffs.shape, unit, 3, device)
             worst = max(worst, float(np.abs(back - coeffs).max() / np.abs(coeffs).max()))
-    yield Statement("wavelet", "all heights 1 to 40", "error there and back, unquantised", worst, 1e-6)
+    case = f"heights {heights[0]} to {heights[-1]}"
+    yield Statement("wavelet", case, "error there and back, unquantised", worst, 1e-6)
 
 
-def _images(device: Device) -> Iterator[Statement]:
+def _codes(device: Device) -> Iterator[Statement]:
+    """Blocks whose texels lie on a line, which s3tc holds but for rounding; halves; levels."""
+    rng = np.random.default_rng(2)
+    ends, levels = rng.standard_normal((2, 4, 1, 1, 3)), rng.integers(0, 4, (4, 18, 21, 1))
+    levels[:, ::4, ::4], levels[:, 1::4, ::4] = 0, 3
+    on_line = (ends[0] + levels / 3.0 * (ends[1] - ends[0])).astype(np.float32)
+    found = decode(encode(on_line, codec_class("s3tc")(), device), device)
+    yield Statement("s3tc", "texels on lines", "error, of the largest", _largest_error(found, on_line), 1e-5)
+    coeffs = rng.standard_normal((4, 13, 17, 3)).astype(np.float32)
+    found = decode(encode(coeffs, codec_class("half")(), device), device)
+    differ = int(np.sum(found != coeffs.astype(np.float16).astype(np.float32)))
+    yield Statement("half", "normal numbers", "values that are not the nearest", differ, 0.0)
+    found = decode(encode(coeffs, codec_class("uniform").from_config({"bits": 12}), device), device)
+    yield Statement("uniform", "12 bits", "error, of the largest", _largest_error(found, coeffs), 2e-3)
+
+
+def _largest_error(found: NDArray, exact: NDArray) -> float:
+    return float(np.abs(found.astype(np.float64) - exact).max() / np.abs(exact).max())
+
+
+def _images(device: Device, degrees: tuple[int, ...], *, halves: bool = True) -> Iterator[Statement]:
     lights_i3 = make_pattern("uniform", 256)
     stack = _stack(lights_i3)
-    for degree in (2, 6, 10):
+    for degree in degrees:
         fitted = _fit(device, stack, "cls", degree, {})
-        halves = replace(fitted, coeffs_khwc=fitted.coeffs_khwc.astype(np.float16))
+        half = replace(fitted, coeffs_khwc=fitted.coeffs_khwc.astype(np.float16))
         basis_ik = evaluate_basis(lights_i3, degree)
-        for case, stored in ((f"degree {degree}", fitted), (f"degree {degree}, float16", halves)):
+        for case, stored in ((f"degree {degree}", fitted), (f"degree {degree}, float16", half))[: 1 + halves]:
             exact_ip = basis_ik @ stored.coeffs_khwc.reshape(fitted.n_coeff, -1).astype(np.float64)
             found_ip = relight(stored, lights_i3, device=device).reshape(exact_ip.shape)
             error = float(np.abs(found_ip - exact_ip).max() / np.abs(exact_ip).max())

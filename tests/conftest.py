@@ -1,24 +1,37 @@
-import getpass
 import os
-import tempfile
 from pathlib import Path
 
 import pytest
 
-if "PYTEST_XDIST_WORKER" in os.environ:
-    # PoCL's cache of kernels is not made for several processes that build at once.
-    _cache = f"clrelight-tests-{getpass.getuser()}-{os.environ['PYTEST_XDIST_WORKER']}"
-    os.environ["POCL_CACHE_DIR"] = str(Path(tempfile.gettempdir(), _cache))
-
 
 @pytest.fixture
 def device(request, monkeypatch):
-    """Return the default device; `tests.styles.both_styles` chooses kernels, also for devices that the test opens."""
-    from clrelight.device import STYLE_VARIABLE, open_device
+    """Return the default device; `tests.styles` chooses kernels and lanes, also for devices that the test opens."""
+    from clrelight.device import DEVICE_VARIABLE, STYLE_VARIABLE, open_device
 
     if hasattr(request, "param"):
-        monkeypatch.setenv(STYLE_VARIABLE, request.param)
+        monkeypatch.setenv(DEVICE_VARIABLE if request.param.startswith("@") else STYLE_VARIABLE, request.param)
     return open_device()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_long_calls():
+    """Look at every program that a test of this process builds: see `tests.calls`."""
+    from clrelight.device import Device
+    from tests.calls import check_calls
+
+    build = Device._program
+
+    def build_and_look(self, file, defines):
+        known = len(self._programs)
+        program, name = build(self, file, defines)
+        if len(self._programs) > known:
+            check_calls(self, file, defines, name)
+        return program, name
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Device, "_program", build_and_look)
+        yield
 
 
 @pytest.fixture(scope="session")

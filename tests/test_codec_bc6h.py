@@ -171,8 +171,7 @@ def test_slabs_change_nothing(device, monkeypatch, channels):
 
 
 def test_code_paths_of_a_gpu(device):
-    info, handle = next((i, d) for i, d in _devices() if i.default)
-    there = Device(replace(info, kind="gpu"), handle)
+    there = Device(replace(device.info, kind="gpu"), _devices()[device.info.index][1])
     for shape in [(4, 13, 37, 3), (4, 5, 6, 1)]:
         coeffs = some_map(shape)
         payload = encode(coeffs, Bc6h(), device).to_bytes()

@@ -22,7 +22,7 @@ from clrelight.codec import (
     registry,
     slabs,
 )
-from clrelight.device import Device, _devices
+from clrelight.device import Device, _devices, open_device
 from clrelight.errors import InputError, PayloadError
 
 FROZEN = Path(__file__).resolve().parent / "frozen"
@@ -243,7 +243,8 @@ def test_arrays_at_any_float_boundary(device, codec, channels):
 @pytest.fixture(scope="module")
 def as_gpu():
     """Return this machine's device posing as a GPU: scalar kernels, groups of work-items, memory of its own."""
-    info, handle = next((i, d) for i, d in _devices() if i.default)
+    info = open_device().info
+    handle = _devices()[info.index][1]
     return Device(replace(info, kind="gpu"), handle)
 
 

@@ -78,11 +78,11 @@ def test_list():
 def test_open_by_index_kind_and_name(monkeypatch):
     monkeypatch.delenv(DEVICE_VARIABLE, raising=False)
     for info in list_devices():
-        assert open_device(str(info.index)).info == info
+        assert replace(open_device(str(info.index)).info, default=info.default) == info
         assert open_device(info.name.upper()).info.name == info.name
         if info.kind != "other":
             assert open_device(info.kind).info.kind == info.kind
-    assert open_device().info.default
+    assert [info.index for info in list_devices() if info.default] == [open_device().info.index]
 
 
 @pytest.mark.parametrize(

@@ -186,17 +186,18 @@ def test_srgb_formula_over_its_whole_range(device):
 @pytest.mark.parametrize(
     "changed",
     [
-        {"vector_width": 8},
-        {"vector_width": 16},
-        {"vector_width": 1, "local_memory_bytes": 49152},
-        {"vector_width": 16, "local_memory_bytes": 16384},
-        {"vector_width": 8, "kind": "gpu"},
+        {"lanes": 4},
+        {"lanes": 8},
+        {"lanes": 16},
+        {"lanes": 4, "local_memory_bytes": 49152},
+        {"lanes": 16, "local_memory_bytes": 16384},
+        {"lanes": 8, "kind": "gpu"},
     ],
 )
 def test_devices_of_every_width_and_memory(device, changed):
     other = with_limits(device, **changed)
     tile = tile_defines(other)
-    assert tile["VECTOR"] == (16 if other.info.vector_width >= 16 else 8)
+    assert tile["VECTOR"] == other.info.lanes
     assert other.info.local_memory_bytes >= 4 * int(tile["TILE"]) * (int(tile["CHUNK"]) + 8)
     rng = np.random.default_rng(5)
     operator, source = rng.standard_normal((49, 300)), make_samples(rng, np.float32, (300, 523))
@@ -204,7 +205,7 @@ def test_devices_of_every_width_and_memory(device, changed):
         check(other, operator, source)
     else:
         np.testing.assert_array_equal(
-            apply(other, operator, source)[0], apply(with_limits(device, vector_width=8), operator, source)[0]
+            apply(other, operator, source)[0], apply(with_limits(device, lanes=8), operator, source)[0]
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,44 +12,66 @@ from clrelight.cli.output import print_json
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 
+if TYPE_CHECKING:
+    from clrelight.device import DeviceInfo
+
 
 @click.command()
+@click.option("--again", is_flag=True, help="Test all of them anew, whatever was found before.")
 @json_option
-def devices(as_json: bool) -> None:
-    """List the OpenCL devices, and which one is the default.
+def devices(again: bool, as_json: bool) -> None:
+    """List the OpenCL devices, whether each computes soundly, and which one is the default.
+
+    Each device is tested once per driver, processor and version of the kernels: a process apart runs small jobs of
+    every kind and compares their numbers. Lanes is the width of vectors that was found sound and fastest; @4, @8 or
+    @16 behind a device's name asks for another, tested or not.
 
     \b
     Example:
       clrelight devices
       clrelight fit stack.h5 fit.h5 --device gpu
+      clrelight fit stack.h5 fit.h5 --device pocl@8
     """
     from clrelight.device import list_devices, open_device
+    from clrelight.opencl.drivers import leave_out_drivers
 
-    infos = list_devices()
-    if not infos:
-        open_device()  # says how to install one
+    infos = list_devices(again=again)
+    left_out = leave_out_drivers()
     if as_json:
-        print_json({"devices": [asdict(info) for info in infos]})
-        return
+        print_json({"devices": [asdict(info) for info in infos], "left_out": left_out})
+    elif infos:
+        _print_devices(infos, left_out)
+    if not any(info.default for info in infos):
+        open_device("")  # says what is wrong, and how to install one
+
+
+def _print_devices(infos: list[DeviceInfo], left_out: dict[str, str]) -> None:
     rows = [
         [
             f"{info.index}{' *' if info.default else ''}",
             info.kind,
             info.style,
+            str(info.lanes) if info.lanes else "-",
             info.name,
             info.version.split("  ")[0],
             info.driver,
             "yes" if info.float64 else "no",
             f"{info.memory_bytes / 2**30:.1f} GiB",
+            "no" if info.fault else "yes",
         ]
         for info in infos
     ]
     print_table(
-        ["index", "kind", "kernels", "name", "version", "driver", "float64", "memory"],
+        ["index", "kind", "kernels", "lanes", "name", "version", "driver", "float64", "memory", "sound"],
         rows,
         expendable=("driver", "memory"),
     )
     click.echo("* taken when neither --device nor CLRELIGHT_DEVICE names one")
+    for info in infos:
+        if info.fault:
+            click.echo(f"{info.index}: {info.name} {info.fault}")
+    for file, fault in left_out.items():
+        click.echo(f"left out: {file}: {fault}")
 
 
 @click.command()

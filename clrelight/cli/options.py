@@ -127,8 +127,8 @@ def device_option(command: Command) -> Command:
     return click.option(
         "--device",
         metavar="DEVICE",
-        help="OpenCL device: gpu, cpu, pocl, an index or part of a name (clrelight devices); default: "
-        "$CLRELIGHT_DEVICE, else a GPU if there is one, else the packaged PoCL.",
+        help="OpenCL device: gpu, cpu, pocl, an index or part of a name, @4, @8 or @16 behind it for so many lanes "
+        "(clrelight devices); default: $CLRELIGHT_DEVICE, else the first sound one: GPUs, the packaged PoCL, others.",
     )(command)
 
 

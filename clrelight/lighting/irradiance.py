@@ -14,7 +14,6 @@ from clrelight.conventions import coefficient_count, coefficient_index
 from clrelight.device import Device, open_device
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light, degrees_of_coefficients
-from clrelight.matmul import vector_width
 
 NINE_DEGREE = 2
 
@@ -111,7 +110,7 @@ def integrate_irradiance(
     lit_t[0] |= not lit_t.any()  # a black map: one texel of nothing
     weighted_tc = np.where(weights_t[lit_t, None] > 0, weights_t[lit_t, None] * radiance_tc[lit_t], 0.0)
     texel_tj = device.upload(np.concatenate([directions_t3[lit_t], weighted_tc], axis=1).astype(np.float32))
-    vector = vector_width(device)
+    vector = device.info.lanes
     irradiance_nc = np.empty((len(normals_n3), environment.channels), np.float32)
     for first in range(0, len(normals_n3), _NORMALS_AT_ONCE):
         part_n3 = normals_n3[first : first + _NORMALS_AT_ONCE]

@@ -17,7 +17,6 @@ from clrelight.errors import InputError
 from clrelight.lighting import layouts
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
-from clrelight.matmul import vector_width
 
 METHODS = ("auto", "direct", "separable")
 """``direct``: any layout, O(n_coeff S) on the device; ``separable``: lat-long maps, O(degree S^2) for S × S texels."""
@@ -187,7 +186,7 @@ def project_texels(environment: Environment, degree: int, device: Device) -> NDA
     """
     radiance_tc = environment.radiance_hwc.reshape(-1, environment.channels)
     n_texel, n_coeff = len(radiance_tc), coefficient_count(degree)
-    vector = vector_width(device)
+    vector = device.info.lanes
     parts = min(-(-n_texel // _BLOCK), 8 * device.info.compute_units)
     each = -(-n_texel // parts)
     partial_gkc = device.empty((parts, n_coeff, environment.channels), np.float32)

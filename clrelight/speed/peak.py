@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from clrelight.device import Device, DeviceArray
-from clrelight.matmul import vector_width
 
 _STEPS = 1 << 17
 _CPU_CHAINS, _GPU_CHAINS, _GPU_GROUP = 12, 16, 128
@@ -21,7 +20,7 @@ def peak_run(device: Device) -> tuple[Callable[[], None], float]:
         file, group, each, steps = "gpu/speed/peak.cl", _GPU_GROUP, _GPU_CHAINS, _STEPS // 4
         items, defines = device.info.compute_units * 16 * group, {}
     else:
-        vector = vector_width(device)
+        vector = device.info.lanes
         file, group, each, steps = "speed/peak.cl", 1, _CPU_CHAINS * vector, _STEPS
         items, defines = device.info.compute_units * 16, {"VECTOR": vector}
     sums_q = device.empty((items,), np.float32)

@@ -87,32 +87,32 @@ float half_value(int signed_bits)
 }
 
 /* The same continued between the codes, and scaled by 32/31 to the range of endpoints. */
-float16 bits_of(float16 x)
+OF_VECTORS float16 bits_of(float16 x)
 {
     const float16 magnitude = x < 0.0f ? -x : x;
     /* 2^23 units make a binade of float32; the subtraction is exact, for it is of integers. */
     const int16 offset = as_int16(magnitude) - (112 << 23);
-    const float16 large = (float16)(1024.0f) + convert_float16(offset - (1 << 23)) * 0x1p-13f;
+    const float16 large = (float16)(1024.0f) + CONVERT(offset - (1 << 23), float16) * 0x1p-13f;
     const float16 u = (magnitude < 0x1p-14f ? magnitude * 0x1p24f : large) * (32.0f / 31.0f);
     return x < 0.0f ? -u : u;
 }
 
 /* Size of a step of the bits at x: 2^-24 2^(exponent + 14). */
-float16 unit_at(float16 x)
+OF_VECTORS float16 unit_at(float16 x)
 {
     const float16 magnitude = x < 0.0f ? -x : x;
     const float16 power = as_float16(as_int16(magnitude) & 0x7F800000);
     return GREATER(power, 0x1p-14f) * 0x1p-10f;
 }
 
-float total(float16 v)
+OF_VECTORS float total(float16 v)
 {
     const float8 a = v.lo + v.hi;
     const float4 b = a.lo + a.hi;
     return (b.x + b.y) + (b.z + b.w);
 }
 
-float least(float16 v)
+OF_VECTORS float least(float16 v)
 {
     const float8 a = LESSER(v.lo, v.hi);
     const float4 b = LESSER(a.lo, a.hi);

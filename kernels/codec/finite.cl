@@ -33,7 +33,7 @@ kernel void find_infinite_j(global uchar *restrict refused_j, global const float
     a = GREATER(a, b);
     c = GREATER(c, d);
     a = GREATER(a, c);
-    int refused = any_of8(a >= INFINITE);
+    int refused = any_lane(a >= INFINITE);
     for (; p < stop; p++) refused |= (bits[p] & MAGNITUDE) >= INFINITE;
     refused_j[get_global_id(0)] = (uchar)(refused != 0);
 }

@@ -38,7 +38,7 @@ kernel void encode_half_p(global half *restrict halves_p, global uchar *restrict
 #endif
         STORE_HALF8(global, x, halves_p + p);
     }
-    int refused = any_of8(over);
+    int refused = any_lane(over);
     for (; p < stop; p++) {
         float x = coeffs_p[p];
         refused |= x >= OVERFLOW || x <= -OVERFLOW;

@@ -76,7 +76,7 @@ kernel void quantise_uniform_kp(global ushort *restrict codes_kp, global const f
     size_t p = start;
     for (; p + 8 <= stop; p += 8) {
         const float8 y = AT(global const, float8, x + p) * scale - low;
-        AT(global, ushort8, codes + p) = convert_ushort8(QUANTISE(y, inverse));
+        AT(global, ushort8, codes + p) = CONVERT(QUANTISE(y, inverse), ushort8);
     }
     for (; p < stop; p++) {
         const float y = x[p] * scale - low;
@@ -96,7 +96,7 @@ kernel void dequantise_uniform_kp(global float *restrict coeffs_kp, global const
     size_t p = start;
     /* The last level may lie beyond the largest float by a rounding. */
     for (; p + 8 <= stop; p += 8) {
-        const float8 level = convert_float8(AT(global const, ushort8, codes + p)) * step + low;
+        const float8 level = CONVERT(AT(global const, ushort8, codes + p), float8) * step + low;
         AT(global, float8, x + p) = WITHIN(level * unscale, -FLT_MAX, FLT_MAX);
     }
     for (; p < stop; p++)

@@ -17,7 +17,7 @@ typedef float8 real;
 typedef int8 whole;
 #define REALS(space, p) AT(space, float8, p)
 #define SHORTS(p) AT(global, ushort8, p)
-#define TO_SHORTS convert_ushort8
+#define TO_SHORTS(x) CONVERT(x, ushort8)
 #elif LANES == 1
 typedef float real;
 typedef int whole;

@@ -41,5 +41,5 @@ __kernel void truncate_rq(__global REAL *restrict z_rq, __global int *restrict r
         rank -= keeping;
         STORE_LANES(keeping ? z : (lanes)0.0f, row);
     }
-    vstore8(convert_int8(rank), 0, rank_q + q);
+    AT(__global, int8, rank_q + q) = CONVERT(rank, int8);
 }

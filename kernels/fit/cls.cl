@@ -33,7 +33,7 @@
 #error "ONTO_BOUND must be defined: 1 to scale t onto the bound, else 0"
 #endif
 
-static lanes squared_norm(const lanes *b, __global const REAL *restrict singular_r, const lanes lambda)
+static inline __attribute__((always_inline)) lanes squared_norm(const lanes *b, __global const REAL *restrict singular_r, const lanes lambda)
 {
     lanes f = 0.0f, g = 0.0f;
     int r = 0;
@@ -54,7 +54,7 @@ static lanes squared_norm(const lanes *b, __global const REAL *restrict singular
     return f + g;
 }
 
-static lanes load_scaled(lanes *b, __global const REAL *restrict z_rq, __global const REAL *restrict singular_r,
+static inline __attribute__((always_inline)) lanes load_scaled(lanes *b, __global const REAL *restrict z_rq, __global const REAL *restrict singular_r,
                          const int q, const int size_q)
 {
     lanes norm = 0.0f;
@@ -65,7 +65,7 @@ static lanes load_scaled(lanes *b, __global const REAL *restrict z_rq, __global 
     return norm;
 }
 
-static void store_shrunk(__global REAL *restrict z_rq, __global float *restrict doubt_q, const lanes *b,
+static inline __attribute__((always_inline)) void store_shrunk(__global REAL *restrict z_rq, __global float *restrict doubt_q, const lanes *b,
                          __global const REAL *restrict singular_r, const lanes energy, const lanes lambda, const int q,
                          const int size_q)
 {
@@ -85,12 +85,12 @@ static void store_shrunk(__global REAL *restrict z_rq, __global float *restrict 
 #endif
     }
 #if ONTO_BOUND
-    const lanes factor = select((lanes)1.0f, sqrt(energy / norm), norm > energy);
+    const lanes factor = norm > energy ? root(energy / norm) : (lanes)1.0f;
     for (int r = 0; r < N_COMPONENT; r++)
         STORE_LANES(factor * LOAD_LANES(z_rq + (long)r * size_q + q), z_rq + (long)r * size_q + q);
 #endif
-    const lanes doubt = sqrt(energy) * sqrt(gain) / (lambda * slope);
-    STORE_FLOATS(select((lanes)0.0f, doubt, lambda > 0.0f), doubt_q + q);
+    const lanes doubt = root(energy) * root(gain) / (lambda * slope);
+    STORE_FLOATS(lambda > 0.0f ? doubt : (lanes)0.0f, doubt_q + q);
 }
 
 __kernel void shrink_by_bisection_rq(__global REAL *restrict z_rq, __global float *restrict lambda_q,
@@ -104,20 +104,20 @@ __kernel void shrink_by_bisection_rq(__global REAL *restrict z_rq, __global floa
     const lanes energy = LOAD_LANES(energy_q + q);
     const lanes_mask held = squared_norm(b, singular_r, 0.0f) <= energy;
 
-    lanes low = 0.0f, high = sqrt(norm / energy), lambda = fmin((lanes)1.0f, high);
+    lanes low = 0.0f, high = root(norm / energy), lambda = LESSER(high, (lanes)1.0f);
     lanes_mask bracketed = 0;
-    if (!all(held)) {
+    if (!all_lanes(held)) {
         for (int k = 0; k < iterations; k++) {
             const lanes_mask feasible = squared_norm(b, singular_r, lambda) <= energy;
             high = feasible ? lambda : high;
             low = feasible ? low : lambda;
             bracketed |= feasible;
             const lanes up = LESSER(lambda * STEP, high), down = high / STEP;
-            const lanes middle = sqrt(low) * sqrt(high);
+            const lanes middle = root(low) * root(high);
             lambda = low == 0.0f ? down : bracketed ? middle : up;
         }
     }
-    lambda = select(high, (lanes)0.0f, held);
+    lambda = held ? (lanes)0.0f : high;
     STORE_FLOATS(lambda, lambda_q + q);
     store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_q);
 }
@@ -133,11 +133,14 @@ __kernel void shrink_by_newton_rq(__global REAL *restrict z_rq, __global float *
     const lanes energy = LOAD_LANES(energy_q + q);
     /* Black columns: any finite lambda gives zeros; 0/0 must not spread. */
     const lanes_mask empty = energy <= 0.0f;
-    const lanes inverse_root = 1.0f / sqrt(energy);
-    lanes lambda = fmax(sqrt(norm) * inverse_root - singular_r[0] * singular_r[0], (lanes)0.0f);
-    for (int r = 0; r < N_COMPONENT; r++)
-        lambda = fmax(lambda, fabs(b[r]) * inverse_root - singular_r[r] * singular_r[r]);
-    lambda = select(lambda, (lanes)0.0f, empty);
+    const lanes inverse_root = 1.0f / root(energy);
+    const lanes first = root(norm) * inverse_root - singular_r[0] * singular_r[0];
+    lanes lambda = GREATER(first, (lanes)0.0f);
+    for (int r = 0; r < N_COMPONENT; r++) {
+        const lanes least = ABSOLUTE(b[r]) * inverse_root - singular_r[r] * singular_r[r];
+        lambda = GREATER(least, lambda);
+    }
+    lambda = empty ? (lanes)0.0f : lambda;
 
     for (int k = 0; k < iterations; k++) {
         lanes f = 0.0f, slope = 0.0f;
@@ -147,10 +150,11 @@ __kernel void shrink_by_newton_rq(__global REAL *restrict z_rq, __global float *
             f = t * t + f;
             slope = t * t * inverse + slope;
         }
-        const lanes next = fmax(lambda + f / slope * (sqrt(f / energy) - 1.0f), (lanes)0.0f);
-        const lanes_mask moved = !empty && fabs(next - lambda) > SETTLED * lambda;
-        lambda = select(lambda, next, moved);
-        if (!any(moved)) break;
+        const lanes ahead = lambda + f / slope * (root(f / energy) - 1.0f);
+        const lanes next = GREATER(ahead, (lanes)0.0f), step = next - lambda;
+        const lanes_mask moved = !empty && ABSOLUTE(step) > SETTLED * lambda;
+        lambda = moved ? next : lambda;
+        if (!any_lane(moved)) break;
     }
     STORE_FLOATS(lambda, lambda_q + q);
     store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_q);

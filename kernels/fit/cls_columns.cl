@@ -36,25 +36,25 @@
 
 #define LAST 8
 
-/* PoCL leaves convert_double8 a call; compilers other than Clang may not. */
-#ifdef __clang__
-#define WIDEN(x) __builtin_convertvector(x, double8)
-#else
-#define WIDEN(x) convert_double8(x)
-#endif
-
 #define EACH_LAST(DO) DO(0) DO(1) DO(2) DO(3) DO(4) DO(5) DO(6) DO(7)
-#define DECLARE_SUM(t) double8 low_##t = 0.0, high_##t = 0.0;
 #if VECTOR == 16
+typedef double8 __attribute__((aligned(8))) double8_at;
+#define DECLARE_SUM(t) double8 low_##t = 0.0, high_##t = 0.0;
 #define ADD_SAMPLE(t)                      \
     low_##t = factors[t] * low + low_##t;    \
     high_##t = factors[t] * high + high_##t;
 #define KEEP_SUM(t) AT(__local, double8, sums + t * VECTOR) += low_##t; AT(__local, double8, sums + t * VECTOR + 8) += high_##t;
 #else
-#define ADD_SAMPLE(t) low_##t = factors[t] * low + low_##t;
-#define KEEP_SUM(t) AT(__local, double8, sums + t * VECTOR) += low_##t;
+#if VECTOR == 8
+typedef double8 vecd;
+#else
+typedef double4 vecd;
 #endif
-typedef double8 __attribute__((aligned(8))) double8_at;
+typedef vecd __attribute__((aligned(8))) vecd_at;
+#define DECLARE_SUM(t) vecd low_##t = 0.0;
+#define ADD_SAMPLE(t) low_##t = factors[t] * low + low_##t;
+#define KEEP_SUM(t) AT(__local, vecd, sums + t * VECTOR) += low_##t;
+#endif
 
 /* sums[t][c] += sum over rows of last[i][t] tile[i][c], for one vector of columns. */
 INLINE void sum_last(__local double *sums, __local const vecf *tile, __global const double *last, const int rows)
@@ -63,9 +63,9 @@ INLINE void sum_last(__local double *sums, __local const vecf *tile, __global co
     for (int i = 0; i < rows; i++) {
         const vecf samples = tile[i * TILE_VECTORS];
 #if VECTOR == 16
-        const double8 low = WIDEN(samples.lo), high = WIDEN(samples.hi);
+        const double8 low = CONVERT(samples.lo, double8), high = CONVERT(samples.hi, double8);
 #else
-        const double8 low = WIDEN(samples);
+        const vecd low = CONVERT(samples, vecd);
 #endif
         __global const double *factors = last + i * LAST;
         EACH_LAST(ADD_SAMPLE)
@@ -102,10 +102,10 @@ INLINE vecf shrink(__local vecf *z, const vecf *b, __global const float *restric
         z[other * TILE_VECTORS] = wanted ? u : z[other * TILE_VECTORS];
     }
 #if ONTO_BOUND
-    const vecf factor = square > energy ? sqrt(energy / square) : (vecf)(1.0f);
+    const vecf factor = square > energy ? root(energy / square) : (vecf)(1.0f);
     for (int r = 0; r < N_COMPONENT; r++) z[r * TILE_VECTORS] *= wanted ? factor : (vecf)(1.0f);
 #endif
-    const vecf doubt = (rounding * sqrt(energy * gain) + 0.5f * EVALUATION * square) / (lambda * slope);
+    const vecf doubt = (rounding * root(energy * gain) + 0.5f * EVALUATION * square) / (lambda * slope);
     return lambda > 0.0f ? doubt : (vecf)(0.0f);
 }
 

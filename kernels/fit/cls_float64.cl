@@ -26,7 +26,7 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
                         __global const double *restrict singular_r, __global const double *restrict weight_i,
                         __global const float *restrict curve_v, const float scale, const int size_i, const int size_p, const int size_q)
 {
-    const int8 column = vload8(get_global_id(0), chosen_f);
+    const int8 column = AT(__global const, int8, chosen_f + 8 * get_global_id(0));
     const int c[8] = {column.s0, column.s1, column.s2, column.s3, column.s4, column.s5, column.s6, column.s7};
     double8 b[N_COMPONENT];
     double8 energy = 0.0;
@@ -67,13 +67,12 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
         b[r] *= singular_r[r];
         norm = b[r] * b[r] + norm;
     }
-    const double8 inverse_root = 1.0 / sqrt(energy);
-    double8 lambda = fmax(sqrt(norm) * inverse_root - singular_r[0] * singular_r[0], 0.0);
+    const double8 inverse_root = 1.0 / root(energy);
+    double8 lambda = root(norm) * inverse_root - singular_r[0] * singular_r[0];
+    lambda = GREATER(lambda, (double8)0.0);
     for (int r = 0; r < N_COMPONENT; r++) {
-        /* No fabs and fmax: PoCL leaves them calls. */
-        const double8 size = (b[r] < 0.0 ? -b[r] : b[r]) * inverse_root;
-        const double8 least = size - singular_r[r] * singular_r[r];
-        lambda = least > lambda ? least : lambda;
+        const double8 least = ABSOLUTE(b[r]) * inverse_root - singular_r[r] * singular_r[r];
+        lambda = GREATER(least, lambda);
     }
     /* What the first pass found is nearer; Newton also converges from above. */
     double8 found;
@@ -87,10 +86,11 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
             f = t * t + f;
             slope = t * t * inverse + slope;
         }
-        const double8 next = fmax(lambda + f / slope * (sqrt(f / energy) - 1.0), 0.0);
-        const long8 moved = fabs(next - lambda) > 1e-12 * lambda;
-        lambda = select(lambda, next, moved);
-        if (!any(moved)) break;
+        const double8 ahead = lambda + f / slope * (root(f / energy) - 1.0);
+        const double8 next = GREATER(ahead, (double8)0.0), step = next - lambda;
+        const long8 moved = ABSOLUTE(step) > 1e-12 * lambda;
+        lambda = moved ? next : lambda;
+        if (!any_lane(moved)) break;
     }
     __global const int *places = place_f + 8 * get_global_id(0);
     for (int lane = 0; lane < 8; lane++) lambda_n[c[lane]] = ((const double *)&lambda)[lane];

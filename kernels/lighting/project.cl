@@ -23,13 +23,14 @@
 
 static float total(const vecf v)
 {
-    const float8 eight =
 #if VECTOR == 16
-        v.lo + v.hi;
-#else
-        v;
-#endif
+    const float8 eight = v.lo + v.hi;
     const float4 four = eight.lo + eight.hi;
+#elif VECTOR == 8
+    const float4 four = v.lo + v.hi;
+#else
+    const float4 four = v;
+#endif
     return (four.x + four.y) + (four.z + four.w);
 }
 

@@ -38,6 +38,8 @@
 
 #if VECTOR == 16
 #define LOAD_WEIGHTS(p) (vecf)(AT(__global const, float8, p), AT(__global const, float8, (p) + 8))
+#elif VECTOR == 4
+#define LOAD_WEIGHTS(p) AT(__global const, float4, p)
 #else
 #define LOAD_WEIGHTS(p) AT(__global const, float8, p)
 #endif

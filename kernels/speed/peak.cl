@@ -22,5 +22,5 @@ __kernel void multiply_add_q(__global float *restrict sums_q, const float factor
     }
     vecf total = 0.0f;
     EACH(TOTAL)
-    if ((int)get_global_id(0) < size_q) sums_q[get_global_id(0)] = total.s0 + total.s7;
+    if ((int)get_global_id(0) < size_q) sums_q[get_global_id(0)] = total.s0 + total.s3;
 }

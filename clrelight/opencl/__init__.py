@@ -1,0 +1,1 @@
+"""OpenCL drivers, whether they can be trusted, and what is kept of their work between runs."""

@@ -1,0 +1,91 @@
+"""A process of its own for what may end or hang the process that does it, and words for how it ended."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+
+_LITTLE_MEMORY, _FEW_FILES = 8 << 30, 64
+
+
+def run_child(
+    code: str, *, seconds: float, environment: Mapping[str, str] | None = None
+) -> tuple[int | None, str, str]:
+    """Run Python code with this process's module path; return exit code (None: too late), output and complaints."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env=environment,
+        start_new_session=True,  # Ctrl-C is for us; we end the child
+    )
+    try:
+        output, complaint = child.communicate(timeout=seconds)
+        return child.returncode, output, complaint
+    except subprocess.TimeoutExpired:
+        return None, "", ""
+    finally:
+        if child.poll() is None:
+            with suppress(OSError):
+                os.killpg(child.pid, signal.SIGKILL) if hasattr(os, "killpg") else child.kill()
+            child.communicate()
+
+
+def describe_end(code: int | None, complaint: str, seconds: float) -> str:
+    """Return how a child ended that did not end well, and what in this process's surroundings may be the cause."""
+    found = circumstances()
+    because = f" ({'; '.join(found)})" if found else ""
+    if code is None:
+        return f"does not answer within {seconds:.0f} s{because}"
+    how = f"ends the process, {_signal_name(-code)}" if code < 0 else "fails"
+    return f"{how}{because}: {_telling_line(complaint)}"
+
+
+def circumstances() -> list[str]:
+    """Return what of this process's surroundings keeps drivers from working, in words."""
+    found = []
+    if sys.platform == "linux" and shutil.which("ld") is None:
+        found.append("PoCL needs the linker ld, which is not on PATH: it is in the package binutils")
+    memory, files = _limits()
+    if 0 <= memory < _LITTLE_MEMORY:
+        found.append(f"the address space is limited to {memory / 2**30:.1f} GiB, see ulimit -v")
+    if 0 <= files < _FEW_FILES:
+        found.append(f"only {files} files may be open at once, see ulimit -n")
+    return found
+
+
+def _limits() -> tuple[int, int]:
+    """Return the limits on address space and descriptors, negative where there is none."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return -1, -1
+    memory, files = (resource.getrlimit(which)[0] for which in (resource.RLIMIT_AS, resource.RLIMIT_NOFILE))
+    return (
+        -1 if memory == resource.RLIM_INFINITY else memory,
+        -1 if files == resource.RLIM_INFINITY else files,
+    )
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _telling_line(complaint: str) -> str:
+    """Return the line that says most: the first that speaks of an error, else the last."""
+    lines = [line.strip() for line in complaint.splitlines() if line.strip()]
+    for line in lines:
+        if "error" in line.lower() and not line.startswith("File "):
+            return line[:300]
+    return lines[-1][:300] if lines else "without a word"

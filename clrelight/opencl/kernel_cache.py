@@ -1,0 +1,207 @@
+"""Compiled kernels between runs, for drivers that keep them in files and trust what they find there (PoCL).
+
+PoCL maps whatever its cache holds into the process: damaged bytes crash it, a build that failed midway poisons it, and
+two processes race in it. So each process gives it an empty folder of its own. What a program left there once its
+kernels ran is sealed into one archive with a checksum, and unpacked, after a check, before it is built again.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import io
+import os
+import shutil
+import tempfile
+import threading
+import time
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from clrelight.opencl.folder import cache_folder, log, write_whole
+
+POCL_VARIABLE = "POCL_CACHE_DIR"
+MOST_BYTES = 256 << 20
+"""All archives together; those that were not used for longest go first."""
+
+_DIGEST = hashlib.sha256
+_STALE_SECONDS = 7 * 86400.0
+_building = threading.RLock()
+_said: set[str] = set()
+
+
+@contextmanager
+def own_folder() -> Iterator[None]:
+    """Let PoCL, which looks once while it starts, take a new folder; one that the user named stays his."""
+    global _run_folder
+    if _run_folder is not None or POCL_VARIABLE in os.environ:
+        yield
+        return
+    _run_folder = _make_run_folder()
+    os.environ[POCL_VARIABLE] = str(_run_folder)
+    try:
+        yield
+    finally:
+        del os.environ[POCL_VARIABLE]  # processes that this one starts take their own
+
+
+_run_folder: Path | None = None
+
+
+def _make_run_folder() -> Path:
+    place = cache_folder()
+    if place is not None:
+        place /= "run"
+        try:
+            place.mkdir(exist_ok=True)
+            _remove_stale(place)
+            folder = Path(tempfile.mkdtemp(prefix=f"{os.getpid()}-", dir=place))
+        except OSError:
+            place = None
+    if place is None:
+        folder = Path(tempfile.mkdtemp(prefix="clrelight-kernels-"))
+    # Registered before the driver starts, so it runs after its last kernel.
+    atexit.register(_remove_own, folder, os.getpid())
+    return folder
+
+
+def _remove_own(folder: Path, owner: int) -> None:
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _remove_stale(place: Path) -> None:
+    """Remove the folders of processes that were killed; by age, as other machines may share the place."""
+    for entry in os.scandir(place):
+        try:
+            if time.time() - entry.stat().st_mtime > _STALE_SECONDS:
+                shutil.rmtree(entry.path, ignore_errors=True)
+        except OSError:
+            continue
+
+
+class KernelCache:
+    """The archives of one driver build on one processor.
+
+    Parameters
+    ----------
+    identity : str
+        Of driver, processor and what else decides on machine code.
+    """
+
+    def __init__(self, identity: str) -> None:
+        place = cache_folder()
+        keeps = place is not None and _run_folder is not None
+        self._folder = place / "kernels" / _DIGEST(identity.encode()).hexdigest()[:32] if place and keeps else None
+        self._programs: dict[str, set[str]] = {}
+
+    @contextmanager
+    def building(self, source: str, options: list[str]) -> Iterator[str]:
+        """Build a program inside: what is kept of it is unpacked before, and what it adds is known as its own.
+
+        Yields
+        ------
+        str
+            The program's name for `seal`.
+        """
+        name = _DIGEST("\0".join([source, *options]).encode()).hexdigest()[:40]
+        if self._folder is None or _run_folder is None:
+            yield name
+            return
+        with _building:
+            known = self._unpack(name) if name not in self._programs else self._programs[name]
+            before = _program_folders()
+            yield name
+            self._programs[name] = known | (_program_folders() - before)
+
+    def seal(self, names: set[str]) -> None:
+        """Keep what these programs have compiled by now, in whole archives; a full disk costs the archive, no more."""
+        if self._folder is None or _run_folder is None:
+            return
+        with _building:
+            for name in names:
+                files = sorted(
+                    path.relative_to(_run_folder).as_posix()
+                    for folder in self._programs.get(name, ())
+                    for path in (_run_folder / folder).rglob("*")
+                    if path.is_file()
+                )
+                if files:
+                    self._write(name, files)
+
+    def _path(self, name: str) -> Path:
+        assert self._folder is not None
+        return self._folder / f"{name}.kernels"
+
+    def _write(self, name: str, files: list[str]) -> None:
+        assert _run_folder is not None
+        path = self._path(name)
+        packed = io.BytesIO()
+        try:
+            with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+                for file in files:
+                    # Without times, so that equal contents are equal bytes.
+                    archive.writestr(zipfile.ZipInfo(file), (_run_folder / file).read_bytes())
+            content = packed.getvalue()
+            write_whole(path, _DIGEST(content).digest() + content)
+            self._prune()
+        except OSError as error:
+            _say_once(f"{path.parent}: {error.strerror or error}: kernels are compiled anew in the next run")
+
+    def _unpack(self, name: str) -> set[str]:
+        """Return the folders that an archive brought; none where there is no archive, or a damaged one."""
+        assert _run_folder is not None
+        path = self._path(name)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            if not isinstance(error, FileNotFoundError):
+                _say_once(f"{path}: {error.strerror or error}: kernels are compiled anew")
+            return set()
+        size = _DIGEST().digest_size
+        if _DIGEST(content[size:]).digest() != content[:size]:
+            _say_once(f"{path}: damaged: its kernels are compiled anew")
+            return set()
+        folders: set[str] = set()
+        try:
+            with zipfile.ZipFile(io.BytesIO(content[size:])) as archive:
+                archive.extractall(_run_folder)
+                folders = {"/".join(file.split("/")[:2]) for file in archive.namelist()}
+            os.utime(path)
+        except OSError as error:
+            # Half of it may be there, which the driver must not find.
+            for file in {"/".join(file.split("/")[:2]) for file in archive.namelist()}:
+                shutil.rmtree(_run_folder / file, ignore_errors=True)
+            _say_once(f"{_run_folder}: {error.strerror or error}: kernels are compiled anew")
+            return set()
+        return folders
+
+    def _prune(self) -> None:
+        assert self._folder is not None
+        entries = [(e.stat().st_mtime, e.stat().st_size, e.path) for d in _folders(self._folder.parent) for e in d]
+        total = sum(size for _, size, _ in entries)
+        for _, size, path in sorted(entries):
+            if total <= MOST_BYTES:
+                break
+            os.unlink(path)
+            total -= size
+
+
+def _folders(parent: Path) -> Iterator[list[os.DirEntry[str]]]:
+    for folder in os.scandir(parent):
+        if folder.is_dir():
+            yield [entry for entry in os.scandir(folder.path) if entry.name.endswith(".kernels")]
+
+
+def _program_folders() -> set[str]:
+    """PoCL keeps a program in AB/CDEF...; its temporary files lie directly in the cache."""
+    assert _run_folder is not None
+    return {path.relative_to(_run_folder).as_posix() for path in _run_folder.glob("*/*") if path.is_dir()}
+
+
+def _say_once(line: str) -> None:
+    if line not in _said:
+        _said.add(line)
+        log.warning("clrelight: %s", line)

@@ -1,0 +1,150 @@
+"""Compiled kernels between runs, damaged in every way, with real processes."""
+
+import json
+import os
+import random
+import subprocess
+import sys
+
+import pytest
+
+from clrelight.opencl import folder, kernel_cache
+
+JOB = """
+import json, sys
+import numpy as np
+from clrelight.device import open_device
+from clrelight.codec import codec_class, decode, encode
+device = open_device("@8")
+values = np.arange(96, dtype=np.float32).reshape(4, 2, 4, 3)
+print(json.dumps(decode(encode(values, codec_class("half")(), device), device).sum().item()))
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Run a job in a process whose cache is a folder of the test."""
+    place = tmp_path / "cache"
+
+    def job(**variables):
+        environment = {k: v for k, v in os.environ.items() if k != kernel_cache.POCL_VARIABLE}
+        environment |= {folder.CACHE_VARIABLE: str(place), **variables}
+        ended = subprocess.run(
+            [sys.executable, "-c", JOB], capture_output=True, text=True, env=environment, timeout=120
+        )
+        assert ended.returncode == 0, ended.stderr
+        assert json.loads(ended.stdout) == 96 * 95 / 2
+        return ended.stderr.splitlines()
+
+    job.place = place
+    job.kept = lambda: sorted(place.glob("kernels/*/*.kernels"))
+    return job
+
+
+def pocl_only():
+    from clrelight.device import open_device
+
+    if "PoCL" not in open_device().info.version:
+        pytest.skip("only PoCL leaves kernels in files")
+
+
+def test_kernels_are_kept_and_found_again(run):
+    pocl_only()
+    assert run() == []
+    kept = {path: path.read_bytes() for path in run.kept()}
+    assert len(kept) >= 2  # half.cl, finite.cl
+    assert run() == []
+    assert {path: path.read_bytes() for path in run.kept()} == kept
+    assert list((run.place / "run").iterdir()) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_damage_is_told_and_mended(run, seed):
+    pocl_only()
+    run()
+    rng = random.Random(seed)
+    for path in run.kept():
+        whole = path.read_bytes()
+        at = rng.randrange(len(whole))
+        damages = [whole[:at] + rng.randbytes(300) + whole[at + 300 :], b"", whole[:at], whole + b"x"]
+        path.write_bytes(damages[seed] if seed < 3 else damages[3])
+        lines = run()
+        assert lines == [f"clrelight: {path}: damaged: its kernels are compiled anew"]
+        assert run() == []
+
+
+def test_a_whole_disk_of_damage_in_what_the_driver_left(run):
+    """Folders of a run that was killed are nobody's: the next one takes its own."""
+    pocl_only()
+    left = run.place / "run" / "123-killed" / "AB" / "CDEF"
+    left.mkdir(parents=True)
+    (left / "program.bc").write_bytes(b"x" * 1000)
+    assert run() == []
+
+
+def test_a_folder_that_cannot_be_made(run):
+    lines = run(**{folder.CACHE_VARIABLE: "/proc/nothing"})
+    assert len(lines) == 1
+    assert "/proc/nothing" in lines[0]
+    assert "compiled anew" in lines[0]
+
+
+def test_a_folder_that_is_a_file(run, tmp_path):
+    (tmp_path / "file").write_text("")
+    (line,) = run(**{folder.CACHE_VARIABLE: str(tmp_path / "file")})
+    assert "compiled anew" in line
+
+
+def test_a_full_disk_costs_the_archive(run, monkeypatch, tmp_path):
+    pocl_only()
+    monkeypatch.setenv(folder.CACHE_VARIABLE, str(tmp_path / "full"))
+    folder.cache_folder.cache_clear()
+    monkeypatch.setattr(kernel_cache, "_run_folder", tmp_path / "running")
+    (tmp_path / "running" / "AB" / "C").mkdir(parents=True)
+    (tmp_path / "running" / "AB" / "C" / "program.bc").write_bytes(b"x")
+    cache = kernel_cache.KernelCache("a driver")
+    cache._programs["p"] = {"AB/C"}
+
+    def full(path, content):
+        raise OSError(28, "No space left on device")
+
+    said = []
+    monkeypatch.setattr(kernel_cache, "write_whole", full)
+    monkeypatch.setattr(kernel_cache, "_say_once", said.append)
+    cache.seal({"p"})
+    assert len(said) == 1
+    assert "No space left on device" in said[0]
+    folder.cache_folder.cache_clear()
+
+
+def test_a_folder_that_the_user_named_is_left_to_him(run, tmp_path):
+    pocl_only()
+    assert run(**{kernel_cache.POCL_VARIABLE: str(tmp_path / "own")}) == []
+    assert run.kept() == []
+    assert list((tmp_path / "own").rglob("program.bc"))
+
+
+def test_the_oldest_archives_go(tmp_path, monkeypatch):
+    monkeypatch.setenv(folder.CACHE_VARIABLE, str(tmp_path))
+    folder.cache_folder.cache_clear()
+    monkeypatch.setattr(kernel_cache, "_run_folder", tmp_path / "run" / "1")
+    monkeypatch.setattr(kernel_cache, "MOST_BYTES", 2500)
+    for name in "abc":
+        for i in range(3):
+            file = tmp_path / "run" / "1" / "AB" / name / f"{i}.so"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(random.Random(name).randbytes(300))
+    cache = kernel_cache.KernelCache("a driver")
+    cache._programs.update({name: {f"AB/{name}"} for name in "abc"})
+    for age, name in enumerate("abc"):
+        cache.seal({name})
+        os.utime(cache._path(name), (age, age))
+    assert [path.stem for path in sorted(cache._folder.iterdir())] == ["b", "c"]
+    folder.cache_folder.cache_clear()
+
+
+def test_concurrent_runs_do_not_meet(run):
+    pocl_only()
+    environment = {**os.environ, folder.CACHE_VARIABLE: str(run.place)}
+    jobs = [subprocess.Popen([sys.executable, "-c", JOB], env=environment, stderr=subprocess.PIPE) for _ in range(3)]
+    assert [(job.communicate()[1], job.returncode) for job in jobs] == [(b"", 0)] * 3

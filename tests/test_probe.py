@@ -1,0 +1,230 @@
+"""Drivers that abort, hang or are wrong, judged by real child processes; what is kept of it."""
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+
+import pytest
+
+from clrelight import device as device_module
+from clrelight.device import DEVICE_VARIABLE, STYLE_VARIABLE, list_devices, open_device
+from clrelight.errors import DeviceError
+from clrelight.opencl import child, drivers, folder, probe, records
+from clrelight.selftest import run_quick_selftest
+from tests.styles import every_width
+
+ABORT = "import os, sys; print('LLVM ERROR: Cannot select: fsqrt', file=sys.stderr, flush=True); os.abort()"
+HANG = "import time; time.sleep(60)"
+RAISE = "raise RuntimeError('no such thing')"
+SILENT = "pass"
+
+
+def answer(rate, wrong=()):
+    return f"import json; print(json.dumps(dict(rate={rate}, checks=17, wrong={list(wrong)!r})))"
+
+
+@pytest.fixture
+def fresh(tmp_path, monkeypatch):
+    """Nothing is known of any device, and what is found is kept in a folder of the test."""
+    monkeypatch.delenv(DEVICE_VARIABLE, raising=False)
+    monkeypatch.delenv(STYLE_VARIABLE, raising=False)
+    monkeypatch.setenv(folder.CACHE_VARIABLE, str(tmp_path / "cache"))
+    folder.cache_folder.cache_clear()
+    monkeypatch.setattr(device_module, "_verdicts", {})
+    yield tmp_path / "cache"
+    folder.cache_folder.cache_clear()
+
+
+def judge(native=8, style="cpu", again=False):
+    return probe.judge_device("A driver", "its build", 0, native, style, again=again)
+
+
+@every_width
+def test_every_width_computes_right(device):
+    assert device.info.lanes in (4, 8, 16)
+    assert [s for s in run_quick_selftest(device) if not s.holds] == []
+
+
+def test_the_real_probe_finds_this_machine_sound(fresh):
+    info = open_device().info
+    assert [listed.index for listed in list_devices() if listed.default] == [info.index]
+    assert info.fault == ""
+    assert info.lanes in probe.WIDTHS
+    assert len(list((fresh / "devices").iterdir())) == 1
+    assert f"{info.lanes} lanes" in info.label
+
+
+@pytest.mark.parametrize(
+    ("code", "fault"),
+    [
+        (ABORT, "ends the process, SIGABRT: LLVM ERROR: Cannot select: fsqrt"),
+        (RAISE, "fails: RuntimeError: no such thing"),
+        (SILENT, "says nothing"),
+        (
+            answer(1.0, ["cls, degree 3: image error 1.0e+00", "half"]),
+            "computes wrong numbers with 8 lanes (cls, degree 3: image error 1.0e+00, and 1 more of 17 checks)",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said_and_kept_for_a_day(fresh, monkeypatch, code, fault):
+    monkeypatch.setattr(probe, "_CODE", code)
+    assert judge() == probe.Verdict(0, fault)
+    monkeypatch.setattr(probe, "_CODE", answer(1.0))
+    assert judge() == probe.Verdict(0, fault)
+    now = time.time()
+    monkeypatch.setattr(records.time, "time", lambda: now + 90000)
+    assert judge() == probe.Verdict(8)
+
+
+def test_a_driver_that_hangs_is_left(fresh, monkeypatch):
+    monkeypatch.setattr(probe, "_CODE", HANG)
+    monkeypatch.setattr(probe, "SECONDS", 0.5)
+    start = time.monotonic()
+    assert judge() == probe.Verdict(0, "does not answer within 0 s")
+    assert time.monotonic() - start < 10
+
+
+def test_again_asks_again(fresh, monkeypatch):
+    monkeypatch.setattr(probe, "_CODE", ABORT)
+    judge()
+    monkeypatch.setattr(probe, "_CODE", answer(1.0))
+    assert judge(again=True) == judge() == probe.Verdict(8)
+
+
+ABORTS_ABOVE = "import os; int(words[1]) > {} and os.abort(); "
+
+
+@pytest.mark.parametrize(
+    ("native", "code", "lanes"),
+    [
+        (16, answer("100 - int(words[1])"), 8),
+        (16, answer("int(words[1])"), 16),
+        (16, ABORTS_ABOVE.format(4) + answer(1.0), 4),
+        (8, ABORTS_ABOVE.format(4) + answer(1.0), 4),
+        (4, answer("100 - int(words[1])"), 4),
+        (1, answer("int(words[1])"), 8),
+    ],
+)
+def test_the_faster_of_what_is_sound(fresh, monkeypatch, native, code, lanes):
+    monkeypatch.setattr(probe, "_CODE", code)
+    assert judge(native) == probe.Verdict(lanes)
+
+
+def test_kernels_for_gpus_have_one_width(fresh, monkeypatch):
+    monkeypatch.setattr(probe, "_CODE", answer(1.0))
+    assert judge(16, style="gpu") == probe.Verdict(8)
+
+
+def test_where_nothing_is_sound_each_fault_is_said(fresh, monkeypatch):
+    monkeypatch.setattr(probe, "_CODE", ABORT)
+    with pytest.raises(DeviceError, match=r"no OpenCL device computes soundly: .*SIGABRT: LLVM ERROR.*pip install"):
+        open_device()
+    index = str(list_devices()[0].index)
+    with pytest.raises(DeviceError, match="is not sound: it ends the process, SIGABRT"):
+        open_device(index)
+    assert open_device(index + "@8").info.lanes == 8  # who asks for it gets it
+    assert not any(info.default for info in list_devices())
+
+
+def test_the_next_device_is_taken(fresh, monkeypatch):
+    first = list_devices()[0]
+    two = [(first, None), (device_module.replace(first, index=1, name="Other", packaged=False), None)]
+    monkeypatch.setattr(device_module, "_devices", lambda: two)
+    monkeypatch.setattr(
+        device_module, "_verdicts", {(0, "cpu"): probe.Verdict(0, "hangs"), (1, "cpu"): probe.Verdict(4)}
+    )
+    assert device_module._choose(None, None).name == "Other"
+    assert [info.default for info in list_devices()] == [False, True]
+
+
+@pytest.mark.parametrize("spec", ["@5", "cpu@", "0@32"])
+def test_lanes_that_there_are_not(spec):
+    with pytest.raises(DeviceError, match="must be one of 16, 8, 4"):
+        open_device(spec)
+
+
+def test_damaged_records_count_as_absent(fresh, monkeypatch):
+    monkeypatch.setattr(probe, "_CODE", answer(1.0))
+    judge()
+    (path,) = (fresh / "devices").iterdir()
+    whole = path.read_bytes()
+    asked = []
+    monkeypatch.setattr(probe, "_ask", lambda *words: asked.append(words) or (1.0, ""))
+    for damaged in (b"", b"{}", b"[]", whole[:-5], whole.replace(b'"lanes": 8', b'"lanes": 4')):
+        path.write_bytes(damaged)
+        assert judge() == probe.Verdict(8)
+    assert len(asked) == 5
+
+
+def test_circumstances_are_named_and_not_held_against_the_driver(fresh, monkeypatch):
+    monkeypatch.setenv("PATH", str(fresh))
+    probe.machine_identity.cache_clear()
+    monkeypatch.setattr(probe, "_CODE", ABORT)
+    if sys.platform == "linux":
+        assert "needs the linker ld" in judge().fault
+        assert not (fresh / "devices").exists()
+    probe.machine_identity.cache_clear()
+
+
+def test_little_memory_and_few_files_are_named(monkeypatch):
+    monkeypatch.setattr(child, "_limits", lambda: (2 << 30, 16))
+    told = "; ".join(child.circumstances())
+    assert "the address space is limited to 2.0 GiB, see ulimit -v" in told
+    assert "only 16 files may be open at once, see ulimit -n" in told
+    monkeypatch.setattr(child, "_limits", lambda: (-1, -1))
+    assert not any("limited" in words or "files" in words for words in child.circumstances())
+
+
+@pytest.fixture
+def vendors(tmp_path, monkeypatch):
+    """A folder of drivers of which one ends the process that loads it."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None or sys.platform in ("win32", "darwin"):
+        pytest.skip("needs a C compiler, to make a driver that aborts")
+    place = tmp_path / "vendors"
+    place.mkdir()
+    source = tmp_path / "bad.c"
+    source.write_text("#include <stdlib.h>\n__attribute__((constructor)) static void f(void) { abort(); }\n")
+    library = tmp_path / "libbad.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source], check=True)
+    (place / "bad.icd").write_text(f"{library}\n")
+    (place / "absent.icd").write_text("libnowhere.so\n")
+    monkeypatch.setenv(drivers.VENDORS_VARIABLE, str(place))
+    return place
+
+
+def test_a_driver_that_aborts_when_loaded_is_left_out(fresh, vendors):
+    code = "from clrelight.device import open_device; open_device('@8'); print('alive')"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (0, "alive\n"), ended.stderr
+    listed = subprocess.run([sys.executable, "-m", "clrelight", "devices", "--json"], capture_output=True, text=True)
+    assert listed.returncode == 0, listed.stderr
+    left_out = json.loads(listed.stdout)["left_out"]
+    assert list(left_out) == [str(vendors / "bad.icd")]
+    assert "SIGABRT" in left_out[str(vendors / "bad.icd")]
+
+
+def test_use_after_fork_is_an_error_at_once():
+    code = """
+import os, sys
+import numpy as np
+from clrelight.device import open_device
+from clrelight.errors import DeviceError
+device = open_device()
+array = device.upload(np.zeros(4, np.float32))
+child = os.fork()
+if child == 0:
+    for use in (open_device, device.finish, lambda: device.download(array), lambda: device.upload(np.zeros(3))):
+        try:
+            use()
+        except DeviceError as error:
+            print(str(error)[:40], flush=True)
+    sys.exit(7)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+device.finish()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert ended.stdout.splitlines() == ["OpenCL was used before this process was "] * 4 + ["7"], ended.stderr
+    assert ended.stderr == ""
