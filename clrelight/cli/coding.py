@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.coding_parts import check_memory, decode_again, encode_source, fits, take_source
 from clrelight.cli.options import ByteCount, device_option, given, json_option, memory_option
 from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import measure, psnr_lines
 from clrelight.errors import InputError
+from clrelight.jobs.parts import check_memory, decode_again, encode_source, fits, take_source
 
 if TYPE_CHECKING:
     import numpy as np
