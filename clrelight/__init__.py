@@ -24,7 +24,7 @@ _HOMES = {
     "decode": "clrelight.codec",
     "directional_light": "clrelight.lighting.lamps",
     "encode": "clrelight.codec",
-    "encode_to_quality": "clrelight.experiment.target",
+    "encode_to_quality": "clrelight.jobs.target",
     "export_textures": "clrelight.export",
     "fit": "clrelight.fit.run",
     "ingest_folder": "clrelight.ingest",

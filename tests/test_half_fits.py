@@ -21,9 +21,9 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.experiment.grid import CodecSetting
-from clrelight.experiment.target import encode_to_quality
 from clrelight.fit import prepare_fit
 from clrelight.fit.run import fit_tiles, rows_per_tile
+from clrelight.jobs.target import encode_to_quality
 from clrelight.metrics import measure_errors
 from clrelight.relight import relight
 from clrelight.sampling import make_pattern

@@ -89,8 +89,8 @@ def encode(
     """
     from clrelight import codec as codecs
     from clrelight.device import open_device
-    from clrelight.experiment.noise import coding_psnr, predicted_psnr
-    from clrelight.experiment.target import encode_to_quality
+    from clrelight.jobs.coding_noise import coding_psnr, predicted_psnr
+    from clrelight.jobs.target import encode_to_quality
     from clrelight.store import check_output, open_fit, open_stack, write_encoded
     from clrelight.store.scratch import scratch_room
 
