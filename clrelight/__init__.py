@@ -6,12 +6,13 @@ The verbs are those of the command line (docs/python.md): `ingest`, `fit`, `enco
 
 from __future__ import annotations
 
-import importlib
 import sys
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # typing's own would take most of the time of this import, in which Ctrl-C prints a traceback
 if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the same names, see _HOMES
+    from typing import Any
+
     from clrelight.codec import Encoded as Encoded
     from clrelight.codec import codec_class as codec_class
     from clrelight.dataset import CoefficientMap as CoefficientMap
@@ -114,6 +115,8 @@ __all__ = sorted([*_HOMES, "__version__"])
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
     importlib.import_module(_HOMES[name])
     return getattr(sys.modules[_HOMES[name]], name)
 

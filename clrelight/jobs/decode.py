@@ -16,11 +16,11 @@ from clrelight.codec.streams import Room
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device
 from clrelight.jobs.encode import size_facts
-from clrelight.jobs.inputs import open_on, paths_among, take_encoded
+from clrelight.jobs.inputs import opened_on, paths_among, take_encoded
+from clrelight.jobs.outputs import claimed
 from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, fits
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
-from clrelight.store import check_output
 from clrelight.store.coding import RowTarget
 from clrelight.store.encodings import create_decoded, stage_encoded
 from clrelight.store.scratch import ScratchRoom, scratch_room
@@ -88,26 +88,23 @@ def decode(
         If a file is damaged or none of ours, `memory` does not do, or `out` cannot be written.
     """
     kept, room_bytes = report_for(report), DEFAULT_MEMORY if memory is None else count_bytes(memory)
-    if out is not None:
-        check_output(out, paths_among(source))
-    opened = open_on(device)
-    kept.device = opened.info.label
     limit = None if memory is None else room_bytes
-    if out is None:
+    targets = [] if out is None else [out]
+    with claimed(targets, paths_among(source)), opened_on(device, kept) as opened:
         since = time.perf_counter()
-        encoded, record = take_encoded(source)
-        since = kept.add("read", since)
-        _tell(encoded, limit, kept)
-        with stage(progress, f"decoding {encoded.codec}"):
-            coefficients = record.to_map(decode_payload(encoded, opened))
-        kept.add("decode", since)
-        return coefficients
-    with scratch_room(Path(os.fsdecode(out)).parent, room_bytes) as room:
-        since = time.perf_counter()
-        encoded, record = take_encoded(source) if isinstance(source, Encoded) else stage_encoded(source, room)
-        kept.add("read", since)
-        _tell(encoded, limit, kept)
-        _write(out, encoded, record, opened, room, kept, progress)
+        if out is None:
+            encoded, record = take_encoded(source)
+            since = kept.add("read", since)
+            _tell(encoded, limit, kept)
+            with stage(progress, f"decoding {encoded.codec}"):
+                coefficients = record.to_map(decode_payload(encoded, opened))
+            kept.add("decode", since)
+            return coefficients
+        with scratch_room(Path(os.fsdecode(out)).parent, room_bytes) as room:
+            encoded, record = take_encoded(source) if isinstance(source, Encoded) else stage_encoded(source, room)
+            kept.add("read", since)
+            _tell(encoded, limit, kept)
+            _write(out, encoded, record, opened, room, kept, progress)
     kept.facts = {"file": os.fsdecode(out), **kept.facts}
     return kept
 

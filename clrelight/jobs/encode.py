@@ -21,13 +21,14 @@ from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.jobs.coding_noise import coding_psnr, predicted_psnr
-from clrelight.jobs.inputs import FitLike, StackLike, lend_fit, lend_stack, open_on, paths_among
+from clrelight.jobs.inputs import FitLike, StackLike, lend_fit, lend_stack, opened_on, paths_among
 from clrelight.jobs.measure import measure_split
+from clrelight.jobs.outputs import claimed
 from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, decode_again, encode_source, take_source
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.target import encode_to_quality
 from clrelight.jobs.written import count_bytes
-from clrelight.store import check_output, write_encoded
+from clrelight.store import write_encoded
 from clrelight.store.scratch import ScratchRoom, scratch_room
 
 BASES = ("sh", "whitened", "klt")
@@ -136,14 +137,15 @@ def encode(
     budget = None if bytes is None else count_bytes(bytes)
     wanted = _ask(codec, basis, budget, target_psnr, stack is not None, options)
     room_bytes = DEFAULT_MEMORY if memory is None else count_bytes(memory)
-    if out is not None:
-        check_output(out, paths_among(source, stack))
-    opened = open_on(device)
-    kept.device = opened.info.label
     folder = tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent
-    with lend_fit(source) as coefficients, scratch_room(folder, room_bytes) as room:
-        job = _Encode(coefficients, wanted, opened, room, room_bytes if memory is not None else None, kept, progress)
-        encoded = job.run(stack)
+    limit = None if memory is None else room_bytes
+    with (
+        claimed([] if out is None else [out], paths_among(source, stack)),
+        opened_on(device, kept) as opened,
+        lend_fit(source) as coefficients,
+        scratch_room(folder, room_bytes) as room,
+    ):
+        encoded = _Encode(coefficients, wanted, opened, room, limit, kept, progress).run(stack)
         if out is None:
             return replace(encoded, body=encoded.body[:], record=FitRecord.of(coefficients))
         since = time.perf_counter()

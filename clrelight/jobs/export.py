@@ -8,7 +8,7 @@ import time
 from clrelight.codec import Encoded
 from clrelight.device import Device
 from clrelight.export import check_export, export_textures
-from clrelight.jobs.inputs import FittedLike, is_encoded, lend_coefficients, open_on, paths_among, take_encoded
+from clrelight.jobs.inputs import FittedLike, is_encoded, lend_coefficients, opened_on, paths_among, take_encoded
 from clrelight.jobs.report import Progress, Report, report_for, stage
 
 
@@ -50,16 +50,16 @@ def export(
         If the format is unknown, a file is damaged or none of ours, or `out` cannot be written.
     """
     check_export(out, format, paths_among(source))
-    kept, opened = report_for(report), open_on(device)
-    kept.device = opened.info.label
-    blocks: Encoded | None = None
-    if format == "dds" and is_encoded(source):
-        encoded = take_encoded(source)[0]  # type: ignore[arg-type]
-        blocks = encoded if encoded.codec == "bc6h" else None
-    with lend_coefficients(source, opened, kept, progress) as held, stage(progress, "exporting") as tell:
-        since = time.perf_counter()
-        files = export_textures(held, out, format, blocks=blocks, device=opened, progress=tell)
-        kept.add("export", since)
-    sizes = sum(file.stat().st_size for file in files)
-    kept.facts = {"files": [str(file) for file in files], "format": format, "bytes": sizes}
+    kept = report_for(report)
+    with opened_on(device, kept) as opened:
+        blocks: Encoded | None = None
+        if format == "dds" and is_encoded(source):
+            encoded = take_encoded(source)[0]  # type: ignore[arg-type]
+            blocks = encoded if encoded.codec == "bc6h" else None
+        with lend_coefficients(source, opened, kept, progress) as held, stage(progress, "exporting") as tell:
+            since = time.perf_counter()
+            files = export_textures(held, out, format, blocks=blocks, device=opened, progress=tell)
+            kept.add("export", since)
+    size = sum(file.stat().st_size for file in files)
+    kept.facts = {"files": [str(file) for file in files], "format": format, "bytes": size}
     return kept

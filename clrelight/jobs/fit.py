@@ -28,12 +28,13 @@ from clrelight.fit.run import (
     prepare_fit,
 )
 from clrelight.fit.selection import AUTO
-from clrelight.jobs.inputs import StackLike, lend_stack, open_on, paths_among, whole
+from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure import measure_split
+from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.sampling import split_chosen
-from clrelight.store import FitSink, check_output, create_fit
+from clrelight.store import FitSink, create_fit
 from clrelight.store.fits import coefficient_dtype
 from clrelight.streaming import Buffer, writing_behind
 
@@ -154,15 +155,12 @@ def fit(
         than `memory`, the device cannot compute in this precision, or `out` cannot be written.
     """
     kept, budget, dtype = report_for(report), count_bytes(memory), coefficient_dtype(store)
-    if out is not None:
-        check_output(out, paths_among(source))
     model = method if isinstance(method, str | FitMethod) else str(method)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     every = None if holdout is None else whole(holdout, "holdout")
     count = None if lights is None else whole(lights, "lights")
-    opened = open_on(device)
-    kept.device = opened.info.label
-    with lend_stack(source) as stack:
+    targets = [] if out is None else [out]
+    with claimed(targets, paths_among(source)), opened_on(device, kept) as opened, lend_stack(source) as stack:
         split = split_chosen(stack.directions_i3, every, count)
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         with stage(progress, "choosing a model" if AUTO in (model, wanted) else "preparing"):

@@ -26,13 +26,17 @@ FitLike = Path | CoefficientMap
 FittedLike = Path | CoefficientMap | Encoded
 
 
-def open_on(device: Device | str | int | None) -> Device:
-    """Return an opened device, that of a name as ``--device`` takes it, or the default one."""
+@contextmanager
+def opened_on(device: Device | str | int | None, report: Report) -> Iterator[Device]:
+    """Lend an opened device, that of a name as ``--device`` takes it, or the default one; the report names it."""
     if isinstance(device, Device):
-        return device
-    if device is not None and not isinstance(device, str | int):
+        opened = device
+    elif device is None or isinstance(device, str | int):
+        opened = open_device(None if device is None else str(device))
+    else:
         raise InputError(f"expected a device, its name or its index, got {type(device).__name__}")
-    return open_device(None if device is None else str(device))
+    report.device = opened.info.label
+    yield opened
 
 
 def whole(value: Any, what: str) -> int:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, LightStack, split_by_fit
 from clrelight.device import Device
-from clrelight.jobs.inputs import FittedLike, StackLike, lend_coefficients, lend_stack, open_on
+from clrelight.jobs.inputs import FittedLike, StackLike, lend_coefficients, lend_stack, opened_on
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.metrics import measure_errors, summarize_errors
 
@@ -47,9 +47,12 @@ def measure(
     InputError
         If a file is not what it should be, or the two are not of one view.
     """
-    kept, opened = report_for(report), open_on(device)
-    kept.device = opened.info.label
-    with lend_stack(stack) as source, lend_coefficients(fitted, opened, kept, progress) as coefficients:
+    kept = report_for(report)
+    with (
+        opened_on(device, kept) as opened,
+        lend_stack(stack) as source,
+        lend_coefficients(fitted, opened, kept, progress) as coefficients,
+    ):
         since = time.perf_counter()
         kept.psnr = measure_split(coefficients, source, opened, progress=progress)
         kept.add("measure", since)

@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import os
+import pathlib
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol, overload
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clrelight.codec import decode_view
 from clrelight.conventions import TRANSFERS
-from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.jobs.inputs import (
-    FittedLike,
-    is_encoded,
-    lend_coefficients,
-    open_on,
-    paths_among,
-    take_encoded,
-    whole,
-)
+from clrelight.jobs.frames import DirectedFrames, Frames, LightFrames, Rotation, turn_light
+from clrelight.jobs.inputs import FittedLike, Path, opened_on, paths_among, whole
+from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import (
     check_animation,
     holds_floats,
@@ -39,20 +29,10 @@ from clrelight.jobs.pictures import (
 )
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_stops
-from clrelight.lighting.hemisphere import share_below
 from clrelight.lighting.light import Light
-from clrelight.lighting.relighting import TONEMAPS, automatic_exposure, relight_under
-from clrelight.lighting.rotation import rotate_light, rotation_matrix
+from clrelight.lighting.relighting import TONEMAPS
 from clrelight.lights import read_directions, read_lp
-from clrelight.relight import relight as relight_directions
-from clrelight.store import check_output, read_light
-
-MAX_STEPS = 1 << 16
-_PICTURE_BYTES = 1 << 26
-"""So many bytes of pictures, and one at least, are made in one pass through the coefficients."""
-
-Rotation = float | tuple[str, Sequence[float]]
-"""Degrees about z, or a form of `rotation_matrix` and its numbers."""
+from clrelight.store import read_light
 
 
 @overload
@@ -159,20 +139,19 @@ def relight(
     how = _How(count_stops(exposure), rotate, turntable, about, tonemap, transfer)
     how.check(target)
     kept = report_for(report)
-    frames: _Frames
+    frames: Frames
     if isinstance(light, Light | str | os.PathLike):
         if lights is not None:
             raise InputError("a light file is light from everywhere: give one --light, and no --lights beside it")
         how.check_turntable()
-        frames, flat = _TurnedLight(light, how), turntable is None
+        frames, flat = how.frames_of(light), turntable is None
     else:
         how.refuse_turns()
-        flat = light is not None and np.ndim(light) == 1  # type: ignore[arg-type]
-        frames = _Directions(_directions(light, lights), how.exposure or 0.0)
-    names = _name(target, frames, paths_among(source, light, lights))
-    opened = open_on(device)
-    kept.device = opened.info.label
-    images_ihwc = _show(frames, source, names, how, opened, kept, progress)
+        directions_i3, flat = _directions(light, lights)
+        frames = DirectedFrames(directions_i3, how.exposure or 0.0)
+    names = _name(target, frames)
+    with claimed(names, paths_among(source, light, lights)), opened_on(device, kept) as opened:
+        images_ihwc = _show(frames, source, names, how, opened, kept, progress)
     if target is not None:
         kept.facts = {"files": names, **kept.facts}
         return kept
@@ -206,6 +185,14 @@ class _How:
         if self.about is not None and (self.turntable is None or not np.any(_numbers(self.about))):
             raise InputError("--about X,Y,Z is the axis of --turntable N, and not all zero")
 
+    def frames_of(self, light: Light | str | os.PathLike[str]) -> LightFrames:
+        """Return the images under light from everywhere."""
+        steps = 1 if self.turntable is None else whole(self.turntable, "turntable")
+        lit = light if isinstance(light, Light) else read_light(light)
+        turned = lit if self.rotate is None else turn_light(lit, self.rotate)
+        axis = (0.0, 0.0, 1.0) if self.about is None else tuple(float(v) for v in self.about)
+        return LightFrames(turned, self.exposure, steps, axis)
+
     def refuse_turns(self) -> None:
         """Raise InputError if something is asked for that directions do not have."""
         if self.exposure is None or any(v is not None for v in (self.rotate, self.turntable, self.about, self.tonemap)):
@@ -214,83 +201,8 @@ class _How:
             )
 
 
-class _Frames(Protocol):
-    """What is to be shown: so many images under some light."""
-
-    @property
-    def count(self) -> int: ...
-
-    def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Any:
-        """Lend (a context manager) the images one by one, in linear radiance, and the stack's transfer."""
-
-
-class _Directions:
-    """Images under one distant light each."""
-
-    def __init__(self, directions_i3: NDArray[np.float64], exposure: float) -> None:
-        self._directions_i3, self._exposure = directions_i3, exposure
-
-    @property
-    def count(self) -> int:
-        return len(self._directions_i3)
-
-    @contextmanager
-    def lend(
-        self, source: FittedLike, device: Device, report: Report, progress: Progress | None
-    ) -> Iterator[tuple[Iterator[NDArray[np.float32]], str]]:
-        below = np.flatnonzero(self._directions_i3[:, 2] < 0)
-        report.note(*(f"light {i} is below the horizon, where a hemispherical fit knows nothing" for i in below))
-        with _lend_view(source, device, report, progress) as view:
-            yield self._images(view, report), view.transfer
-
-    def _images(self, view: _View, report: Report) -> Iterator[NDArray[np.float32]]:
-        step = max(1, _PICTURE_BYTES // view.picture_bytes)
-        for first in range(0, self.count, step):
-            since = time.perf_counter()
-            pictures_ihwc = view.light(self._directions_i3[first : first + step])
-            pictures_ihwc *= np.float32(2.0**self._exposure)
-            report.add("relight", since)
-            yield from pictures_ihwc
-
-
-class _TurnedLight:
-    """Images under light from everywhere, one for each step of a turntable."""
-
-    def __init__(self, light: Light | str | os.PathLike[str], how: _How) -> None:
-        self.count = 1 if how.turntable is None else whole(how.turntable, "turntable")
-        if not 1 <= self.count <= MAX_STEPS:
-            raise InputError(f"turntable must be 1 to {MAX_STEPS}, got {self.count}")
-        lit = light if isinstance(light, Light) else read_light(light)
-        self._light, self._how = lit if how.rotate is None else _turn(lit, how.rotate), how
-
-    @contextmanager
-    def lend(
-        self, source: FittedLike, device: Device, report: Report, progress: Progress | None
-    ) -> Iterator[tuple[Iterator[NDArray[np.float32]], str]]:
-        with lend_coefficients(source, device, report, progress) as coefficients:
-            yield self._images(coefficients, device, report), coefficients.transfer
-
-    def _images(self, coefficients: CoefficientMap, device: Device, report: Report) -> Iterator[NDArray[np.float32]]:
-        exposure, below = self._how.exposure, -math.inf  # the largest share of all steps
-        for step in range(self.count):
-            since = time.perf_counter()
-            turn = ("axis", (*(self._how.about or (0.0, 0.0, 1.0)), 360.0 * step / self.count))
-            turned = _turn(self._light, turn) if step else self._light
-            below = max(below, share_below(turned))
-            image_hwc = relight_under(coefficients, turned, device=device)
-            if exposure is None:
-                exposure = automatic_exposure(image_hwc)  # of the first image, for all of them
-            image_hwc *= np.float32(2.0**exposure)
-            report.add("relight", since)
-            yield image_hwc
-        report.facts |= {"exposure": exposure, "below": below}
-        if below > 0:
-            share = f"{'up to ' if self.count > 1 else ''}{below:.1%}"
-            report.note(f"{share} of the light comes from below the horizon, where the fit knows nothing: it is cut")
-
-
 def _show(
-    frames: _Frames,
+    frames: Frames,
     source: FittedLike,
     names: list[str],
     how: _How,
@@ -321,59 +233,19 @@ def _show(
     return kept_ihwc
 
 
-@dataclass(frozen=True)
-class _View:
-    """What makes pictures of directions, the bytes of one, and the stack's transfer."""
-
-    light: Callable[[NDArray[np.float64]], NDArray[np.float32]]
-    picture_bytes: int
-    transfer: str
-
-
-@contextmanager
-def _lend_view(source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[_View]:
-    """Lend a view to relight.
-
-    An encoding with a basis of its own relights there: only the light vector is transformed.
-    """
-    if is_encoded(source):
-        since = time.perf_counter()
-        encoded, record = take_encoded(source)  # type: ignore[arg-type]
-        view = decode_view(encoded, device)
-        report.add("decode", since)
-        if view is not None:
-            picture_bytes = 4 * math.prod(encoded.shape[1:])
-            yield _View(lambda directions_i3: view.relight(directions_i3, device), picture_bytes, record.transfer)
-            return
-    with lend_coefficients(source, device, report, progress) as coefficients:
-        yield _View(
-            lambda directions_i3: relight_directions(coefficients, directions_i3, device=device),
-            4 * math.prod(coefficients.image_shape),
-            coefficients.transfer,
-        )
-
-
-def _turn(light: Light, rotation: Rotation) -> Light:
-    form, numbers = rotation if isinstance(rotation, tuple) else ("axis", (0.0, 0.0, 1.0, rotation))
-    try:
-        matrix = rotation_matrix(form, numbers)
-    except TypeError:
-        raise InputError(
-            f"expected a rotation as degrees about z, or as a form and its numbers, got {rotation!r}"
-        ) from None
-    return rotate_light(light, matrix)
-
-
-def _directions(light: ArrayLike | None, lights: str | os.PathLike[str] | None) -> NDArray[np.float64]:
-    """Return unit vectors from numbers of any length, or from a file."""
-    if (light is None or np.size(light) == 0) == (lights is None):
+def _directions(light: ArrayLike | None, lights: Path | None) -> tuple[NDArray[np.float64], bool]:
+    """Return unit vectors from numbers of any length or from a file, and whether it was one direction's numbers."""
+    given = light is not None and not (isinstance(light, Sized) and len(light) == 0)
+    if given == (lights is not None):
         raise InputError("give the light by --light X,Y,Z or by --lights FILE")
+    flat = False
     if lights is None:
-        directions_i3 = _numbers(light)
+        numbers = _numbers(light)
+        directions_i3, flat = numbers.reshape(-1, 3), numbers.ndim == 1
     elif os.fsdecode(lights).lower().endswith(".lp"):
-        directions_i3 = read_lp(Path(os.fsdecode(lights)))[1]
+        directions_i3 = read_lp(pathlib.Path(os.fsdecode(lights)))[1]
     else:
-        directions_i3 = read_directions(Path(os.fsdecode(lights)))
+        directions_i3 = read_directions(pathlib.Path(os.fsdecode(lights)))
     # Scaled by the largest component first, whose square could be beyond float64's range.
     largest = np.max(np.abs(directions_i3), axis=1, keepdims=True)
     bad = np.flatnonzero(~(np.isfinite(largest[:, 0]) & (largest[:, 0] > 0)))
@@ -382,11 +254,11 @@ def _directions(light: ArrayLike | None, lights: str | os.PathLike[str] | None) 
             f"light {bad[0]} has the direction {directions_i3[bad[0]]}, expected finite numbers that are not all zero"
         )
     directions_i3 = directions_i3 / largest
-    return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True)
+    return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True), flat
 
 
 def _numbers(light: ArrayLike | None) -> NDArray[np.float64]:
-    """Return directions as rows of float64, whatever real numbers they come in."""
+    """Return three numbers, or rows of them, as float64, whatever real numbers they come in."""
     wanted = "expected a direction as three numbers, or rows of three"
     try:
         given = np.asarray(light)
@@ -394,18 +266,14 @@ def _numbers(light: ArrayLike | None) -> NDArray[np.float64]:
         raise InputError(f"{wanted}, got rows of different lengths") from None
     if given.dtype.kind not in "fiu" or given.ndim not in (1, 2) or given.shape[-1] != 3:
         raise InputError(f"{wanted}, got {given.dtype} of shape {given.shape}")
-    return given.reshape(-1, 3).astype(np.float64)
+    return given.astype(np.float64)
 
 
-def _name(target: str | None, frames: _Frames, inputs: list[Any]) -> list[str]:
-    """Return the files to write, each of which can be; none where images are returned."""
+def _name(target: str | None, frames: Frames) -> list[str]:
+    """Return the files to write; none where images are returned."""
     if target is None:
         return []
-    if isinstance(frames, _TurnedLight) and is_animation(target):
+    if isinstance(frames, LightFrames) and is_animation(target):
         check_animation()
-        names = [target]
-    else:
-        names = name_pictures(target, frames.count)
-    for name in names:
-        check_output(name, inputs)
-    return names
+        return [target]
+    return name_pictures(target, frames.count)

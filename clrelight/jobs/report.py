@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -75,11 +76,12 @@ def report_for(report: Report | None) -> Report:
 
 
 def _warn(note: str) -> None:
-    # At the line that called us from outside of the package, however deep we are.
-    frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
-        frame, level = frame.f_back, level + 1
-    warnings.warn(note, Note, stacklevel=level - 1)
+    # At the line that called the package, whatever lies between it and here.
+    level = 1
+    for depth, (frame, _) in enumerate(traceback.walk_stack(sys._getframe()), start=1):
+        if frame.f_code.co_filename.startswith(_PACKAGE):
+            level = depth + 1
+    warnings.warn(note, Note, stacklevel=level)
 
 
 @contextmanager
