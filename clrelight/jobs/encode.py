@@ -137,13 +137,12 @@ def encode(
     budget = None if bytes is None else count_bytes(bytes)
     wanted = _ask(codec, basis, budget, target_psnr, stack is not None, options)
     room_bytes = DEFAULT_MEMORY if memory is None else count_bytes(memory)
-    folder = tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent
     limit = None if memory is None else room_bytes
     with (
         claimed([] if out is None else [out], paths_among(source, stack)),
         opened_on(device, kept) as opened,
         lend_fit(source) as coefficients,
-        scratch_room(folder, room_bytes) as room,
+        scratch_room(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, room_bytes) as room,
     ):
         encoded = _Encode(coefficients, wanted, opened, room, limit, kept, progress).run(stack)
         if out is None:

@@ -8,7 +8,15 @@ import time
 from clrelight.codec import Encoded
 from clrelight.device import Device
 from clrelight.export import check_export, export_textures
-from clrelight.jobs.inputs import FittedLike, is_encoded, lend_coefficients, opened_on, paths_among, take_encoded
+from clrelight.jobs.inputs import (
+    FittedLike,
+    is_encoded,
+    lend_coefficients,
+    opened_on,
+    path_text,
+    paths_among,
+    take_encoded,
+)
 from clrelight.jobs.report import Progress, Report, report_for, stage
 
 
@@ -49,7 +57,7 @@ def export(
     InputError
         If the format is unknown, a file is damaged or none of ours, or `out` cannot be written.
     """
-    check_export(out, format, paths_among(source))
+    check_export(path_text(out, "a folder or file to write"), str(format), paths_among(source))
     kept = report_for(report)
     with opened_on(device, kept) as opened:
         blocks: Encoded | None = None

@@ -146,10 +146,12 @@ def _lend_view(source: FittedLike, device: Device, report: Report, progress: Pro
 
 def turn_light(light: Light, rotation: Rotation) -> Light:
     """Return a light turned; InputError where the rotation is none."""
-    form, numbers = rotation if isinstance(rotation, tuple) else ("axis", (0.0, 0.0, 1.0, rotation))
     try:
+        form, numbers = rotation if isinstance(rotation, tuple) else ("axis", (0.0, 0.0, 1.0, rotation))
         matrix = rotation_matrix(form, numbers)
-    except TypeError:
+    except InputError:
+        raise
+    except (TypeError, ValueError):
         raise InputError(
             f"expected a rotation as degrees about z, or as a form and its numbers, got {rotation!r}"
         ) from None

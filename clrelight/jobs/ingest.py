@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import tempfile
 import time
@@ -10,13 +11,18 @@ from pathlib import Path
 from typing import Any, overload
 
 from clrelight.dataset import LightStack
+from clrelight.errors import InputError
 from clrelight.ingest import ingest_folder
+from clrelight.jobs.inputs import path_text
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.store import open_stack
 
 DEFAULT_MEMORY = 1 << 30
 """Bytes of image data that are held where nothing else is said."""
+
+_OWN = ("folder", "out_path", "memory_bytes", "progress")
+_OPTIONS = [name for name in inspect.signature(ingest_folder).parameters if name not in _OWN]
 
 
 @overload
@@ -79,6 +85,10 @@ def ingest(
     InputError
         Naming the file, line or light that is wrong.
     """
+    path_text(folder, "a folder")
+    for name in options:
+        if name not in _OPTIONS:
+            raise InputError(f"ingest has no option {name!r}; it has: {', '.join(_OPTIONS)}")
     kept, budget = report_for(report), count_bytes(memory)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="clrelight.") as place:
@@ -86,6 +96,7 @@ def ingest(
             _read(folder, stack, budget, kept, progress, options)
             with open_stack(stack) as stored:
                 return replace(stored, images_ihwc=stored.images_ihwc[...])
+    path_text(out, "a stack to write")
     _read(folder, out, budget, kept, progress, options)
     kept.facts = {"file": os.fsdecode(out), **kept.facts}
     return kept

@@ -47,6 +47,13 @@ def whole(value: Any, what: str) -> int:
         raise InputError(f"{what} must be a whole number, got {value!r}") from None
 
 
+def path_text(path: object, what: str) -> str:
+    """Return a path as text; InputError if it is none."""
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"expected the path of {what}, got {type(path).__name__}")
+    return os.fsdecode(path)
+
+
 def paths_among(*sources: object) -> list[Path]:
     """Return those that are paths."""
     return [source for source in sources if isinstance(source, str | os.PathLike)]

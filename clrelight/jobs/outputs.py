@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from clrelight.jobs.inputs import path_text
 from clrelight.store import check_output
 
 
@@ -13,5 +14,5 @@ from clrelight.store import check_output
 def claimed(names: Sequence[str | os.PathLike[str]], inputs: Sequence[str | os.PathLike[str]] = ()) -> Iterator[None]:
     """Do the work of the block for files that can be written as they look now, and are none of the inputs."""
     for name in names:
-        check_output(name, inputs)
+        check_output(path_text(name, "a file to write"), inputs)
     yield

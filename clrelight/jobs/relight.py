@@ -16,7 +16,7 @@ from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.jobs.frames import DirectedFrames, Frames, LightFrames, Rotation, turn_light
-from clrelight.jobs.inputs import FittedLike, Path, opened_on, paths_among, whole
+from clrelight.jobs.inputs import FittedLike, Path, opened_on, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import (
     check_animation,
@@ -135,7 +135,7 @@ def relight(
     InputError
         If a direction has no length, a file is damaged or none of ours, or `out` cannot be written.
     """
-    target = None if out is None else os.fsdecode(out)
+    target = None if out is None else path_text(out, "an image to write")
     how = _How(count_stops(exposure), rotate, turntable, about, tonemap, transfer)
     how.check(target)
     kept = report_for(report)
