@@ -209,6 +209,27 @@ def test_what_is_no_direction_is_refused(fitted, light):
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.parametrize(
+    ("out", "names"),
+    [
+        ("50%done.png", ["50%done.png"]),
+        ("a%dir/x.png", ["a%dir/x.png"]),
+        ("f%d.png", ["f0.png"]),
+        ("%03d%.png", ["000%.png"]),
+        ("f%d_%d.png", None),
+    ],
+)
+def test_where_a_number_goes_in_a_name(fitted, tmp_path, out, names):
+    (tmp_path / "a%dir").mkdir()
+    if names is None:
+        with pytest.raises(cr.InputError, match="2 number fields"):
+            cr.relight(fitted, LIGHT, out=tmp_path / out)
+    else:
+        report = cr.relight(fitted, LIGHT, out=tmp_path / out)
+        assert report.facts["files"] == [str(tmp_path / name) for name in names]
+    assert sorted(contents(tmp_path)) == (names or [])
+
+
 def test_light_from_everywhere(folder, fit_file, fitted, tmp_path):
     succeed("light", tmp_path / "cap.h5", "--cap", "0.2,0.3,1,20", "--degree", DEGREE)
     cap = cr.cap_light((0.2, 0.3, 1), 20, DEGREE)
