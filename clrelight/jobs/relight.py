@@ -147,7 +147,7 @@ def relight(
         frames, flat = how.frames_of(light), turntable is None
     else:
         how.refuse_turns()
-        directions_i3, flat = _directions(light, lights)
+        directions_i3, flat = _directions(light, lights, kept)
         frames = DirectedFrames(directions_i3, how.exposure or 0.0)
     names = _name(target, frames)
     with claimed(names, paths_among(source, light, lights)), opened_on(device, kept) as opened:
@@ -233,7 +233,7 @@ def _show(
     return kept_ihwc
 
 
-def _directions(light: ArrayLike | None, lights: Path | None) -> tuple[NDArray[np.float64], bool]:
+def _directions(light: ArrayLike | None, lights: Path | None, report: Report) -> tuple[NDArray[np.float64], bool]:
     """Return unit vectors from numbers of any length or from a file, and whether it was one direction's numbers."""
     given = light is not None and not (isinstance(light, Sized) and len(light) == 0)
     if given == (lights is not None):
@@ -242,10 +242,9 @@ def _directions(light: ArrayLike | None, lights: Path | None) -> tuple[NDArray[n
     if lights is None:
         numbers = _numbers(light)
         directions_i3, flat = numbers.reshape(-1, 3), numbers.ndim == 1
-    elif os.fsdecode(lights).lower().endswith(".lp"):
-        directions_i3 = read_lp(pathlib.Path(os.fsdecode(lights)))[1]
     else:
-        directions_i3 = read_directions(pathlib.Path(os.fsdecode(lights)))
+        directions_i3, notes = _read_directions(pathlib.Path(path_text(lights, "directions")))
+        report.note(*notes)
     # Scaled by the largest component first, whose square could be beyond float64's range.
     largest = np.max(np.abs(directions_i3), axis=1, keepdims=True)
     bad = np.flatnonzero(~(np.isfinite(largest[:, 0]) & (largest[:, 0] > 0)))
@@ -255,6 +254,11 @@ def _directions(light: ArrayLike | None, lights: Path | None) -> tuple[NDArray[n
         )
     directions_i3 = directions_i3 / largest
     return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True), flat
+
+
+def _read_directions(path: pathlib.Path) -> tuple[NDArray[np.float64], list[str]]:
+    """Return directions of a file as they are written, and what to say of them."""
+    return (read_lp(path)[1] if path.suffix.lower() == ".lp" else read_directions(path)), []
 
 
 def _numbers(light: ArrayLike | None) -> NDArray[np.float64]:
