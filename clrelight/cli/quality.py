@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from clrelight.cli.options import device_option, json_option
-from clrelight.cli.output import decibel, print_facts, print_json, seconds_line
+from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 
 
@@ -34,6 +34,7 @@ def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
     if as_json:
         print_json(report.to_json())
         return
+    print_notes(report.notes)
     print_facts({**psnr_lines(report.psnr), "time": seconds_line(report.seconds)})
 
 
