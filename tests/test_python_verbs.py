@@ -230,6 +230,7 @@ def test_where_a_number_goes_in_a_name(fitted, tmp_path, out, names):
     assert sorted(contents(tmp_path)) == (names or [])
 
 
+@pytest.mark.filterwarnings("ignore::clrelight.Note")
 def test_light_from_everywhere(folder, fit_file, fitted, tmp_path):
     succeed("light", tmp_path / "cap.h5", "--cap", "0.2,0.3,1,20", "--degree", DEGREE)
     cap = cr.cap_light((0.2, 0.3, 1), 20, DEGREE)
