@@ -21,8 +21,8 @@ from clrelight.cli.tables import print_table
 from clrelight.codec import codec_class, decode, encode
 from clrelight.dataset import CoefficientMap, LightStack, split_lights
 from clrelight.device import open_device
-from clrelight.experiment.target import encode_to_quality
 from clrelight.fit.run import fit
+from clrelight.jobs.target import encode_to_quality
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.relight import relight, to_display
 from clrelight.speed.tables import replace_block

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from clrelight.errors import InputError
 
 
@@ -29,9 +31,20 @@ class Configurable:
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any]) -> Self:
-        """Make one from its options; InputError names an option that it does not have."""
-        known = [f.name for f in fields(cls)]  # type: ignore[arg-type]
-        for key in config:
+        """Make one from its options; InputError names an option that it does not have, or that is of a wrong type."""
+        known = {f.name: str(f.type) for f in fields(cls)}  # type: ignore[arg-type]
+        plain: dict[str, Any] = {}
+        for key, value in config.items():
             if key not in known:
                 raise InputError(f"{cls.kind} {cls.id} has no option {key!r}; it has: {', '.join(known) or 'none'}")
-        return cls(**config)
+            plain[key] = value.item() if isinstance(value, np.generic) else value  # NumPy's are not all Python's
+        try:
+            made = cls(**plain)
+        except TypeError:
+            given = ", ".join(f"{key}={value!r}" for key, value in plain.items())
+            raise InputError(f"{cls.kind} {cls.id}: an option is of a wrong type, got {given}") from None
+        for key, value in plain.items():
+            for kind, wanted in ((int, "a whole number"), (bool, "true or false")):
+                if known[key].removesuffix(" | None") == kind.__name__ and type(value) not in (kind, type(None)):
+                    raise InputError(f"{cls.kind} {cls.id}: {key} must be {wanted}, got {value!r}")
+        return made

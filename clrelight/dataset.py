@@ -252,6 +252,45 @@ class CoefficientMap:
         return int(height), int(width), int(channel)
 
 
+@dataclass(frozen=True)
+class FitRecord:
+    """What a fit holds beside its coefficients; attributes as of `CoefficientMap`."""
+
+    degree: int
+    method: str
+    peak: float
+    transfer: str
+    directions_i3: NDArray[np.float64]
+    config: Mapping[str, Any]
+    name: str
+
+    @classmethod
+    def of(cls, coefficients: CoefficientMap) -> FitRecord:
+        """Return the record of a fit."""
+        return cls(
+            coefficients.degree,
+            coefficients.method,
+            coefficients.peak,
+            coefficients.transfer,
+            coefficients.directions_i3,
+            coefficients.config,
+            coefficients.name,
+        )
+
+    def to_map(self, coeffs_khwc: Any) -> CoefficientMap:
+        """Return the fit with decoded coefficients; InputError if they do not match the degree."""
+        return CoefficientMap(
+            coeffs_khwc,
+            self.degree,
+            self.method,
+            self.peak,
+            self.transfer,
+            self.directions_i3,
+            self.config,
+            name=self.name,
+        )
+
+
 def check_directions(directions_i3: NDArray, n_light: int | None) -> None:
     """Raise InputError unless `directions_i3` is (n_light, 3) float64 of finite unit vectors."""
     if directions_i3.ndim != 2 or directions_i3.shape[1] != 3 or directions_i3.dtype != np.float64:

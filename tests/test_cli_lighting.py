@@ -6,7 +6,6 @@ import h5py
 import numpy as np
 import pytest
 
-from clrelight.cli import lighting
 from clrelight.device import open_device
 from clrelight.images import read_image, write_image
 from clrelight.lighting.hemisphere import share_below
@@ -313,7 +312,7 @@ def test_a_turntable_as_an_animation(made, tmp_path):
 def test_an_animation_keeps_8_bit_frames(made, tmp_path, monkeypatch):
     pytest.importorskip("PIL.Image", reason="animations are written by Pillow")
     kept = []
-    monkeypatch.setattr(lighting, "_write_animation", lambda name, frames, *_: kept.extend(frames))
+    monkeypatch.setattr("clrelight.jobs.relight.write_animation", lambda name, frames: kept.extend(frames))
     words = ("--light", made / "light.h5", "--turntable", 3, "--exposure", "auto", "--tonemap", "reinhard")
     call("relight", made / "fit.h5", tmp_path / "o.gif", *words)
     call("relight", made / "fit.h5", tmp_path / "o%d.png", *words)

@@ -13,7 +13,6 @@ import OpenImageIO as oiio
 import pytest
 
 from clrelight import store
-from clrelight.cli.fitting import _float16_tiles
 from clrelight.cli.trade import _commands
 from clrelight.codec import Half, encode
 from clrelight.codec.rounding import rounding_rows
@@ -21,9 +20,10 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.experiment.grid import CodecSetting
-from clrelight.experiment.target import encode_to_quality
 from clrelight.fit import prepare_fit
 from clrelight.fit.run import fit_tiles, rows_per_tile
+from clrelight.jobs.fit import _float16_tiles
+from clrelight.jobs.target import encode_to_quality
 from clrelight.metrics import measure_errors
 from clrelight.relight import relight
 from clrelight.sampling import make_pattern

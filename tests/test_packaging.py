@@ -1,12 +1,16 @@
+import email
 import importlib.util
 import os
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+
+import clrelight
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -39,7 +43,7 @@ def wheel(tmp_path_factory):
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
     for name in ("clrelight", "datasets_synth", "kernels"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", ".gitignore"):  # hatchling leaves out what git ignores
+    for name in ("pyproject.toml", "LICENSE", ".gitignore"):  # hatchling leaves out what git ignores
         shutil.copy(ROOT / name, source)
     readme = ROOT / "README.md"
     (source / "README.md").write_bytes(readme.read_bytes() if readme.exists() else b"")
@@ -66,6 +70,25 @@ def test_a_wheel_holds_every_module(wheel):
         for path in (ROOT / name).rglob("*.py")
     }
     assert packed == modules
+
+
+def test_a_wheel_says_whose_it_is_and_that_it_has_types(wheel):
+    packed = zipfile.ZipFile(wheel)
+    assert "clrelight/py.typed" in packed.namelist()
+    (place,) = (name for name in packed.namelist() if name.endswith(".dist-info/METADATA"))
+    told = email.message_from_bytes(packed.read(place))
+    assert (told["License-Expression"], told["Author"]) == ("MIT", "The clrelight authors")
+    assert packed.read(place.replace("METADATA", "licenses/LICENSE")) == (ROOT / "LICENSE").read_bytes()
+    # One version: of the package, of the wheel, and of the command.
+    assert told["Version"] == clrelight.__version__ == place.split("-")[1].removesuffix(".dist")
+    assert "clrelight = clrelight.cli:main" in packed.read(place.replace("METADATA", "entry_points.txt")).decode()
+
+
+def test_there_is_one_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert ("version" in project, project["dynamic"]) == (False, ["version"])
+    done = run([sys.executable, "-m", "clrelight", "--version"], ROOT)
+    assert done.stdout == f"clrelight {clrelight.__version__}\n"
 
 
 def test_an_installed_package_runs_its_own_kernels(wheel, tmp_path):

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import time
-
 import click
 
 from clrelight.cli.options import device_option, json_option
-from clrelight.cli.output import print_facts, print_json, seconds_line
+from clrelight.cli.output import make_report, print_facts, print_json, seconds_line
 from clrelight.cli.progress import progress_bar
-from clrelight.cli.quality import lend_coefficients
 
 
 @click.command()
@@ -36,34 +33,20 @@ def export(fitted: str, out: str, file_format: str, device: str | None, as_json:
       clrelight export fit.h5 textures
       clrelight export enc.h5 textures.dds
     """
-    from clrelight.codec import Encoded
-    from clrelight.device import open_device
-    from clrelight.export import check_export, export_textures
-    from clrelight.store import file_schema, read_encoded
+    from clrelight.jobs.export import export as run_export
 
-    check_export(out, file_format, [fitted])
-    opened = open_device(device)
-    seconds: dict[str, float] = {}
-    blocks: Encoded | None = None
-    if file_format == "dds" and file_schema(fitted).startswith("encoded/"):
-        encoded = read_encoded(fitted)[0]
-        blocks = encoded if encoded.codec == "bc6h" else None
-    with lend_coefficients(fitted, opened, seconds) as coefficients, progress_bar("exporting") as bar:
-        since = time.perf_counter()
-        files = export_textures(coefficients, out, file_format, blocks=blocks, device=opened, progress=bar)
-        seconds["export"] = time.perf_counter() - since
+    with progress_bar("exporting") as bar:
+        report = run_export(fitted, out, file_format, device=device, progress=bar, report=make_report(as_json))
     if as_json:
-        print_json(
-            {"files": [str(file) for file in files], "format": file_format, "seconds": seconds}
-            | {"bytes": sum(file.stat().st_size for file in files), "device": opened.info.label}
-        )
+        print_json(report.to_json())
         return
+    files = report.facts["files"]
     print_facts(
         {
-            "textures": str(files[0]) + (f", ... ({len(files) - 1} files)" if len(files) > 2 else ""),
-            "notes": str(files[-1]),
-            "size": f"{sum(file.stat().st_size for file in files)} bytes",
-            "time": seconds_line(seconds),
+            "textures": files[0] + (f", ... ({len(files) - 1} files)" if len(files) > 2 else ""),
+            "notes": files[-1],
+            "size": f"{report.facts['bytes']} bytes",
+            "time": seconds_line(report.seconds),
         }
     )
 

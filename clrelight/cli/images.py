@@ -2,34 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import re
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
-from clrelight.cli.lighting import FLOAT_FORMATS, Exposure, relight_environment
+from clrelight.cli.lighting import Exposure
 from clrelight.cli.options import Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
-from clrelight.cli.quality import lend_coefficients
 from clrelight.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from clrelight.device import Device
-
-_PICTURE_BYTES = 1 << 26
-"""So many bytes of pictures, and one at least, are made in one pass through the coefficients."""
-_NUMBER_FIELD = re.compile(r"%0?[0-9]?d")
 
 
 class LightOrDirection(Numbers):
@@ -99,131 +82,40 @@ def relight(
       clrelight relight enc.h5 frame%03d.exr --lights turntable.lp
       clrelight relight fit.h5 grace.png --light grace.h5 --rotate 90 --exposure auto
     """
-    import numpy as np
+    from clrelight.jobs.relight import relight as run_relight
+    from clrelight.jobs.report import Report
 
-    from clrelight.device import open_device
-    from clrelight.images import write_image
-    from clrelight.relight import to_display
-    from clrelight.store import check_output
-
-    if transfer and image.lower().endswith(FLOAT_FORMATS):
-        raise InputError(f"--transfer is for 8-bit files, but {image} holds linear radiance: leave it out")
+    under: str | list[Any] | None = list(light) or None
     if any(isinstance(each, str) for each in light):
-        if len(light) > 1 or lights is not None:
+        if len(light) > 1:
             raise InputError("a light file is light from everywhere: give one --light, and no --lights beside it")
-        files = [image] if image.lower().endswith(".gif") else _names(image, turntable or 1)
-        if about is not None and (turntable is None or not any(about)):
-            raise InputError("--about X,Y,Z is the axis of --turntable N, and not all zero")
-        relight_environment(
-            fitted, str(light[0]), files, exposure, rotate, turntable, about, tonemap, transfer, device, as_json
+        under = str(light[0])
+    report = Report()
+    with progress_bar("relighting") as bar:
+        run_relight(
+            fitted,
+            under,
+            lights=lights,
+            out=image,
+            exposure="auto" if exposure is None else exposure,
+            rotate=rotate,
+            turntable=turntable,
+            about=about,
+            tonemap=tonemap,
+            transfer=transfer,
+            device=device,
+            progress=bar,
+            report=report,
         )
-        return
-    if exposure is None or any(each is not None for each in (rotate, turntable, about, tonemap)):
-        raise InputError(
-            "--exposure auto, --rotate, --turntable, --about and --tonemap are for light files (--light LIGHT.h5)"
-        )
-    directions_i3 = _directions([each for each in light if not isinstance(each, str)], lights)
-    names = _names(image, len(directions_i3))
-    for name in names:
-        check_output(name, [fitted, lights] if lights else [fitted])
-    opened = open_device(device)
-    seconds: dict[str, float] = {}
-    notes = [
-        f"light {i} is below the horizon, where a hemispherical fit knows nothing"
-        for i in range(len(directions_i3))
-        if directions_i3[i, 2] < 0
-    ]
-    seconds["relight"] = seconds["write"] = 0.0
-    with _lend_view(fitted, opened, seconds) as view, progress_bar("relighting") as bar:
-        step = max(1, _PICTURE_BYTES // view.picture_bytes)
-        for first in range(0, len(names), step):
-            since = time.perf_counter()
-            pictures_ihwc = view.light(directions_i3[first : first + step])
-            seconds["relight"] += time.perf_counter() - since
-            for index, radiance in enumerate(pictures_ihwc, start=first):
-                since = time.perf_counter()
-                radiance *= np.float32(2.0**exposure)
-                if names[index].lower().endswith(FLOAT_FORMATS):
-                    write_image(names[index], radiance)
-                else:
-                    write_image(names[index], to_display(radiance, transfer or view.transfer))
-                seconds["write"] += time.perf_counter() - since
-                bar(index + 1, len(names))
     if as_json:
-        print_json({"files": names, "notes": notes, "seconds": seconds, "device": opened.info.label})
+        print_json(report.to_json())
         return
-    print_notes(notes)
-    print_facts({"image": ", ".join(names[:3]) + (" ..." if len(names) > 3 else ""), "time": seconds_line(seconds)})
-
-
-@dataclass(frozen=True)
-class _View:
-    """What makes pictures of directions, the bytes of one, and the stack's transfer."""
-
-    light: Callable[[NDArray[np.float64]], NDArray[np.float32]]
-    picture_bytes: int
-    transfer: str
-
-
-@contextmanager
-def _lend_view(path: str, device: Device, seconds: dict[str, float]) -> Iterator[_View]:
-    """Lend a view to relight.
-
-    An encoding with a basis of its own relights there: only the light vector is transformed.
-    """
-    from clrelight.codec import decode_view
-    from clrelight.relight import relight as relight_coefficients
-    from clrelight.store import file_schema, read_encoded
-
-    if file_schema(path).startswith("encoded/"):
-        since = time.perf_counter()
-        encoded, source = read_encoded(path)
-        view = decode_view(encoded, device)
-        seconds["decode"] = time.perf_counter() - since
-        if view is not None:
-            picture_bytes = 4 * math.prod(encoded.shape[1:])
-            yield _View(lambda directions_i3: view.relight(directions_i3, device), picture_bytes, source.transfer)
-            return
-    with lend_coefficients(path, device, seconds) as coefficients:
-        picture_bytes = 4 * math.prod(coefficients.image_shape)
-        yield _View(
-            lambda directions_i3: relight_coefficients(coefficients, directions_i3, device=device),
-            picture_bytes,
-            coefficients.transfer,
-        )
-
-
-def _directions(light: list[tuple[float, float, float]], lights: str | None) -> NDArray[np.float64]:
-    import numpy as np
-
-    from clrelight.lights import read_directions, read_lp
-
-    if bool(light) == (lights is not None):
-        raise InputError("give the light by --light X,Y,Z or by --lights FILE")
-    if lights is None:
-        directions_i3 = np.array(light, np.float64)
-    elif lights.lower().endswith(".lp"):
-        directions_i3 = read_lp(Path(lights))[1]
-    else:
-        directions_i3 = read_directions(Path(lights))
-    # Scaled by the largest component first, whose square could be beyond float64's range.
-    largest = np.max(np.abs(directions_i3), axis=1, keepdims=True)
-    bad = np.flatnonzero(~(np.isfinite(largest[:, 0]) & (largest[:, 0] > 0)))
-    if bad.size:
-        raise InputError(
-            f"light {bad[0]} has the direction {directions_i3[bad[0]]}, expected finite numbers that are not all zero"
-        )
-    directions_i3 = directions_i3 / largest
-    return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True)
-
-
-def _names(image: str, count: int) -> list[str]:
-    field = _NUMBER_FIELD.search(image)
-    if field:
-        return [image[: field.start()] + field[0] % index + image[field.end() :] for index in range(count)]
-    if count > 1:
-        raise InputError(f"{count} images need a number field in their name, such as relit%03d.png, got {image!r}")
-    return [image]
+    print_notes(report.notes)
+    files = report.facts["files"]
+    facts = {"image": ", ".join(files[:3]) + (" ..." if len(files) > 3 else "")}
+    if "exposure" in report.facts:
+        facts["exposure"] = f"{report.facts['exposure']:+.2f} stops"
+    print_facts({**facts, "time": seconds_line(report.seconds)})
 
 
 COMMANDS = (relight,)

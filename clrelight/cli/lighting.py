@@ -1,8 +1,7 @@
-"""``clrelight light`` and ``irradiance``, and relighting under light files."""
+"""``clrelight light`` and ``irradiance``."""
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import re
 import time
@@ -18,19 +17,11 @@ from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from clrelight.lighting.light import Light
-
-FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
-"""Images that hold linear radiance as floats."""
 
 # Two digits are l and m; more need a sign, a comma or a blank between the two: L110 could be 1,10 or 11,0.
 _CHANGE = re.compile(r"L?(\d(?=\d\s*=)|\d{1,3}(?=[\s,+-]))\s*,?\s*([+-]?\d{1,3})\s*=(.+)")
 _PRINTED_DEGREE = 2
-_MAX_STOPS = 64.0
-_FRAME_MILLISECONDS = 80
 
 
 class Exposure(click.ParamType):
@@ -40,20 +31,12 @@ class Exposure(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
         """Return the stops, None for auto."""
-        if value == "auto":
-            return None
+        from clrelight.jobs.written import count_stops
+
         try:
-            stops = float(value)
-        except ValueError:
-            stops = math.nan
-        if not abs(stops) <= _MAX_STOPS:
-            self.fail(
-                f"exposure must be a number of stops from -{_MAX_STOPS:g} to {_MAX_STOPS:g}, got {value}; light files "
-                "also take auto",
-                param,
-                ctx,
-            )
-        return stops
+            return count_stops(value)
+        except InputError as error:
+            self.fail(str(error), param, ctx)
 
 
 class Change(click.ParamType):
@@ -270,108 +253,6 @@ def _check_map_options(with_map: bool) -> None:
             raise InputError(f"--{name} is for maps (--env); --rotate turns any light")
 
 
-def relight_environment(
-    fitted: str,
-    light_file: str,
-    files: list[str],
-    exposure: float | None,
-    rotate: Rotation | None,
-    turntable: int | None,
-    about: tuple[float, float, float] | None,
-    tonemap: str | None,
-    transfer: str | None,
-    device: str | None,
-    as_json: bool,
-) -> None:
-    """Write the view under a light file, once or for each turn of a turntable; the arguments are those of `relight`."""
-    import numpy as np
-
-    from clrelight.cli.quality import lend_coefficients
-    from clrelight.device import open_device
-    from clrelight.lighting.hemisphere import share_below
-    from clrelight.lighting.relighting import automatic_exposure, relight_under
-    from clrelight.store import check_output, read_light
-
-    if files[0].lower().endswith(FLOAT_FORMATS) and tonemap is not None:
-        raise InputError(f"--tonemap is for 8-bit files, but {files[0]} holds linear radiance: leave it out")
-    animated = files[0].lower().endswith(".gif")
-    if animated and importlib.util.find_spec("PIL") is None:
-        raise InputError("a .gif needs Pillow: pip install 'clrelight[codecs]', or write .png files")
-    for name in files:
-        check_output(name, [fitted, light_file])
-    lit = read_light(light_file) if rotate is None else rotate_by(read_light(light_file), rotate)
-    opened = open_device(device)
-    seconds: dict[str, float] = {}
-    with lend_coefficients(fitted, opened, seconds) as coefficients, progress_bar("relighting") as bar:
-        seconds["relight"] = seconds["write"] = 0.0
-        steps = turntable or 1
-        shown_as = transfer or coefficients.transfer
-        frames: list[NDArray[np.uint8]] = []
-        below = -math.inf  # the largest share of all steps
-        for step in range(steps):
-            since = time.perf_counter()
-            turn: Rotation = ("axis", (*(about or (0.0, 0.0, 1.0)), 360.0 * step / steps))
-            turned = rotate_by(lit, turn) if step else lit
-            below = max(below, share_below(turned))
-            image_hwc = relight_under(coefficients, turned, device=opened)
-            if exposure is None:
-                exposure = automatic_exposure(image_hwc)  # of the first image, for all of them
-            image_hwc *= np.float32(2.0**exposure)
-            seconds["relight"] += time.perf_counter() - since
-            since = time.perf_counter()
-            if animated:
-                frames.append(_display(image_hwc, tonemap, shown_as))
-            else:
-                _write_view(files[step], image_hwc, tonemap, shown_as)
-            seconds["write"] += time.perf_counter() - since
-            bar(step + 1, steps)
-        if animated:
-            since = time.perf_counter()
-            _write_animation(files[0], frames)
-            seconds["write"] += time.perf_counter() - since
-    share = f"{'up to ' if steps > 1 else ''}{below:.1%}"
-    notes = (
-        [f"{share} of the light comes from below the horizon, where the fit knows nothing: it is cut"]
-        if below > 0
-        else []
-    )
-    if as_json:
-        facts = {"files": files, "exposure": exposure, "below": below, "notes": notes}
-        print_json({**facts, "seconds": seconds, "device": opened.info.label})
-        return
-    print_notes(notes)
-    shown = ", ".join(files[:3]) + (" ..." if len(files) > 3 else "")
-    print_facts({"image": shown, "exposure": f"{exposure:+.2f} stops", "time": seconds_line(seconds)})
-
-
-def _display(image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> NDArray[np.uint8]:
-    from clrelight.lighting.relighting import map_tones
-    from clrelight.relight import to_display
-
-    return to_display(map_tones(image_hwc, tonemap or "clip"), transfer)
-
-
-def _write_view(name: str, image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> None:
-    from clrelight.images import write_image
-
-    floats = name.lower().endswith(FLOAT_FORMATS)
-    write_image(name, image_hwc if floats else _display(image_hwc, tonemap, transfer))
-
-
-def _write_animation(name: str, frames: list[NDArray[np.uint8]]) -> None:
-    import io
-
-    from PIL import Image
-
-    from clrelight.store.durable import replacing
-
-    pictures = [Image.fromarray(each[..., 0] if each.shape[2] == 1 else each) for each in frames]
-    content = io.BytesIO()
-    pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:], duration=_FRAME_MILLISECONDS, loop=0)
-    with replacing(name) as part:
-        part.write(content.getvalue())
-
-
 @click.command()
 @click.argument("environments", metavar="FILE...", type=click.Path(), nargs=-1, required=True)
 @click.argument("out", type=click.Path())
@@ -420,6 +301,7 @@ def irradiance(
 
     from clrelight.device import open_device
     from clrelight.images import write_image
+    from clrelight.jobs.pictures import FLOAT_FORMATS, holds_floats
     from clrelight.lighting import layouts
     from clrelight.lighting.environment import read_environment
     from clrelight.lighting.irradiance import (
@@ -431,7 +313,7 @@ def irradiance(
     from clrelight.lighting.projection import project_environment
     from clrelight.store import check_output
 
-    if not out.lower().endswith(FLOAT_FORMATS):
+    if not holds_floats(out):
         raise InputError(f"irradiance is linear radiance: write it to {', '.join(FLOAT_FORMATS)}, got {out}")
     check_output(out, environments)
     seconds: dict[str, float] = {}

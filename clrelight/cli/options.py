@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import click
 
+from clrelight.errors import InputError
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 1 << 10, "mi": 1 << 20, "gi": 1 << 30}
 _LARGEST = (1 << 31) - 1
 
 
@@ -24,14 +24,12 @@ class ByteCount(click.ParamType):
         """Return the number of bytes."""
         if isinstance(value, int):
             return value
-        match = re.fullmatch(r"\s*([0-9.]+(?:e[0-9]+)?)\s*(k|m|g|ki|mi|gi|)b?\s*", str(value).lower())
+        from clrelight.jobs.written import count_bytes
+
         try:
-            count = int(float(match[1]) * _UNITS[match[2]]) if match else 0
-        except (ValueError, OverflowError):
-            count = 0
-        if not 1 <= count < 1 << 63:
-            self.fail(f"{value!r} is not a number of bytes such as 1GiB, 512M or 2000000", param, ctx)
-        return count
+            return count_bytes(value)
+        except InputError as error:
+            self.fail(str(error), param, ctx)
 
 
 class DegreeType(click.ParamType):
@@ -144,6 +142,11 @@ def memory_option(default: str, what: str) -> Callable[[Command], Command]:
     return click.option(
         "--memory", type=ByteCount(), default=default, show_default=True, metavar="BYTES", help=f"Budget for {what}."
     )
+
+
+def is_given(context: click.Context, name: str) -> bool:
+    """Return whether an option stands on the command line."""
+    return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
 def given(**options: Any) -> dict[str, Any]:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from clrelight.jobs.report import Report
 
 
 def print_json(values: Mapping[str, Any]) -> None:
@@ -52,6 +55,13 @@ def print_notes(notes: Sequence[str]) -> None:
     """Print notes on standard error, so that they never mix with results."""
     for note in notes:
         click.echo(f"note: {note}", err=True)
+
+
+def make_report(as_json: bool) -> Report:
+    """Return a report whose notes are printed as they arise, before long work; a JSON object holds them at its end."""
+    from clrelight.jobs.report import Report
+
+    return Report(tell=None if as_json else lambda note: print_notes([note]))
 
 
 def decibel(value: float) -> str:

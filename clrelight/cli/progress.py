@@ -27,7 +27,7 @@ class ProgressBar:
         if sys.stderr.isatty():
             self._timer.start()
 
-    def __call__(self, done: int, total: int, what: str | None = None) -> None:
+    def __call__(self, done: int, total: int | None, what: str | None = None) -> None:
         """Show that `done` of `total` is done; KeyboardInterrupt where one was swallowed before."""
         raise_if_interrupted()
         with self._lock:

@@ -19,6 +19,7 @@ from clrelight.codec.noise import Noise, second_moments
 from clrelight.codec.streams import ArraySource, ArrayTarget, Body, BodyWriter, MemoryBody, Source, Target
 from clrelight.configurable import Configurable
 from clrelight.conventions import degree_of
+from clrelight.dataset import FitRecord
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
@@ -49,6 +50,8 @@ class Encoded:
         Payload and every side table: all that grows with the data, and what sizes count.
     info : mapping
         What else the codec measured, such as ``entropy_bits`` (an estimate, bits per coefficient).
+    record : FitRecord, optional
+        What becomes a fit again with the coefficients; arrays alone have none, and no two encodings differ by it.
     """
 
     codec: str
@@ -56,6 +59,7 @@ class Encoded:
     shape: tuple[int, int, int, int]
     body: Body
     info: Mapping[str, float] = field(default_factory=dict)
+    record: FitRecord | None = field(default=None, repr=False, compare=False)
 
     @property
     def encoded_bytes(self) -> int:

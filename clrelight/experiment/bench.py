@@ -20,13 +20,13 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.experiment.grid import CodecSetting, Experiment
-from clrelight.experiment.noise import coding_psnr
 from clrelight.experiment.provenance import software_versions, source_commit
 from clrelight.experiment.scenes import Survey, shrink_picture, survey_stack
 from clrelight.fit import FitMethod
 from clrelight.fit.precision import MIXED, check_precision
 from clrelight.fit.run import FitReport, collect_fit, prepare_fit
 from clrelight.fit.selection import AUTO
+from clrelight.jobs.coding_noise import coding_psnr
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.relight import relight, to_display
 from clrelight.results import ROW_DTYPE, Results

@@ -6,13 +6,13 @@ import functools
 import itertools
 import math
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from clrelight.basis import MAX_DEGREE
 from clrelight.dataset import CoefficientMap, LightStack, split_lights
@@ -221,25 +221,36 @@ def collect_fit(
     progress: Callable[[int, int], None] | None = None,
 ) -> CoefficientMap:
     """Run a prepared fit and return the whole map."""
+    with closing(fit_tiles(prepared, memory_bytes=memory_bytes)) as tiles:
+        return collect_tiles(prepared, tiles, progress=progress)
+
+
+def collect_tiles(
+    prepared: PreparedFit,
+    tiles: Iterable[FittedTile],
+    *,
+    dtype: DTypeLike = np.float32,
+    progress: Callable[[int, int], None] | None = None,
+) -> CoefficientMap:
+    """Return the whole map of a fit from its tiles, whose coefficients are of type `dtype`."""
     stack, method = prepared.stack, prepared.method
     n_coeff = (prepared.degree + 1) ** 2
-    coeffs_khwc = np.empty((n_coeff, *stack.image_shape), np.float32)
+    coeffs_khwc = np.empty((n_coeff, *stack.image_shape), dtype)
     lambda_hwc = np.empty(stack.image_shape, np.float32) if method.has_lambda else None
     rank_hwc = np.empty(stack.image_shape, np.int32) if method.has_rank else None
-    with closing(fit_tiles(prepared, memory_bytes=memory_bytes)) as tiles:
-        for tile in tiles:
-            rows = slice(tile.first, tile.end)
-            if rows == slice(0, stack.image_shape[0]):
-                # One tile is the whole map: no second copy.
-                coeffs_khwc, lambda_hwc, rank_hwc = tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc
-            else:
-                coeffs_khwc[:, rows] = tile.coeffs_khwc
-                if lambda_hwc is not None and tile.lambda_hwc is not None:
-                    lambda_hwc[rows] = tile.lambda_hwc
-                if rank_hwc is not None and tile.rank_hwc is not None:
-                    rank_hwc[rows] = tile.rank_hwc
-            if progress is not None:
-                progress(tile.end, stack.image_shape[0])
+    for tile in tiles:
+        rows = slice(tile.first, tile.end)
+        if rows == slice(0, stack.image_shape[0]):
+            # One tile is the whole map: no second copy.
+            coeffs_khwc, lambda_hwc, rank_hwc = tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc
+        else:
+            coeffs_khwc[:, rows] = tile.coeffs_khwc
+            if lambda_hwc is not None and tile.lambda_hwc is not None:
+                lambda_hwc[rows] = tile.lambda_hwc
+            if rank_hwc is not None and tile.rank_hwc is not None:
+                rank_hwc[rows] = tile.rank_hwc
+        if progress is not None:
+            progress(tile.end, stack.image_shape[0])
     return CoefficientMap(
         coeffs_khwc,
         prepared.degree,

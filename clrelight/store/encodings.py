@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clrelight.codec.registry import Encoded
 from clrelight.codec.streams import Body
-from clrelight.dataset import CoefficientMap
+from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store.fits import FitSink, create_fit
 from clrelight.store.opening import Opened, opening, parse_config, refusing
@@ -23,32 +21,6 @@ from clrelight.store.writing import CHUNK_BYTES, Draft, config_text, drafting
 
 _PIECE_BYTES = 4 * CHUNK_BYTES
 """Of a payload that are copied at a time."""
-
-
-@dataclass(frozen=True)
-class FitRecord:
-    """What a fit holds beside its coefficients; attributes as of `CoefficientMap`."""
-
-    degree: int
-    method: str
-    peak: float
-    transfer: str
-    directions_i3: NDArray[np.float64]
-    config: Mapping[str, Any]
-    name: str
-
-    def to_map(self, coeffs_khwc: Any) -> CoefficientMap:
-        """Return the fit with decoded coefficients; InputError if they do not match the degree."""
-        return CoefficientMap(
-            coeffs_khwc,
-            self.degree,
-            self.method,
-            self.peak,
-            self.transfer,
-            self.directions_i3,
-            self.config,
-            name=self.name,
-        )
 
 
 @contextmanager
@@ -68,7 +40,7 @@ def create_decoded(path: str | os.PathLike, encoded: Encoded, record: FitRecord)
         yield sink
 
 
-def write_encoded(path: str | os.PathLike, encoded: Encoded, source: CoefficientMap) -> None:
+def write_encoded(path: str | os.PathLike, encoded: Encoded, source: CoefficientMap | None = None) -> None:
     """Write encoded coefficients and the record of the fit they come from (its lambda and rank maps are not kept).
 
     Parameters
@@ -77,24 +49,27 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
         Where the file is to stand.
     encoded : Encoded
         Its `info` becomes attributes of the payload.
-    source : CoefficientMap
-        What was encoded.
+    source : CoefficientMap, optional
+        What was encoded. Default: the record that the encoding comes with.
 
     Raises
     ------
     InputError
-        If the shapes differ, or the file cannot be written.
+        If the shapes differ, there is no record, or the file cannot be written.
     """
-    if tuple(encoded.shape) != tuple(source.coeffs_khwc.shape):
+    if source is not None and tuple(encoded.shape) != tuple(source.coeffs_khwc.shape):
         raise InputError(f"the payload is of shape {encoded.shape}, its source of {source.coeffs_khwc.shape}")
+    record = FitRecord.of(source) if source is not None else encoded.record
+    if record is None:
+        raise InputError("these encoded bytes come without the record of their fit: say which fit was encoded")
     header = np.frombuffer(encoded.header(), np.uint8)
     with drafting(path, ENCODED, encoded.encoded_bytes + CHUNK_BYTES) as draft:
         draft.attributes({"codec": encoded.codec, "config": config_text(encoded.config)})
         draft.attributes({"encoded_bytes": encoded.encoded_bytes})
         draft.attributes({"bits_per_coefficient": float(encoded.bits_per_coefficient)})
-        draft.attributes({"method": source.method, "degree": int(source.degree), "peak": float(source.peak)})
-        draft.attributes({"transfer": source.transfer, "name": source.name, "fit_config": config_text(source.config)})
-        draft.dataset("directions", source.directions_i3, ("light", "xyz"))
+        draft.attributes({"method": record.method, "degree": int(record.degree), "peak": float(record.peak)})
+        draft.attributes({"transfer": record.transfer, "name": record.name, "fit_config": config_text(record.config)})
+        draft.dataset("directions", record.directions_i3, ("light", "xyz"))
         draft.dataset("header", header)
         _write_payload(draft, encoded)
         draft.attributes({key: float(value) for key, value in sorted(encoded.info.items())}, of="payload")
@@ -175,4 +150,4 @@ def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRe
     )
     record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # checks the record, takes no memory
     config, info = parse_config(held["config"], "config"), opened.floats("payload")
-    return replace(encoded, config=config, info=info), record
+    return replace(encoded, config=config, info=info, record=record), record

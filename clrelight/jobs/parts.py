@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
+import numpy as np
+
+from clrelight.codec import Codec, Encoded, array_source, decode, decode_stream, encode_stream
+from clrelight.codec.streams import ArraySource, MemoryBody, Shape, Source
+from clrelight.dataset import CoefficientMap
+from clrelight.device import Device
 from clrelight.errors import InputError
+from clrelight.store.coding import PlanesTarget, StoredSource
+from clrelight.store.scratch import ScratchBody, ScratchRoom
 
-if TYPE_CHECKING:
-    from clrelight.codec import Codec, Encoded
-    from clrelight.codec.streams import Shape, Source
-    from clrelight.dataset import CoefficientMap
-    from clrelight.device import Device
-    from clrelight.store.scratch import ScratchRoom
+DEFAULT_MEMORY = 1 << 28
+"""Bytes that parts of a map take where nothing else is said."""
 
 
 def fits(room: ScratchRoom, shape: Shape) -> bool:
@@ -20,37 +24,31 @@ def fits(room: ScratchRoom, shape: Shape) -> bool:
     return room.holds(4 * math.prod(shape))
 
 
-def check_memory(work: str, needed: int, memory: int, asked: bool, otherwise: str = "") -> list[str]:
-    """Return what to say of work that needs more than the budget; InputError where the user set that.
+def check_memory(work: str, needed: int, memory: int | None, otherwise: str = "") -> list[str]:
+    """Return what to say of work that needs more than the usual budget; InputError where the user set it, and lower.
 
-    It says what could be done `otherwise`, if anything.
+    `memory` is None where it was not set. The error says what could be done `otherwise`, if anything.
     """
-    if needed <= memory:
+    if needed <= (DEFAULT_MEMORY if memory is None else memory):
         return []
     text = f"{work} holds whole maps, about {needed / 2**20:.0f} MiB"
-    if asked:
+    if memory is not None:
         advice = f"; {otherwise}" if otherwise else ""
         raise InputError(f"{text}, more than the {memory / 2**20:.3g} MiB of --memory{advice}")
     return [text]
 
 
 def take_source(coefficients: CoefficientMap, codec: Codec, device: Device, room: ScratchRoom) -> Source:
-    """Return the coefficients of an open fit: in memory where the room, or else the codec, holds them whole."""
-    from clrelight.codec import array_source
-    from clrelight.store.coding import StoredSource
-
+    """Return the coefficients of a fit: in memory where they are, or the room, or else the codec, holds them whole."""
     shape = tuple(coefficients.coeffs_khwc.shape)
-    if fits(room, shape) or codec.bytes_to_encode(shape):
+    in_memory = isinstance(coefficients.coeffs_khwc, np.ndarray)
+    if in_memory or fits(room, shape) or codec.bytes_to_encode(shape):
         return array_source(coefficients.to_float32().coeffs_khwc, device)
     return StoredSource(coefficients.coeffs_khwc, device, room)
 
 
 def encode_source(source: Source, codec: Codec, room: ScratchRoom) -> Encoded:
     """Return an encoding whose body is in memory where its source is, else in a file of the room."""
-    from clrelight.codec import Encoded, encode_stream
-    from clrelight.codec.streams import ArraySource, MemoryBody
-    from clrelight.store.scratch import ScratchBody
-
     if isinstance(source, ArraySource):
         written = MemoryBody()
         info = encode_stream(source, codec, written)
@@ -62,11 +60,6 @@ def encode_source(source: Source, codec: Codec, room: ScratchRoom) -> Encoded:
 
 def decode_again(encoded: Encoded, coefficients: CoefficientMap, device: Device, room: ScratchRoom) -> CoefficientMap:
     """Return what the bytes alone decode to, as ``decode`` does it, in memory where the body is."""
-    from dataclasses import replace
-
-    from clrelight.codec import Encoded, decode, decode_stream
-    from clrelight.store.coding import PlanesTarget
-
     if isinstance(encoded.body, bytes):
         return replace(coefficients, coeffs_khwc=decode(encoded.to_bytes(), device))
     target = PlanesTarget(encoded.shape, device, room, codec_id=encoded.codec)

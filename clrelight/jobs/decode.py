@@ -1,0 +1,149 @@
+"""Turn an encoding back into a fit."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec import Encoded, bytes_to_decode, decode_stream
+from clrelight.codec import decode as decode_payload
+from clrelight.codec.streams import Room
+from clrelight.dataset import CoefficientMap, FitRecord
+from clrelight.device import Device
+from clrelight.jobs.encode import size_facts
+from clrelight.jobs.inputs import opened_on, paths_among, take_encoded
+from clrelight.jobs.outputs import claimed
+from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, fits
+from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.written import count_bytes
+from clrelight.store.coding import RowTarget
+from clrelight.store.encodings import create_decoded, stage_encoded
+from clrelight.store.scratch import ScratchRoom, scratch_room
+from clrelight.streaming import writing_behind
+
+
+@overload
+def decode(
+    source: str | os.PathLike[str] | Encoded,
+    *,
+    out: None = None,
+    memory: int | str | None = None,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+) -> CoefficientMap: ...
+
+
+@overload
+def decode(
+    source: str | os.PathLike[str] | Encoded,
+    *,
+    out: str | os.PathLike[str],
+    memory: int | str | None = None,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+) -> Report: ...
+
+
+def decode(
+    source: str | os.PathLike[str] | Encoded,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    memory: int | str | None = None,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+) -> CoefficientMap | Report:
+    """Turn an encoding back into a fit.
+
+    Parameters
+    ----------
+    source : path or Encoded
+    out : path, optional
+        A fit file to write, piece by piece; without it the map is returned.
+    memory : int or str, optional
+        Bytes for parts of the map, such as ``"1GiB"``: a codec that needs more is refused. Without it parts take
+        256 MiB, and a codec that needs more says so in a note.
+    device : Device or str, optional
+        As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
+    progress : callable, optional
+        Told (done, total or None, stage).
+    report : Report, optional
+        Filled; without one, notes become warnings (`Note`).
+
+    Returns
+    -------
+    CoefficientMap
+        With `out` instead the report.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged or none of ours, `memory` does not do, or `out` cannot be written.
+    """
+    kept, room_bytes = report_for(report), DEFAULT_MEMORY if memory is None else count_bytes(memory)
+    limit = None if memory is None else room_bytes
+    targets = [] if out is None else [out]
+    with claimed(targets, paths_among(source)), opened_on(device, kept) as opened:
+        since = time.perf_counter()
+        if out is None:
+            encoded, record = take_encoded(source)
+            since = kept.add("read", since)
+            _tell(encoded, limit, kept)
+            with stage(progress, f"decoding {encoded.codec}"):
+                coefficients = record.to_map(decode_payload(encoded, opened))
+            kept.add("decode", since)
+            return coefficients
+        with scratch_room(Path(os.fsdecode(out)).parent, room_bytes) as room:
+            encoded, record = take_encoded(source) if isinstance(source, Encoded) else stage_encoded(source, room)
+            kept.add("read", since)
+            _tell(encoded, limit, kept)
+            _write(out, encoded, record, opened, room, kept, progress)
+    kept.facts = {"file": os.fsdecode(out), **kept.facts}
+    return kept
+
+
+def _tell(encoded: Encoded, memory: int | None, report: Report) -> None:
+    report.note(*check_memory(f"decoding {encoded.codec}", bytes_to_decode(encoded), memory))
+    report.facts |= size_facts(encoded)
+
+
+def _write(
+    out: str | os.PathLike[str],
+    encoded: Encoded,
+    record: FitRecord,
+    device: Device,
+    room: ScratchRoom,
+    report: Report,
+    progress: Progress | None,
+) -> None:
+    """Decode to a file, which stands once it is whole."""
+    with create_decoded(out, encoded, record) as sink:
+
+        def write(rows: tuple[int, NDArray[np.float32]]) -> None:
+            sink.write_rows(*rows, None, None)
+
+        since = time.perf_counter()
+        with stage(progress, f"decoding {encoded.codec}") as room.progress, writing_behind(write) as put:
+
+            def hand_on(first: int, coeffs_khwc: NDArray[np.float32]) -> None:
+                sink.sum_rows(first, coeffs_khwc, None, None)
+                put((first, coeffs_khwc))
+
+            target = RowTarget(
+                encoded.shape,
+                device,
+                Room() if fits(room, encoded.shape) else room,
+                hand_on,
+                codec_id=encoded.codec,
+                row_step=sink.coeffs_khwc.chunks[1],
+            )
+            decode_stream(encoded, target, device)
+            since = report.add("decode", since)
+    report.add("write", since)

@@ -1,0 +1,296 @@
+"""Fit coefficients to every pixel of a stack: to a file, piece by piece, or to a map in memory."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.rounding import rounding_rows
+from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.device import Device
+from clrelight.fit import FitMethod
+from clrelight.fit.precision import MIXED
+from clrelight.fit.run import (
+    DEFAULT_MEMORY,
+    FittedTile,
+    PreparedFit,
+    collect_fit,
+    collect_tiles,
+    fit_tiles,
+    prepare_fit,
+)
+from clrelight.fit.selection import AUTO
+from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
+from clrelight.jobs.measure import measure_split
+from clrelight.jobs.outputs import claimed
+from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.written import count_bytes
+from clrelight.sampling import split_chosen
+from clrelight.store import FitSink, create_fit
+from clrelight.store.fits import coefficient_dtype
+from clrelight.streaming import Buffer, writing_behind
+
+Split = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""The lights to fit, and those held out."""
+
+
+@overload
+def fit(
+    source: StackLike,
+    method: str | FitMethod = "cls",
+    degree: int | str = 6,
+    *,
+    out: None = None,
+    holdout: int | None = None,
+    lights: int | None = None,
+    weights: str = "uniform",
+    sampling: str = "hemisphere",
+    precision: str = MIXED,
+    store: str = "float32",
+    measure: bool | None = None,
+    memory: int | str = DEFAULT_MEMORY,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+    **options: Any,
+) -> CoefficientMap: ...
+
+
+@overload
+def fit(
+    source: StackLike,
+    method: str | FitMethod = "cls",
+    degree: int | str = 6,
+    *,
+    out: str | os.PathLike[str],
+    holdout: int | None = None,
+    lights: int | None = None,
+    weights: str = "uniform",
+    sampling: str = "hemisphere",
+    precision: str = MIXED,
+    store: str = "float32",
+    measure: bool | None = None,
+    memory: int | str = DEFAULT_MEMORY,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+    **options: Any,
+) -> Report: ...
+
+
+def fit(
+    source: StackLike,
+    method: str | FitMethod = "cls",
+    degree: int | str = 6,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    holdout: int | None = None,
+    lights: int | None = None,
+    weights: str = "uniform",
+    sampling: str = "hemisphere",
+    precision: str = MIXED,
+    store: str = "float32",
+    measure: bool | None = None,
+    memory: int | str = DEFAULT_MEMORY,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+    **options: Any,
+) -> CoefficientMap | Report:
+    """Fit spherical-harmonic coefficients to every pixel and channel of a stack.
+
+    Parameters
+    ----------
+    source : path or LightStack
+    method : str or FitMethod
+        ``"project"``, ``"uls"``, ``"sloan"``, ``"cls"``, ``"ceb"``, ``"ceb-crossing"``, ``"spline"``, or ``"auto"``:
+        the one with the least error at unseen lights, as far as the lights to fit can tell.
+    degree : int or str
+        Largest degree, or ``"auto"``.
+    out : path, optional
+        A fit file to write, piece by piece; without it the map is returned.
+    holdout : int, optional
+        Keep every K-th light out of the fit, and measure there too.
+    lights : int, optional
+        Fit so many well-spread lights only.
+    weights : str
+        ``"uniform"``, or ``"solid-angle"``: least squares and bound weighted by the lights' Voronoi cells.
+    sampling : str
+        ``"hemisphere"``, or ``"scattered"`` for samples that cover a part of it.
+    precision : str
+        ``"mixed"``: float32, and float64 where lambda would be in doubt; ``"single"``; ``"double"``.
+    store : str
+        ``"float32"`` or ``"float16"``: the type of the coefficients.
+    measure : bool, optional
+        Whether to measure PSNR; default: where `out` or `report` is given.
+    memory : int or str
+        Bytes that tiles may take, such as ``"1GiB"``; a map that is returned comes on top.
+    device : Device or str, optional
+        As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
+    progress : callable, optional
+        Told (done, total or None, stage).
+    report : Report, optional
+        Filled; without one, notes become warnings (`Note`).
+    **options
+        Of the method: ``energy``, ``iterations`` and ``solver`` (cls), ``energy`` (ceb), ``fill`` (project), ``lam``
+        and ``per`` (spline). None means the default.
+
+    Returns
+    -------
+    CoefficientMap
+        Coefficients of linear radiance in units of the peak; with `out` instead the report.
+
+    Raises
+    ------
+    InputError
+        If the method cannot fit this degree to these lights, samples are negative or not finite, a row takes more
+        than `memory`, the device cannot compute in this precision, or `out` cannot be written.
+    """
+    kept, budget, dtype = report_for(report), count_bytes(memory), coefficient_dtype(store)
+    model = method if isinstance(method, str | FitMethod) else str(method)
+    wanted = degree if isinstance(degree, str) else whole(degree, "degree")
+    every = None if holdout is None else whole(holdout, "holdout")
+    count = None if lights is None else whole(lights, "lights")
+    targets = [] if out is None else [out]
+    with claimed(targets, paths_among(source)), opened_on(device, kept) as opened, lend_stack(source) as stack:
+        split = split_chosen(stack.directions_i3, every, count)
+        chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
+        with stage(progress, "choosing a model" if AUTO in (model, wanted) else "preparing"):
+            prepared = prepare_fit(
+                chosen,
+                model,
+                wanted,
+                options={name: value for name, value in options.items() if value is not None},
+                weights=weights,
+                sampling=sampling,
+                precision=precision,
+                device=opened,
+            )
+        job = _Fit(stack, split, prepared, dtype, budget, kept, progress)
+        job.tell_facts()
+        if out is not None:
+            job.to_file(out, True if measure is None else measure)
+            return kept
+        return job.to_map(report is not None if measure is None else measure)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A fit that is prepared, and how it shall run."""
+
+    stack: LightStack
+    split: Split
+    prepared: PreparedFit
+    dtype: np.dtype
+    memory: int
+    report: Report
+    progress: Progress | None
+
+    def tell_facts(self) -> None:
+        """Report what is known before the work."""
+        prepared, facts = self.prepared, self.report.facts
+        facts |= {
+            "method": prepared.method.id,
+            "degree": prepared.degree,
+            "n_coeff": (prepared.degree + 1) ** 2,
+            "n_light": len(self.split[0]),
+            "n_holdout": len(self.split[1]),
+            "config": dict(prepared.config),
+            "dtype": self.dtype.name,
+            "condition": prepared.report.condition,
+        }
+        if prepared.choice is not None:
+            facts["choice"] = prepared.choice.to_config()
+        self.report.seconds = prepared.report.seconds
+        self.report.note(*prepared.report.notes)
+
+    def to_file(self, out: str | os.PathLike[str], measured: bool) -> None:
+        """Write the fit tile by tile."""
+        prepared, method = self.prepared, self.prepared.method
+        about: dict[str, Any] = {
+            "degree": prepared.degree,
+            "method": method.id,
+            "peak": self.stack.peak,
+            "transfer": self.stack.transfer,
+            "directions_i3": prepared.stack.directions_i3,
+            "config": prepared.config,
+            "name": self.stack.name,
+        }
+        maps: dict[str, Any] = {"has_lambda": method.has_lambda, "has_rank": method.has_rank}
+        with create_fit(out, image_shape=self.stack.image_shape, dtype=self.dtype, **maps, **about) as sink:
+            self._fill(sink)
+            # Before the file stands: where measuring fails, or is interrupted, an old file stays.
+            if measured:
+                self._measure(CoefficientMap(sink.coeffs_khwc, **about))
+            since = time.perf_counter()
+        self.report.add("write", since)
+        self.report.facts = {
+            "file": os.fsdecode(out),
+            **self.report.facts,
+            "bytes_on_disk": os.stat(out).st_size,
+        }
+
+    def to_map(self, measured: bool) -> CoefficientMap:
+        """Return the fit."""
+        with stage(self.progress, self._title) as tell:
+            if self.dtype == np.float32:
+                fitted = collect_fit(self.prepared, memory_bytes=self.memory, progress=tell)
+            else:
+                with closing(_float16_tiles(self.prepared, self.memory, 1)) as tiles:
+                    fitted = collect_tiles(self.prepared, tiles, dtype=self.dtype, progress=tell)
+        if measured:
+            self._measure(fitted)
+        return fitted
+
+    def _measure(self, fitted: CoefficientMap) -> None:
+        since = time.perf_counter()
+        device = self.prepared.device
+        self.report.psnr = measure_split(fitted, self.stack, device, self.split, progress=self.progress)
+        self.report.add("measure", since)
+
+    @property
+    def _title(self) -> str:
+        return f"fitting {self.prepared.method.title}"
+
+    def _fill(self, sink: FitSink) -> None:
+        def write(tile: FittedTile) -> None:
+            sink.write_rows(tile.first, tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc)
+
+        make = _float32_tiles if self.dtype.itemsize == 4 else _float16_tiles
+        tiles = make(self.prepared, self.memory, sink.coeffs_khwc.chunks[1])
+        with stage(self.progress, self._title) as tell, closing(tiles):
+            with writing_behind(write) as put:
+                for tile in tiles:
+                    since = time.perf_counter()
+                    sink.sum_rows(tile.first, tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc)
+                    put(tile)
+                    since = self.report.add("write", since)
+                    tell(tile.end, self.stack.image_shape[0])
+            self.report.add("write", since)
+
+
+def _float32_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:
+    return fit_tiles(prepared, memory_bytes=memory, held=2, row_step=row_step)
+
+
+def _float16_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:
+    """Yield each tile rounded to halves: of one tile the float32 are held, of two, one being written, the halves."""
+    map_bytes = 4 * (prepared.method.has_lambda + prepared.method.has_rank)
+    beside = 2 * 2 * (prepared.degree + 1) ** 2 + map_bytes
+    halves_of = itertools.cycle([Buffer(), Buffer()])
+    tiles = fit_tiles(prepared, memory_bytes=memory, row_step=row_step, beside=beside)
+    with rounding_rows(prepared.device) as round_rows, closing(tiles):
+        for tile in tiles:
+            since = time.perf_counter()
+            halves_khwc = next(halves_of).lend(tile.coeffs_khwc.shape, np.float16)
+            rounded = replace(tile, coeffs_khwc=round_rows(tile.coeffs_khwc, halves_khwc, tile.first))
+            prepared.report.add("round", since)
+            yield rounded

@@ -1,0 +1,158 @@
+"""The images of a relit view, one by one: under directions, or under light from everywhere that goes round."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec import decode_view
+from clrelight.dataset import CoefficientMap
+from clrelight.device import Device
+from clrelight.errors import InputError
+from clrelight.jobs.inputs import FittedLike, is_encoded, lend_coefficients, take_encoded
+from clrelight.jobs.report import Progress, Report
+from clrelight.lighting.hemisphere import share_below
+from clrelight.lighting.light import Light
+from clrelight.lighting.relighting import automatic_exposure, relight_under
+from clrelight.lighting.rotation import rotate_light, rotation_matrix
+from clrelight.relight import relight
+
+MAX_STEPS = 1 << 16
+_PICTURE_BYTES = 1 << 26
+"""So many bytes of pictures, and one at least, are made in one pass through the coefficients."""
+
+Rotation = float | tuple[str, Sequence[float]]
+"""Degrees about z, or a form of `rotation_matrix` and its numbers."""
+Shown = tuple[Iterator[NDArray[np.float32]], str]
+"""Images one by one, in linear radiance, and the transfer of their stack."""
+
+
+class Frames(Protocol):
+    """What is to be shown: so many images under some light."""
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        ...
+
+    def lend(
+        self, source: FittedLike, device: Device, report: Report, progress: Progress | None
+    ) -> AbstractContextManager[Shown]:
+        """Lend the images."""
+        ...
+
+
+class DirectedFrames:
+    """Images under one distant light each."""
+
+    def __init__(self, directions_i3: NDArray[np.float64], exposure: float) -> None:
+        self._directions_i3, self._exposure = directions_i3, exposure
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return len(self._directions_i3)
+
+    @contextmanager
+    def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
+        """See `Frames`."""
+        below = np.flatnonzero(self._directions_i3[:, 2] < 0)
+        report.note(*(f"light {i} is below the horizon, where a hemispherical fit knows nothing" for i in below))
+        with _lend_view(source, device, report, progress) as view:
+            yield self._images(view, report), view.transfer
+
+    def _images(self, view: _View, report: Report) -> Iterator[NDArray[np.float32]]:
+        step = max(1, _PICTURE_BYTES // view.picture_bytes)
+        for first in range(0, self.count, step):
+            since = time.perf_counter()
+            pictures_ihwc = view.light(self._directions_i3[first : first + step])
+            pictures_ihwc *= np.float32(2.0**self._exposure)
+            report.add("relight", since)
+            yield from pictures_ihwc
+
+
+class LightFrames:
+    """Images under light from everywhere, one for each step of a turntable."""
+
+    def __init__(self, light: Light, exposure: float | None, steps: int, axis: Sequence[float]) -> None:
+        if not 1 <= steps <= MAX_STEPS:
+            raise InputError(f"turntable must be 1 to {MAX_STEPS}, got {steps}")
+        self.count = steps
+        self._light, self._exposure, self._axis = light, exposure, axis
+
+    @contextmanager
+    def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
+        """See `Frames`."""
+        with lend_coefficients(source, device, report, progress) as coefficients:
+            yield self._images(coefficients, device, report), coefficients.transfer
+
+    def _images(self, coefficients: CoefficientMap, device: Device, report: Report) -> Iterator[NDArray[np.float32]]:
+        exposure, below = self._exposure, -math.inf  # the largest share of all steps
+        for step in range(self.count):
+            since = time.perf_counter()
+            turn = ("axis", (*self._axis, 360.0 * step / self.count))
+            turned = turn_light(self._light, turn) if step else self._light
+            below = max(below, share_below(turned))
+            image_hwc = relight_under(coefficients, turned, device=device)
+            if exposure is None:
+                exposure = automatic_exposure(image_hwc)  # of the first image, for all of them
+            image_hwc *= np.float32(2.0**exposure)
+            report.add("relight", since)
+            yield image_hwc
+        report.facts |= {"exposure": exposure, "below": below}
+        if below > 0:
+            share = f"{'up to ' if self.count > 1 else ''}{below:.1%}"
+            report.note(f"{share} of the light comes from below the horizon, where the fit knows nothing: it is cut")
+
+
+@dataclass(frozen=True)
+class _View:
+    """What makes pictures of directions, the bytes of one, and the stack's transfer."""
+
+    light: Callable[[NDArray[np.float64]], NDArray[np.float32]]
+    picture_bytes: int
+    transfer: str
+
+
+@contextmanager
+def _lend_view(source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[_View]:
+    """Lend a view to relight.
+
+    An encoding with a basis of its own relights there: only the light vector is transformed.
+    """
+    if is_encoded(source):
+        since = time.perf_counter()
+        encoded, record = take_encoded(source)  # type: ignore[arg-type]
+        view = decode_view(encoded, device)
+        report.add("decode", since)
+        if view is not None:
+            picture_bytes = 4 * math.prod(encoded.shape[1:])
+            yield _View(lambda directions_i3: view.relight(directions_i3, device), picture_bytes, record.transfer)
+            return
+    with lend_coefficients(source, device, report, progress) as coefficients:
+        yield _View(
+            lambda directions_i3: relight(coefficients, directions_i3, device=device),
+            4 * math.prod(coefficients.image_shape),
+            coefficients.transfer,
+        )
+
+
+def turn_light(light: Light, rotation: Rotation) -> Light:
+    """Return a light turned; InputError where the rotation is none."""
+    try:
+        form, numbers = rotation if isinstance(rotation, tuple) else ("axis", (0.0, 0.0, 1.0, rotation))
+        matrix = rotation_matrix(form, numbers)
+    except InputError:
+        raise
+    except (TypeError, ValueError):
+        raise InputError(
+            f"expected a rotation as degrees about z, or as a form and its numbers, got {rotation!r}"
+        ) from None
+    return rotate_light(light, matrix)

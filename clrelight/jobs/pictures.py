@@ -1,0 +1,75 @@
+"""Pictures as files: their names, radiance in floats or in 8 bits for display, animations."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import os
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.errors import InputError
+from clrelight.images import write_image
+from clrelight.lighting.relighting import map_tones
+from clrelight.relight import to_display
+from clrelight.store.durable import replacing
+
+FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
+"""Images that hold linear radiance as floats."""
+
+_FRAME_MILLISECONDS = 80
+_NUMBER_FIELD = re.compile(r"%0[1-9]d|%[1-9]?d(?![A-Za-z])")
+"""Where the number of a picture goes: ``%03d``, or ``%d`` that is no part of a word, as in ``50%done``."""
+
+
+def name_pictures(image: str, count: int) -> list[str]:
+    """Return the names of so many images; InputError where several have no number field to tell them apart."""
+    folder, name = os.path.split(image)
+    fields = list(_NUMBER_FIELD.finditer(name))
+    if len(fields) > 1:
+        raise InputError(f"{image} has {len(fields)} number fields, expected one, such as relit%03d.png")
+    if fields:
+        before, after = name[: fields[0].start()], name[fields[0].end() :]
+        return [os.path.join(folder, before + fields[0][0] % index + after) for index in range(count)]
+    if count > 1:
+        raise InputError(f"{count} images need a number field in their name, such as relit%03d.png, got {image!r}")
+    return [image]
+
+
+def holds_floats(name: str) -> bool:
+    """Return whether an image of this name holds linear radiance."""
+    return name.lower().endswith(FLOAT_FORMATS)
+
+
+def is_animation(name: str) -> bool:
+    """Return whether all images go to the one file of this name."""
+    return name.lower().endswith(".gif")
+
+
+def check_animation() -> None:
+    """Raise InputError if animations cannot be written here."""
+    if importlib.util.find_spec("PIL") is None:
+        raise InputError("a .gif needs Pillow: pip install 'clrelight[codecs]', or write .png files")
+
+
+def show(image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> NDArray[np.uint8]:
+    """Return 8-bit display values of linear radiance."""
+    return to_display(map_tones(image_hwc, tonemap or "clip"), transfer)
+
+
+def write_view(name: str, image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> None:
+    """Write linear radiance, as the name wants it: in floats, or for display."""
+    write_image(name, image_hwc if holds_floats(name) else show(image_hwc, tonemap, transfer))
+
+
+def write_animation(name: str, frames: list[NDArray[np.uint8]]) -> None:
+    """Write a .gif that goes round for ever."""
+    from PIL import Image
+
+    pictures = [Image.fromarray(each[..., 0] if each.shape[2] == 1 else each) for each in frames]
+    content = io.BytesIO()
+    pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:], duration=_FRAME_MILLISECONDS, loop=0)
+    with replacing(name) as part:
+        part.write(content.getvalue())

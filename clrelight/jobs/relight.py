@@ -1,0 +1,283 @@
+"""Show a view under any light: one direction, several, or light from everywhere."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import time
+from collections.abc import Sequence, Sized
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clrelight.conventions import TRANSFERS
+from clrelight.device import Device
+from clrelight.errors import InputError
+from clrelight.jobs.frames import DirectedFrames, Frames, LightFrames, Rotation, turn_light
+from clrelight.jobs.inputs import FittedLike, Path, opened_on, path_text, paths_among, whole
+from clrelight.jobs.outputs import claimed
+from clrelight.jobs.pictures import (
+    check_animation,
+    holds_floats,
+    is_animation,
+    name_pictures,
+    show,
+    write_animation,
+    write_view,
+)
+from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.written import count_stops
+from clrelight.lighting.light import Light
+from clrelight.lighting.relighting import TONEMAPS
+from clrelight.lights import read_directions, read_lp
+from clrelight.store import read_light
+
+
+@overload
+def relight(
+    source: FittedLike,
+    light: ArrayLike | Light | str | os.PathLike[str] | None = None,
+    *,
+    lights: str | os.PathLike[str] | None = None,
+    out: None = None,
+    exposure: float | str = 0.0,
+    rotate: Rotation | None = None,
+    turntable: int | None = None,
+    about: Sequence[float] | None = None,
+    tonemap: str | None = None,
+    transfer: str | None = None,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+) -> NDArray[np.float32]: ...
+
+
+@overload
+def relight(
+    source: FittedLike,
+    light: ArrayLike | Light | str | os.PathLike[str] | None = None,
+    *,
+    lights: str | os.PathLike[str] | None = None,
+    out: str | os.PathLike[str],
+    exposure: float | str = 0.0,
+    rotate: Rotation | None = None,
+    turntable: int | None = None,
+    about: Sequence[float] | None = None,
+    tonemap: str | None = None,
+    transfer: str | None = None,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+) -> Report: ...
+
+
+def relight(
+    source: FittedLike,
+    light: ArrayLike | Light | str | os.PathLike[str] | None = None,
+    *,
+    lights: str | os.PathLike[str] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    exposure: float | str = 0.0,
+    rotate: Rotation | None = None,
+    turntable: int | None = None,
+    about: Sequence[float] | None = None,
+    tonemap: str | None = None,
+    transfer: str | None = None,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+) -> NDArray[np.float32] | Report:
+    """Return, or write, the view under a direction, under several, or under light from everywhere.
+
+    Parameters
+    ----------
+    source : path, CoefficientMap or Encoded
+    light : array_like, Light or path, optional
+        Three numbers, or rows of them: directions from the surface to the light, of any length. Or light from
+        everywhere: a `Light`, or the path of a light file.
+    lights : path, optional
+        Directions from a file instead, an ``.lp`` or a table.
+    out : path, optional
+        Where to write. The name decides the format: ``.exr``, ``.hdr`` and ``.tif`` hold linear radiance as floats,
+        ``.png``, ``.jpg`` and others 8-bit display values. For several images it holds a number field such as
+        ``%03d``; a turntable may be a ``.gif``.
+    exposure : float or str
+        Stops: values are scaled by ``2**exposure``. ``"auto"`` (light from everywhere): so that hardly anything is
+        clipped.
+    rotate : float or (str, numbers), optional
+        Turn light from everywhere: degrees about z, or a form and numbers of `rotation_matrix`.
+    turntable : int, optional
+        So many images, light from everywhere going round once.
+    about : three numbers, optional
+        Axis of the turntable; default: z.
+    tonemap : str, optional
+        ``"clip"`` or ``"reinhard"``: of 8-bit images under light from everywhere.
+    transfer : str, optional
+        ``"linear"`` or ``"srgb"``: curve of 8-bit files; default: the stack's.
+    device : Device or str, optional
+        As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
+    progress : callable, optional
+        Told (done, total or None, stage).
+    report : Report, optional
+        Filled; without one, notes become warnings (`Note`).
+
+    Returns
+    -------
+    ndarray, float32
+        Linear radiance in units of the peak, not clipped: (height, width, channel) for three numbers and for light
+        from everywhere, (n, height, width, channel) for rows of numbers, a file of directions and a turntable. With
+        `out` instead the report.
+
+    Raises
+    ------
+    InputError
+        If a direction has no length, a file is damaged or none of ours, or `out` cannot be written.
+    """
+    target = None if out is None else path_text(out, "an image to write")
+    how = _How(count_stops(exposure), rotate, turntable, about, tonemap, transfer)
+    how.check(target)
+    kept = report_for(report)
+    frames: Frames
+    if isinstance(light, Light | str | os.PathLike):
+        if lights is not None:
+            raise InputError("a light file is light from everywhere: give one --light, and no --lights beside it")
+        how.check_turntable()
+        frames, flat = how.frames_of(light), turntable is None
+    else:
+        how.refuse_turns()
+        directions_i3, flat = _directions(light, lights, kept)
+        frames = DirectedFrames(directions_i3, how.exposure or 0.0)
+    names = _name(target, frames)
+    with claimed(names, paths_among(source, light, lights)), opened_on(device, kept) as opened:
+        images_ihwc = _show(frames, source, names, how, opened, kept, progress)
+    if target is not None:
+        kept.facts = {"files": names, **kept.facts}
+        return kept
+    return images_ihwc[0] if flat else images_ihwc
+
+
+@dataclass(frozen=True)
+class _How:
+    """How images are asked for: stops (None is auto), turns, and what becomes of them in 8-bit files."""
+
+    exposure: float | None
+    rotate: Rotation | None
+    turntable: int | None
+    about: Sequence[float] | None
+    tonemap: str | None
+    transfer: str | None
+
+    def check(self, target: str | None) -> None:
+        """Raise InputError if the file that is written, if any, is none for these options, or one is unknown."""
+        if self.transfer is not None and self.transfer not in TRANSFERS:
+            raise InputError(f"transfer must be one of {', '.join(TRANSFERS)}, got {self.transfer!r}")
+        if self.tonemap is not None and self.tonemap not in TONEMAPS:
+            raise InputError(f"tone mapping must be one of {', '.join(TONEMAPS)}, got {self.tonemap!r}")
+        for option, value in (("--transfer", self.transfer), ("--tonemap", self.tonemap)):
+            if value is not None and (target is None or holds_floats(target)):
+                told = "what is returned" if target is None else target
+                raise InputError(f"{option} is for 8-bit files, but {told} holds linear radiance: leave it out")
+
+    def check_turntable(self) -> None:
+        """Raise InputError if an axis comes without a turntable, or is none."""
+        if self.about is not None and (self.turntable is None or not np.any(_numbers(self.about))):
+            raise InputError("--about X,Y,Z is the axis of --turntable N, and not all zero")
+
+    def frames_of(self, light: Light | str | os.PathLike[str]) -> LightFrames:
+        """Return the images under light from everywhere."""
+        steps = 1 if self.turntable is None else whole(self.turntable, "turntable")
+        lit = light if isinstance(light, Light) else read_light(light)
+        turned = lit if self.rotate is None else turn_light(lit, self.rotate)
+        axis = (0.0, 0.0, 1.0) if self.about is None else tuple(float(v) for v in self.about)
+        return LightFrames(turned, self.exposure, steps, axis)
+
+    def refuse_turns(self) -> None:
+        """Raise InputError if something is asked for that directions do not have."""
+        if self.exposure is None or any(v is not None for v in (self.rotate, self.turntable, self.about, self.tonemap)):
+            raise InputError(
+                "--exposure auto, --rotate, --turntable, --about and --tonemap are for light files (--light LIGHT.h5)"
+            )
+
+
+def _show(
+    frames: Frames,
+    source: FittedLike,
+    names: list[str],
+    how: _How,
+    device: Device,
+    report: Report,
+    progress: Progress | None,
+) -> NDArray[np.float32]:
+    """Write all images where they have names; return them where they have none."""
+    kept_ihwc, pictures = np.empty((0,), np.float32), []
+    with frames.lend(source, device, report, progress) as (images, transfer), stage(progress, "relighting") as tell:
+        for index, image_hwc in enumerate(images):
+            since = time.perf_counter()
+            if not names:
+                if index == 0:
+                    kept_ihwc = np.empty((frames.count, *image_hwc.shape), np.float32)
+                kept_ihwc[index] = image_hwc
+            elif is_animation(names[0]):
+                pictures.append(show(image_hwc, how.tonemap, how.transfer or transfer))
+            else:
+                write_view(names[index], image_hwc, how.tonemap, how.transfer or transfer)
+            if names:
+                report.add("write", since)
+            tell(index + 1, frames.count)
+        if pictures:
+            since = time.perf_counter()
+            write_animation(names[0], pictures)
+            report.add("write", since)
+    return kept_ihwc
+
+
+def _directions(light: ArrayLike | None, lights: Path | None, report: Report) -> tuple[NDArray[np.float64], bool]:
+    """Return unit vectors from numbers of any length or from a file, and whether it was one direction's numbers."""
+    given = light is not None and not (isinstance(light, Sized) and len(light) == 0)
+    if given == (lights is not None):
+        raise InputError("give the light by --light X,Y,Z or by --lights FILE")
+    flat = False
+    if lights is None:
+        numbers = _numbers(light)
+        directions_i3, flat = numbers.reshape(-1, 3), numbers.ndim == 1
+    else:
+        directions_i3, notes = _read_directions(pathlib.Path(path_text(lights, "directions")))
+        report.note(*notes)
+    # Scaled by the largest component first, whose square could be beyond float64's range.
+    largest = np.max(np.abs(directions_i3), axis=1, keepdims=True)
+    bad = np.flatnonzero(~(np.isfinite(largest[:, 0]) & (largest[:, 0] > 0)))
+    if bad.size:
+        raise InputError(
+            f"light {bad[0]} has the direction {directions_i3[bad[0]]}, expected finite numbers that are not all zero"
+        )
+    directions_i3 = directions_i3 / largest
+    return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True), flat
+
+
+def _read_directions(path: pathlib.Path) -> tuple[NDArray[np.float64], list[str]]:
+    """Return directions of a file as they are written, and what to say of them."""
+    return (read_lp(path)[1] if path.suffix.lower() == ".lp" else read_directions(path)), []
+
+
+def _numbers(light: ArrayLike | None) -> NDArray[np.float64]:
+    """Return three numbers, or rows of them, as float64, whatever real numbers they come in."""
+    wanted = "expected a direction as three numbers, or rows of three"
+    try:
+        given = np.asarray(light)
+    except ValueError:
+        raise InputError(f"{wanted}, got rows of different lengths") from None
+    if given.dtype.kind not in "fiu" or given.ndim not in (1, 2) or given.shape[-1] != 3:
+        raise InputError(f"{wanted}, got {given.dtype} of shape {given.shape}")
+    return given.astype(np.float64)
+
+
+def _name(target: str | None, frames: Frames) -> list[str]:
+    """Return the files to write; none where images are returned."""
+    if target is None:
+        return []
+    if isinstance(frames, LightFrames) and is_animation(target):
+        check_animation()
+        return [target]
+    return name_pictures(target, frames.count)
