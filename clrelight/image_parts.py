@@ -9,6 +9,7 @@ from typing import Any
 
 from clrelight.errors import InputError
 
+_MORE_BANDS = "expected gray or R, G, B; images of more bands are read from a stack file of HDF5 (docs/files.md)"
 _RGB = (("R", "G", "B"), ("RED", "GREEN", "BLUE"))
 _LUMINANCE_CHROMA = {"RY", "BY"}
 # Renderers' words for the picture itself, the most final first; compared with the last word of a layer's name.
@@ -18,6 +19,7 @@ _NO_RADIANCE = re.compile(
     r"z|zback|z_?depth|depth.*|distance|a|alpha|.*\.a|mask|matte|mist|coverage|[uvwxn]|uv|ids?|index.*|samples|variance|"
     r"crypto.*|normals?|position|motion|velocity"
 )
+_SPECTRAL = re.compile(r"[0-9.,]+ ?nm|nir|ir|swir|lwir|rededge|red_edge|band.*|channel[0-9]+")
 _CRYPTOMATTE = re.compile(r".*crypto(matte|object|asset|material)?[0-9_]*", re.IGNORECASE)
 
 
@@ -115,10 +117,7 @@ def _choose_page(what: str, specs: Sequence[Any], layer: str | None) -> Picture:
     alpha = spec.alpha_channel if spec.alpha_channel >= 0 else None
     colours = tuple(i for i in range(spec.nchannels) if i != alpha)
     if len(colours) != 1 and [spec.channelnames[i].upper() for i in colours] != ["R", "G", "B"]:
-        raise InputError(
-            f"{what} has {len(colours)} channels ({_list(spec.channelnames)}), expected gray or R, G, B: save bands as "
-            "gray files and make a stack of each"
-        )
+        raise InputError(f"{what} has {len(colours)} channels ({_list(spec.channelnames)}), {_MORE_BANDS}")
     return Picture(page, colours, alpha, str(page + 1) if len(specs) > 1 else "", notes)
 
 
@@ -163,7 +162,8 @@ def _find_radiance(words: dict[str, int], layer: str) -> tuple[int, ...]:
     """Return the channels of R, G and B, or of luminance, among those of a layer; none where there is no such."""
     for names in _RGB:
         if all(name in words for name in names):
-            return tuple(words[name] for name in names)
+            more = any(_SPECTRAL.fullmatch(word.casefold()) for word in words)
+            return () if more else tuple(words[name] for name in names)
     if words.keys() >= {"X", "Y", "Z"} or words.keys() & _LUMINANCE_CHROMA:
         return ()
     left = [name for name in words if not _NO_RADIANCE.fullmatch(name.casefold())]
@@ -193,6 +193,8 @@ def _refusal(what: str, specs: Sequence[Any]) -> str:
     names = [name for spec in specs for name in spec.channelnames]
     if {name.rpartition(".")[2].upper() for name in names} >= _LUMINANCE_CHROMA:
         return f"{what} holds luminance and chroma ({_list(names)}), expected gray or R, G, B: save it as RGB"
+    if any(_SPECTRAL.fullmatch(name.rpartition(".")[2].casefold()) for name in names):
+        return f"{what} has channels {_list(names)}: {_MORE_BANDS}"
     return f"{what} has channels {_list(names)}, none of which are radiance: expected gray (Y) or R, G, B"
 
 

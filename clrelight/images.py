@@ -142,15 +142,15 @@ def read_bands(
 def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
     """Write values as they are, under a temporary name that becomes the right one when the file is whole.
 
-    Floats (linear radiance) go to ``.exr`` (float16, float32), ``.tif`` (as float32) and ``.hdr`` (3 channels;
-    the format itself keeps 8 bits); display codes to ``.png``, ``.tif``, ``.ppm``, ``.pgm`` (uint8, uint16),
-    ``.jpg``, ``.bmp``, ``.tga`` (uint8). Nothing is scaled or sent through a transfer curve here.
+    Floats (linear radiance) go to ``.exr`` (float16, float32; any number of channels), ``.tif`` (as float32) and
+    ``.hdr`` (3 channels; the format itself keeps 8 bits); display codes to ``.png``, ``.tif``, ``.ppm``, ``.pgm``
+    (uint8, uint16), ``.jpg``, ``.bmp``, ``.tga`` (uint8). Nothing is scaled or sent through a transfer curve here.
 
     Parameters
     ----------
     path : path
         Its extension chooses the format.
-    values_hwc : ndarray, shape (height, width, 1 or 3) or (height, width)
+    values_hwc : ndarray, shape (height, width, 1 or 3) or (height, width); in ``.exr`` (height, width, any)
         Of a type that the format holds.
 
     Raises
@@ -164,8 +164,10 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
     extension = _SYNONYMS.get(path.suffix.lower(), path.suffix.lower())
     if extension not in _WRITABLE:
         raise InputError(f"cannot write {path}: extension {path.suffix!r} is none of {', '.join(_WRITABLE)}")
-    if values.ndim != 3 or values.shape[2] not in (1, 3) or values.size == 0:
-        raise InputError(f"an image to write must be (height, width, 1 or 3), got shape {values.shape}")
+    if values.ndim != 3 or values.size == 0:
+        raise InputError(f"an image to write must be (height, width, channel), got shape {values.shape}")
+    if values.shape[2] not in (1, 3) and extension != ".exr":
+        raise InputError(f"cannot write {path}: {values.shape[2]} channels go to .exr, others hold 1 or 3")
     if values.dtype.name not in _WRITABLE[extension]:
         fitting = [known for known, types in _WRITABLE.items() if values.dtype.name in types]
         advice = f"{values.dtype} goes to {', '.join(fitting)}" if fitting else f"{values.dtype} goes to no format"
@@ -231,6 +233,10 @@ def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
     if writer is None:
         raise RuntimeError(oiio.geterror())
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], stored)
+    if values.shape[2] not in (1, 3):
+        # Otherwise the fourth is alpha.
+        spec.channelnames = tuple(f"band{i:03}" for i in range(values.shape[2]))
+        spec.alpha_channel = -1
     if extension == ".jpg":
         spec.attribute("CompressionQuality", 95)
         spec.attribute("jpeg:subsampling", "4:4:4")

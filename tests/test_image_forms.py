@@ -12,7 +12,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from clrelight.errors import InputError
-from clrelight.images import read_alpha, read_bands, read_header, read_image
+from clrelight.images import read_alpha, read_bands, read_header, read_image, write_image
 from tests.commands import call, environment
 from tests.test_images import exr_bytes, oiio_write, png_chunk
 
@@ -189,6 +189,8 @@ def test_gray_channel_is_found(tmp_path, names):
         ({"A": ONE}, "none of which are radiance"),
         (planes(names="XYZ"), "none of which are radiance"),
         ({"R": ONE, "G": ONE}, "none of which are radiance"),
+        (planes() | {"NIR": ONE}, "images of more bands are read from a stack file"),
+        ({f"{nm}nm": ONE for nm in range(400, 700, 50)}, "images of more bands are read from a stack file"),
         ({"Y": ONE, "RY": ONE, "BY": ONE}, "luminance and chroma"),
         (
             planes("ViewLayer.Combined.") | planes("ViewLayer_001.Combined."),
@@ -300,6 +302,17 @@ def test_more_channels_are_refused_and_not_dropped(tmp_path, channel):
     oiio_write(tmp_path / "a.tif", RNG.integers(0, 255, (5, 4, channel), dtype=np.uint8), alpha_channel=-1)
     with pytest.raises(InputError, match=r"channels \(R, G.* expected gray or R, G, B"):
         read_header(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("channel", [2, 4, 7])
+def test_any_number_of_channels_is_written_to_exr(tmp_path, channel):
+    values = RNG.random((5, 4, channel)).astype(np.float32)
+    write_image(tmp_path / "a.exr", values)
+    reader = oiio.ImageInput.open(str(tmp_path / "a.exr"))
+    assert reader.spec().channelnames == tuple(f"band{i:03}" for i in range(channel))
+    assert reader.spec().alpha_channel == -1
+    np.testing.assert_array_equal(reader.read_image(oiio.FLOAT), values)
+    reader.close()
 
 
 def test_alpha_alone(tmp_path):

@@ -334,7 +334,9 @@ def test_values_that_a_format_cannot_hold(tmp_path):
         ("a.gif", gray, "extension '.gif'"),
         ("a", gray, "extension ''"),
         ("a.hdr", gray, "3 channels, got 1"),
-        ("a.exr", np.ones((2, 2, 2), np.float32), r"got shape \(2, 2, 2\)"),
+        ("a.tif", np.ones((2, 2, 2), np.float32), "2 channels go to .exr"),
+        ("a.png", np.ones((2, 2, 4), np.uint8), "4 channels go to .exr"),
+        ("a.exr", np.ones((2, 2, 3, 1), np.float32), r"got shape \(2, 2, 3, 1\)"),
         ("a.exr", np.ones((0, 2, 3), np.float32), "got shape"),
         ("none/a.exr", gray, "there is no folder"),
     ):
