@@ -6,6 +6,7 @@ import os
 import shutil
 import struct
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -133,7 +134,7 @@ def read_bands(
     first, last = rows if rows is not None else (0, header.height)
     step = header.row_step
     band_rows = max(1, band_bytes // (header.row_bytes * step)) * step
-    with _opened(header.path) as (reader, _):
+    with _opened(header.path, with_pixels=True) as (reader, _):
         if not reader.seek_subimage(header.picture.part, 0) or describe_stored(reader.spec()) != header.stored:
             raise InputError(f"image {header.path} changed while it was read")
         yield from read_rows(reader, header, first, last, band_rows)
@@ -184,12 +185,12 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[oiio.ImageInput, RadianceHeader | None]]:
+def _opened(path: Path, *, with_pixels: bool = False) -> Iterator[tuple[oiio.ImageInput, RadianceHeader | None]]:
     """Lend an open file, and what it says where it is a Radiance picture."""
     if not path.is_file():
         raise InputError(f"there is no image {path}")
     try:
-        _check_png_end(path)
+        _check_png(path, with_pixels=with_pixels)
         with open(path, "rb") as file, _plain_radiance(file, path) as (name, radiance):
             reader = _open(name, path)
             try:
@@ -198,6 +199,9 @@ def _opened(path: Path) -> Iterator[tuple[oiio.ImageInput, RadianceHeader | None
                 reader.close()
     except OSError as error:
         raise InputError(f"cannot read image {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        # OpenImageIO repeats what a file says in its messages, and names of channels.
+        raise InputError(f"cannot read image {path}: it is damaged, or names in it are not UTF-8") from None
 
 
 def _open(name: str, path: Path) -> oiio.ImageInput:
@@ -247,9 +251,12 @@ def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
         raise RuntimeError(message or writer.geterror() or "no reason given")
 
 
-def _check_png_end(path: Path) -> None:
-    """Raise InputError if a PNG is cut short: found in microseconds, and libpng would print to stderr."""
-    with open(path, "rb", buffering=0) as file:
+def _check_png(path: Path, *, with_pixels: bool) -> None:
+    """Raise InputError if a PNG is cut short or damaged: libpng would print that to stderr besides.
+
+    Checksums of pixels are taken only where pixels are wanted; that is much faster than to decode them.
+    """
+    with open(path, "rb") as file:
         if file.read(8) != b"\x89PNG\r\n\x1a\n":
             return
         size, at, kind = path.stat().st_size, 8, b""
@@ -260,6 +267,19 @@ def _check_png_end(path: Path) -> None:
             at += 12 + length
             if at > size or not kind:
                 raise InputError(f"cannot decode image {path}: the PNG is cut short at {size} bytes")
+            if kind != b"IDAT" or with_pixels:
+                _check_png_chunk(file, path, kind, length)
+
+
+def _check_png_chunk(file: BinaryIO, path: Path, kind: bytes, length: int) -> None:
+    found, left = zlib.crc32(kind), length
+    while left:
+        piece = file.read(min(left, BAND_BYTES))
+        if not piece:
+            break
+        found, left = zlib.crc32(piece, found), left - len(piece)
+    if file.read(4) != struct.pack(">I", found):
+        raise InputError(f"cannot decode image {path}: the PNG is damaged, its chunk {kind!r} has another checksum")
 
 
 def _one_line(message: object) -> str:

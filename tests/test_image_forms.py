@@ -13,7 +13,7 @@ from PIL import Image, ImageOps
 
 from clrelight.errors import InputError
 from clrelight.images import read_alpha, read_bands, read_header, read_image, write_image
-from tests.commands import call, environment
+from tests.commands import call, environment, process
 from tests.test_images import exr_bytes, oiio_write, png_chunk
 
 RNG = np.random.default_rng(5)
@@ -313,6 +313,34 @@ def test_any_number_of_channels_is_written_to_exr(tmp_path, channel):
     assert reader.spec().alpha_channel == -1
     np.testing.assert_array_equal(reader.read_image(oiio.FLOAT), values)
     reader.close()
+
+
+def test_names_that_are_not_utf8(tmp_path):
+    content = exr_bytes(planes("layer.") | {"Z": ONE})
+    folder = write_folder(tmp_path / "a", lambda path, _: path.with_suffix(".exr").write_bytes(content))
+    for old, new in ((b"layer.", b"lay\xe9r."), (b"lineOrder\0lineOrder", b"lineOrder\0lineOrd\xae\1")):
+        assert old in content
+        (folder / "im2.exr").write_bytes(content.replace(old, new))
+        found = process("ingest", folder, tmp_path / "o.h5")
+        assert found.code == 2
+        assert found.err.count("\n") == 1
+        assert "im2.exr" in found.err
+
+
+def test_damaged_png_is_one_line(tmp_path):
+    Image.fromarray(RGB8).save(tmp_path / "a.png", pnginfo=None)
+    content = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "light_directions.txt").write_text("0 0 1\n")
+    # In the size, its checksum, the pixels and theirs.
+    for at in (18, 30, content.index(b"IDAT") + 2, content.index(b"IDAT") + 300, len(content) - 14):
+        damaged = bytearray(content)
+        damaged[at] ^= 0x11
+        (tmp_path / "a" / "1.png").write_bytes(damaged)
+        found = process("ingest", tmp_path / "a", tmp_path / "o.h5")
+        assert (found.code, found.err.count("\n")) == (2, 1)
+        assert "1.png" in found.err
+        assert not (tmp_path / "o.h5").exists()
 
 
 def test_alpha_alone(tmp_path):
