@@ -67,7 +67,8 @@ class _Layer:
     def answers_to(self) -> set[str]:
         """Names by which a user may ask for it."""
         both = f"{self.part_name}.{self.name}" if self.name and self.part_name else ""
-        return {text.casefold() for text in (self.label, self.part_name if not self.name else "", both) if text}
+        named = {text.casefold() for text in (self.label, both) if text}
+        return named or {"rgb"}
 
     @property
     def rank(self) -> int:
@@ -126,6 +127,10 @@ def _choose_layer(what: str, specs: Sequence[Any], asked: str | None) -> Picture
     pictures = [layer for layer in layers if len(layer.channels) == 3] or [
         layer for layer in layers if len(layer.channels) == 1
     ]
+    bands = [name for spec in specs for name in spec.channelnames if _is_band(name)]
+    if asked is None and bands and (len(bands) > 1 or any(len(each.channels) == 3 for each in pictures)):
+        alone = "; --layer rgb reads R, G, B alone" if any("rgb" in each.answers_to for each in pictures) else ""
+        raise InputError(f"{what} has bands {_list(bands)}: {_MORE_BANDS}{alone}")
     if asked is not None:
         pictures = [each for each in layers if asked.casefold() in each.answers_to and each.channels]
         if not pictures:
@@ -162,8 +167,7 @@ def _find_radiance(words: dict[str, int], layer: str) -> tuple[int, ...]:
     """Return the channels of R, G and B, or of luminance, among those of a layer; none where there is no such."""
     for names in _RGB:
         if all(name in words for name in names):
-            more = any(_SPECTRAL.fullmatch(word.casefold()) for word in words)
-            return () if more else tuple(words[name] for name in names)
+            return tuple(words[name] for name in names)
     if words.keys() >= {"X", "Y", "Z"} or words.keys() & _LUMINANCE_CHROMA:
         return ()
     left = [name for name in words if not _NO_RADIANCE.fullmatch(name.casefold())]
@@ -171,6 +175,11 @@ def _find_radiance(words: dict[str, int], layer: str) -> tuple[int, ...]:
     if len(left) != 1 or (last and _NO_RADIANCE.fullmatch(last)):
         return ()
     return (words[left[0]],)
+
+
+def _is_band(name: str) -> bool:
+    """Return whether a channel's name is that of a band of the spectrum, which is radiance beside R, G, B."""
+    return _SPECTRAL.fullmatch(name.rpartition(".")[2].casefold()) is not None
 
 
 def _layer_notes(specs: Sequence[Any], chosen: _Layer) -> tuple[str, ...]:
@@ -193,8 +202,6 @@ def _refusal(what: str, specs: Sequence[Any]) -> str:
     names = [name for spec in specs for name in spec.channelnames]
     if {name.rpartition(".")[2].upper() for name in names} >= _LUMINANCE_CHROMA:
         return f"{what} holds luminance and chroma ({_list(names)}), expected gray or R, G, B: save it as RGB"
-    if any(_SPECTRAL.fullmatch(name.rpartition(".")[2].casefold()) for name in names):
-        return f"{what} has channels {_list(names)}: {_MORE_BANDS}"
     return f"{what} has channels {_list(names)}, none of which are radiance: expected gray (Y) or R, G, B"
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -18,7 +17,8 @@ from numpy.typing import NDArray
 from clrelight.conventions import TRANSFERS, default_peak
 from clrelight.errors import InputError
 from clrelight.image_header import ImageHeader
-from clrelight.images import BAND_BYTES, read_bands, read_header
+from clrelight.image_set import check_covers, describe_headers, read_headers
+from clrelight.images import BAND_BYTES, read_bands
 from clrelight.lights import (
     INTENSITIES_FILE,
     MASK_FILE,
@@ -33,7 +33,6 @@ from clrelight.lights import (
 from clrelight.masks import read_mask
 from clrelight.negatives import Negatives
 
-_MOST_NOTES = 4
 # Half precision keeps 11 bits between these.
 _HALF_SMALLEST, _HALF_LARGEST = 2.0**-14, 65504.0
 
@@ -220,9 +219,9 @@ def ingest_folder(
     chosen = parse_subset(subset, len(table.images)) if subset is not None else list(range(len(table.images)))
     written_i3 = table.directions_i3[chosen]
     directions_i3 = unit_directions(written_i3, lambda i: table.label(chosen[i]), allow_below)
-    headers = _read_headers([table.images[i] for i in chosen], layer, upright)
+    headers = read_headers([table.images[i] for i in chosen], layer, upright)
     window = _place_crop(headers[0], crop)
-    _check_covers(headers, window)
+    check_covers(headers, (window.column, window.row, window.width, window.height))
     values = _choose_values(table, headers[0], chosen, transfer, peak, divide_intensities)
     mask_path = Path(mask) if mask is not None else table.mask
     mask_hw, mask_notes = (
@@ -269,28 +268,10 @@ def ingest_folder(
             *length_note(written_i3),
             *_notes(table, folder, mask_path, values),
             *mask_notes,
-            *_header_notes(headers),
+            *describe_headers(headers),
             *negative_notes,
         ),
     )
-
-
-def _read_headers(paths: list[Path], layer: str | None, upright: bool) -> list[ImageHeader]:
-    headers = [read_header(path, layer=layer, upright=upright) for path in paths]
-    first = headers[0]
-    for header in headers[1:]:
-        for what, got, expected in (
-            ("pixels", f"{header.width}×{header.height}", f"{first.width}×{first.height}"),
-            ("channels", header.channels, first.channels),
-            ("values", header.dtype, first.dtype),
-            ("layer", header.picture.layer, first.picture.layer),
-            *((("data window at", header.origin_xy, first.origin_xy),) if header.stored_hw is None else ()),
-        ):
-            if got != expected:
-                raise InputError(
-                    f"image {header.path} has {what} {got}, but {first.path.name} {expected}; all images must be alike"
-                )
-    return headers
 
 
 def _place_crop(header: ImageHeader, crop: tuple[int, int, int, int] | None) -> _Window:
@@ -408,27 +389,6 @@ def _columns(band_hwc: NDArray, window: _Window) -> NDArray:
     return band_hwc[:, window.column : window.column + window.width]
 
 
-def _check_covers(headers: list[ImageHeader], window: _Window) -> None:
-    """Raise InputError where images store different parts of the picture, and not all store what is kept."""
-    areas = [header.covers for header in headers]
-    if len(set(areas)) == 1:
-        return
-    left, top = max(area[0] for area in areas), max(area[1] for area in areas)
-    right, bottom = min(x + width for x, _, width, _ in areas), min(y + height for _, y, _, height in areas)
-    kept_right, kept_bottom = window.column + window.width, window.row + window.height
-    if left <= window.column and top <= window.row and kept_right <= right and kept_bottom <= bottom:
-        return
-    other = next(i for i, area in enumerate(areas) if area != areas[0])
-    has_some = right > left and bottom > top
-    cure = (
-        f"--crop {left},{top},{right - left},{bottom - top} keeps what all store" if has_some else "no pixel is in all"
-    )
-    raise InputError(
-        f"image {headers[other].path} has data window at {areas[other][:2]}, but {headers[0].path.name} {areas[0][:2]} "
-        f"({areas[other][2]}×{areas[other][3]} and {areas[0][2]}×{areas[0][3]} pixels); {cure}"
-    )
-
-
 def _notes(table: LightTable, folder: Path, mask_path: Path | None, values: _Values) -> Iterator[str]:
     if values.factors_ic is not None:
         yield f"divided by the light intensities; {values.peak:g} is white under a light of mean intensity"
@@ -436,18 +396,3 @@ def _notes(table: LightTable, folder: Path, mask_path: Path | None, values: _Val
         yield "not divided by the light intensities"
     if mask_path is None and (folder / MASK_FILE).is_file():
         yield f"{MASK_FILE} lies in the folder but was not asked for"
-
-
-def _header_notes(headers: list[ImageHeader]) -> Iterator[str]:
-    """Yield how image files were understood, what many have in common once."""
-    counts = Counter(note for header in headers for note in header.notes).most_common()
-    for note, count in counts[:_MOST_NOTES]:
-        yield f"{'all' if count == len(headers) else count} images: {note}"
-    if len(counts) > _MOST_NOTES:
-        yield f"and {len(counts) - _MOST_NOTES} more such notes, on single images"
-    turns = Counter(header.camera_orientation for header in headers)
-    if set(turns) == {1}:
-        return
-    several = ", ".join(f"{turn} in {count}" for turn, count in sorted(turns.items()))
-    found = f"EXIF orientation {next(iter(turns))}" if len(turns) == 1 else f"mixed EXIF orientations ({several})"
-    yield f"images carry {found}, not applied: pixels lie as they are stored (--upright turns them)"

@@ -68,8 +68,9 @@ class RadianceHeader:
 
     def to_rgb(self, values_hwc: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return linear R, G, B with the exposure taken out."""
-        scaled = values_hwc * np.asarray(self.factors, np.float32)
-        return scaled @ np.asarray(_RGB_FROM_XYZ, np.float32).T if self.is_xyz else scaled
+        with np.errstate(over="ignore", invalid="ignore"):  # who reads radiance refuses what is not finite
+            scaled = values_hwc * np.asarray(self.factors, np.float32)
+            return scaled @ np.asarray(_RGB_FROM_XYZ, np.float32).T if self.is_xyz else scaled
 
 
 def read_radiance_header(file: BinaryIO, path: Path) -> RadianceHeader | None:

@@ -174,7 +174,7 @@ def test_layer_of_an_exr_is_found(tmp_path, case):
     assert not said or len(left) > 8 or all(name in header.notes[0] for name in left)
 
 
-@pytest.mark.parametrize("names", ["Y", "YA", "YZ", "R"])
+@pytest.mark.parametrize("names", ["Y", "YA", "YZ", "R", ["550nm"]])
 def test_gray_channel_is_found(tmp_path, names):
     (tmp_path / "a.exr").write_bytes(exr_bytes({name: ONE * (0.5 if i else 2) for i, name in enumerate(names)}))
     np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), 2 * ONE[..., None])
@@ -204,6 +204,16 @@ def test_exr_without_a_plain_picture(tmp_path, content, message):
     with pytest.raises(InputError, match=message) as error:
         read_header(tmp_path / "a.exr")
     assert "a.exr" in str(error.value)
+
+
+def test_bands_beside_colours_are_dropped_only_where_asked(tmp_path):
+    for bands in ({"NIR": ONE}, {f"S0.{nm},5nm": ONE for nm in (400, 500)}, {"x.850nm": ONE}):
+        (tmp_path / "a.exr").write_bytes(exr_bytes(planes() | bands))
+        with pytest.raises(InputError, match=r"images of more bands .* --layer rgb reads R, G, B alone"):
+            read_header(tmp_path / "a.exr")
+        header = read_header(tmp_path / "a.exr", layer="rgb")
+        np.testing.assert_array_equal(read_image(header), RADIANCE)
+        assert all(name in header.notes[0] for name in bands)
 
 
 def test_layer_is_chosen_by_name(tmp_path):
