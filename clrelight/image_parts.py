@@ -189,7 +189,7 @@ def _layer_notes(specs: Sequence[Any], chosen: _Layer) -> tuple[str, ...]:
         for i in range(spec.nchannels)
         if part != chosen.part or i not in (*chosen.channels, chosen.alpha)
     ]
-    if not names and not chosen.label:
+    if not names and not chosen.name:
         return ()
     read = _list(specs[chosen.part].channelnames[i] for i in chosen.channels)
     of = f" of part {chosen.part_name}" if len(specs) > 1 and chosen.part_name else ""

@@ -254,6 +254,8 @@ def test_part_of_an_exr_is_found(tmp_path):
         write_parts(path, parts)
         np.testing.assert_array_equal(read_image(path), RADIANCE)
         np.testing.assert_array_equal(banded(path, (1, 5)), RADIANCE[1:5])
+    write_parts(path, {"rgba": ("RGB", RADIANCE)})
+    assert read_header(path).notes == ()
     write_parts(path, {"left": ("RGB", RADIANCE), "right": half})
     with pytest.raises(InputError, match="by --layer: left, right"):
         read_header(path)
