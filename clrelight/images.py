@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import os
+import shutil
 import struct
+import tempfile
+import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
+from clrelight.image_bands import read_rows
+from clrelight.image_header import ImageHeader, check_size, describe_file, describe_stored, turn_upright
+from clrelight.image_parts import choose_picture
+from clrelight.radiance_header import RadianceHeader, read_radiance_header
 from clrelight.store.durable import replacing
 
 IMAGE_EXTENSIONS = frozenset(
@@ -25,13 +33,7 @@ MAX_PIXELS = 1 << 31
 BAND_BYTES = 8 << 20
 """Size of a band where the caller gives none: enough for the decoders that use several threads."""
 
-_FORMATS: dict[str, tuple[np.dtype, Any]] = {
-    "uint8": (np.dtype(np.uint8), oiio.UINT8),
-    "uint16": (np.dtype(np.uint16), oiio.UINT16),
-    "half": (np.dtype(np.float16), oiio.HALF),
-    "float": (np.dtype(np.float32), oiio.FLOAT),
-}
-_TYPEDESC = dict(_FORMATS.values())
+_PARTED = ("openexr", "tiff")
 # What each extension can store without a change of values: the array's type, and the type in the file.
 _WRITABLE: dict[str, dict[str, Any]] = {
     ".exr": {"float16": oiio.HALF, "float32": oiio.FLOAT},
@@ -48,51 +50,35 @@ _SYNONYMS = {".tiff": ".tif", ".jpeg": ".jpg"}
 _ONLY_CHANNELS = {".hdr": 3, ".ppm": 3, ".pgm": 1}
 
 
-@dataclass(frozen=True)
-class ImageHeader:
-    """What an image file says of itself, before any pixel is decoded.
+def read_header(path: str | os.PathLike[str], *, layer: str | None = None, upright: bool = False) -> ImageHeader:
+    """Return the header of an image; InputError if it is missing, no image, or holds what we do not read.
 
-    Attributes
+    Parameters
     ----------
-    path : Path
-    height, width : int
-        Size of the stored pixels (the data window of an EXR), at most `MAX_PIXELS` in all.
-    channels : int
-        1 or 3; an alpha channel and whatever follows R, G, B are not read.
-    dtype : numpy.dtype
-        uint8, uint16, float16 or float32.
-    origin_xy : tuple of int
-        Where the first stored pixel lies in the picture; not (0, 0) only for EXR data windows.
-    row_step : int
-        Rows that have to be decoded together: the height of a tile, or 1.
+    path : path
+    layer : str, optional
+        Which layer of an EXR or page of a TIFF; see `choose_picture`.
+    upright : bool
+        Apply the orientation that a camera noted.
     """
-
-    path: Path
-    height: int
-    width: int
-    channels: int
-    dtype: np.dtype
-    origin_xy: tuple[int, int]
-    row_step: int
-
-    @property
-    def row_bytes(self) -> int:
-        """Bytes of one decoded row."""
-        return self.width * self.channels * self.dtype.itemsize
+    path = Path(path)
+    with _opened(path) as (reader, radiance):
+        specs = [reader.spec()]
+        while reader.format_name() in _PARTED and reader.seek_subimage(len(specs), 0):
+            specs.append(reader.spec())
+        reader.geterror()  # that there is no further part
+        picture = choose_picture(f"image {path}", specs, is_exr=reader.format_name() == "openexr", layer=layer)
+        header = describe_file(path, reader.format_name(), specs[picture.part], picture, radiance)
+        check_size(header, specs[picture.part], MAX_PIXELS)
+    return turn_upright(header) if upright and header.camera_orientation != 1 else header
 
 
-def read_header(path: str | os.PathLike[str]) -> ImageHeader:
-    """Return the header of an image; InputError if it is missing, no image, or holds what we do not read."""
-    reader, header = _open(Path(path))
-    reader.close()
-    return header
+def read_image(path: str | os.PathLike[str] | ImageHeader) -> NDArray:
+    """Return the picture of an image file, or of one whose header is known.
 
-
-def read_image(path: str | os.PathLike[str]) -> NDArray:
-    """Return all stored values of an image.
-
-    Only the first picture of a file that has several is read. Values are never changed by alpha, colour-space
-    hints or orientation; codes of odd depths (1, 2, 4, 10, 12 bit, other PNM maxima) arrive scaled to 8 or 16 bit.
+    Values are not changed by alpha or colour-space hints; codes of odd depths (1, 2, 4, 10, 12 bit, other PNM maxima)
+    arrive scaled to 8 or 16 bit. What the format defines is applied: TIFF's orientation, the order of rows and columns
+    and the exposure of HDR, an EXR's windows (pixels that are not stored are 0).
 
     Returns
     -------
@@ -103,11 +89,21 @@ def read_image(path: str | os.PathLike[str]) -> NDArray:
     InputError
         Naming the file, if it is missing, damaged, cut short, or not of these types and channels.
     """
-    header = read_header(path)
+    header = path if isinstance(path, ImageHeader) else read_header(path)
     image_hwc = np.empty((header.height, header.width, header.channels), header.dtype)
     for row, band_hwc in read_bands(header):
         image_hwc[row : row + len(band_hwc)] = band_hwc
     return image_hwc
+
+
+def read_alpha(header: ImageHeader) -> NDArray:
+    """Return the alpha channel of an image that has one, as (height, width)."""
+    alpha = header.picture.alpha
+    if alpha is None:
+        raise InputError(f"image {header.path} has no alpha channel")
+    picture = replace(header.picture, channels=(alpha,))
+    bands = read_bands(replace(header, picture=picture, channels=1, radiance=None))
+    return np.concatenate([band_hwc[..., 0] for _, band_hwc in bands])
 
 
 def read_bands(
@@ -138,30 +134,24 @@ def read_bands(
     first, last = rows if rows is not None else (0, header.height)
     step = header.row_step
     band_rows = max(1, band_bytes // (header.row_bytes * step)) * step
-    reader, now = _open(header.path)
-    try:
-        if now != header:
+    with _opened(header.path, with_pixels=True) as (reader, _):
+        if not reader.seek_subimage(header.picture.part, 0) or describe_stored(reader.spec()) != header.stored:
             raise InputError(f"image {header.path} changed while it was read")
-        for start in range(first - first % step, last, band_rows):
-            stop = min(start + band_rows, header.height if step > 1 else last)
-            band_hwc = _decode(reader, header, start, stop)[max(first - start, 0) : last - start]
-            yield max(start, first), band_hwc
-    finally:
-        reader.close()
+        yield from read_rows(reader, header, first, last, band_rows)
 
 
 def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
     """Write values as they are, under a temporary name that becomes the right one when the file is whole.
 
-    Floats (linear radiance) go to ``.exr`` (float16, float32), ``.tif`` (as float32) and ``.hdr`` (3 channels;
-    the format itself keeps 8 bits); display codes to ``.png``, ``.tif``, ``.ppm``, ``.pgm`` (uint8, uint16),
-    ``.jpg``, ``.bmp``, ``.tga`` (uint8). Nothing is scaled or sent through a transfer curve here.
+    Floats (linear radiance) go to ``.exr`` (float16, float32; any number of channels), ``.tif`` (as float32) and
+    ``.hdr`` (3 channels; the format itself keeps 8 bits); display codes to ``.png``, ``.tif``, ``.ppm``, ``.pgm``
+    (uint8, uint16), ``.jpg``, ``.bmp``, ``.tga`` (uint8). Nothing is scaled or sent through a transfer curve here.
 
     Parameters
     ----------
     path : path
         Its extension chooses the format.
-    values_hwc : ndarray, shape (height, width, 1 or 3) or (height, width)
+    values_hwc : ndarray, shape (height, width, 1 or 3) or (height, width); in ``.exr`` (height, width, any)
         Of a type that the format holds.
 
     Raises
@@ -175,8 +165,10 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
     extension = _SYNONYMS.get(path.suffix.lower(), path.suffix.lower())
     if extension not in _WRITABLE:
         raise InputError(f"cannot write {path}: extension {path.suffix!r} is none of {', '.join(_WRITABLE)}")
-    if values.ndim != 3 or values.shape[2] not in (1, 3) or values.size == 0:
-        raise InputError(f"an image to write must be (height, width, 1 or 3), got shape {values.shape}")
+    if values.ndim != 3 or values.size == 0:
+        raise InputError(f"an image to write must be (height, width, channel), got shape {values.shape}")
+    if values.shape[2] not in (1, 3) and extension != ".exr":
+        raise InputError(f"cannot write {path}: {values.shape[2]} channels go to .exr, others hold 1 or 3")
     if values.dtype.name not in _WRITABLE[extension]:
         fitting = [known for known, types in _WRITABLE.items() if values.dtype.name in types]
         advice = f"{values.dtype} goes to {', '.join(fitting)}" if fitting else f"{values.dtype} goes to no format"
@@ -192,67 +184,52 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
             raise InputError(f"cannot write {path}: {_one_line(error)}") from None
 
 
-def _open(path: Path) -> tuple[oiio.ImageInput, ImageHeader]:
+@contextmanager
+def _opened(path: Path, *, with_pixels: bool = False) -> Iterator[tuple[oiio.ImageInput, RadianceHeader | None]]:
+    """Lend an open file, and what it says where it is a Radiance picture."""
     if not path.is_file():
         raise InputError(f"there is no image {path}")
     try:
-        _check_png_end(path)
+        _check_png(path, with_pixels=with_pixels)
+        with open(path, "rb") as file, _plain_radiance(file, path) as (name, radiance):
+            reader = _open(name, path)
+            try:
+                yield reader, radiance
+            finally:
+                reader.close()
     except OSError as error:
         raise InputError(f"cannot read image {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        # OpenImageIO repeats what a file says in its messages, and names of channels.
+        raise InputError(f"cannot read image {path}: it is damaged, or names in it are not UTF-8") from None
+
+
+def _open(name: str, path: Path) -> oiio.ImageInput:
     hints = oiio.ImageSpec()
     # Otherwise colours come multiplied by alpha, and rounded.
     hints.attribute("oiio:UnassociatedAlpha", 1)
-    reader = oiio.ImageInput.open(str(path), hints)
+    reader = oiio.ImageInput.open(name, hints)
     if reader is None:
-        raise InputError(f"cannot read image {path}: {_one_line(oiio.geterror())}")
-    try:
-        return reader, _header(path, reader.spec())
-    except InputError:
-        reader.close()
-        raise
+        raise InputError(f"cannot read image {path}: {_one_line(oiio.geterror()).replace(name, str(path))}")
+    return reader
 
 
-def _header(path: Path, spec: oiio.ImageSpec) -> ImageHeader:
-    if spec.width * spec.height > MAX_PIXELS:
-        raise InputError(f"image {path} claims {spec.width}×{spec.height} pixels, more than {MAX_PIXELS}")
-    if spec.deep or spec.depth > 1:
-        raise InputError(f"image {path} is deep or a volume, expected a flat picture")
-    if "CMYK" in (spec.get_string_attribute("jpeg:ColorSpace"), spec.get_string_attribute("tiff:ColorSpace")):
-        raise InputError(f"image {path} is CMYK, expected gray or RGB")
-    names = [name.upper() for name in spec.channelnames]
-    if names[:3] == ["R", "G", "B"]:
-        channels = 3
-    elif len(names) == 1 or (len(names) == 2 and spec.alpha_channel == 1):
-        channels = 1
-    else:
-        raise InputError(f"image {path} has channels {', '.join(spec.channelnames)}, expected gray or R, G, B")
-    types = {str(t) for t in (spec.channelformats or (spec.format,))[:channels]}
-    if len(types) > 1 or not types <= _FORMATS.keys():
-        raise InputError(f"image {path} stores {'/'.join(sorted(types))} values, expected {', '.join(_FORMATS)}")
-    return ImageHeader(
-        path=path,
-        height=spec.height,
-        width=spec.width,
-        channels=channels,
-        dtype=_FORMATS[types.pop()][0],
-        origin_xy=(spec.x, spec.y),
-        row_step=max(1, spec.tile_height if spec.tile_width else 1),
-    )
+@contextmanager
+def _plain_radiance(file: BinaryIO, path: Path) -> Iterator[tuple[str, RadianceHeader | None]]:
+    """Lend the name of a file that OpenImageIO opens, and what a Radiance picture says.
 
-
-def _decode(reader: oiio.ImageInput, header: ImageHeader, start: int, stop: int) -> NDArray:
-    x, y = header.origin_xy
-    wanted = _TYPEDESC[header.dtype]
-    if reader.spec().tile_width:
-        window = (x, x + header.width, y + start, y + stop, 0, 1)
-        band = reader.read_tiles(*window, 0, header.channels, wanted)
-    else:
-        band = reader.read_scanlines(y + start, y + stop, 0, 0, header.channels, wanted)
-    # A JPEG that is cut short yields gray rows and only leaves a message.
-    message = reader.geterror()
-    if band is None or message:
-        raise InputError(f"cannot decode image {header.path}: {_one_line(message) or 'no reason given'}")
-    return band.reshape(stop - start, header.width, header.channels)
+    It reads neither XYZE nor files without a format, whose pixels are stored like any: these are lent as a copy.
+    """
+    radiance = read_radiance_header(file, path)
+    if radiance is None or radiance.names_format:
+        yield str(path), radiance
+        return
+    with tempfile.NamedTemporaryFile(suffix=".hdr") as copy:
+        file.seek(radiance.size_at)
+        copy.write(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n")
+        shutil.copyfileobj(file, copy)
+        copy.flush()
+        yield copy.name, radiance
 
 
 def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
@@ -260,6 +237,10 @@ def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
     if writer is None:
         raise RuntimeError(oiio.geterror())
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], stored)
+    if values.shape[2] not in (1, 3):
+        # Otherwise the fourth is alpha.
+        spec.channelnames = tuple(f"band{i:03}" for i in range(values.shape[2]))
+        spec.alpha_channel = -1
     if extension == ".jpg":
         spec.attribute("CompressionQuality", 95)
         spec.attribute("jpeg:subsampling", "4:4:4")
@@ -270,9 +251,12 @@ def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
         raise RuntimeError(message or writer.geterror() or "no reason given")
 
 
-def _check_png_end(path: Path) -> None:
-    """Raise InputError if a PNG is cut short: found in microseconds, and libpng would print to stderr."""
-    with open(path, "rb", buffering=0) as file:
+def _check_png(path: Path, *, with_pixels: bool) -> None:
+    """Raise InputError if a PNG is cut short or damaged: libpng would print that to stderr besides.
+
+    Checksums of pixels are taken only where pixels are wanted; that is much faster than to decode them.
+    """
+    with open(path, "rb") as file:
         if file.read(8) != b"\x89PNG\r\n\x1a\n":
             return
         size, at, kind = path.stat().st_size, 8, b""
@@ -283,6 +267,19 @@ def _check_png_end(path: Path) -> None:
             at += 12 + length
             if at > size or not kind:
                 raise InputError(f"cannot decode image {path}: the PNG is cut short at {size} bytes")
+            if kind != b"IDAT" or with_pixels:
+                _check_png_chunk(file, path, kind, length)
+
+
+def _check_png_chunk(file: BinaryIO, path: Path, kind: bytes, length: int) -> None:
+    found, left = zlib.crc32(kind), length
+    while left:
+        piece = file.read(min(left, BAND_BYTES))
+        if not piece:
+            break
+        found, left = zlib.crc32(piece, found), left - len(piece)
+    if file.read(4) != struct.pack(">I", found):
+        raise InputError(f"cannot decode image {path}: the PNG is damaged, its chunk {kind!r} has another checksum")
 
 
 def _one_line(message: object) -> str:

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.conventions import TRANSFERS, default_peak
-from clrelight.dataset import is_radiance
 from clrelight.errors import InputError
-from clrelight.images import BAND_BYTES, ImageHeader, read_bands, read_header
+from clrelight.image_header import ImageHeader
+from clrelight.image_set import check_covers, describe_headers, read_headers
+from clrelight.images import BAND_BYTES, read_bands
 from clrelight.lights import (
     INTENSITIES_FILE,
     MASK_FILE,
@@ -29,6 +30,8 @@ from clrelight.lights import (
     parse_subset,
     unit_directions,
 )
+from clrelight.masks import read_mask
+from clrelight.negatives import Negatives
 
 # Half precision keeps 11 bits between these.
 _HALF_SMALLEST, _HALF_LARGEST = 2.0**-14, 65504.0
@@ -90,6 +93,7 @@ class _Values:
     dtype: np.dtype
     peak: float
     factors_ic: NDArray[np.float32] | None = None
+    code_peak: float = 1.0
 
     def convert(self, band_hwc: NDArray, light: int) -> NDArray:
         if self.factors_ic is None:
@@ -104,6 +108,7 @@ class _Source:
     headers: list[ImageHeader]
     window: _Window
     values: _Values
+    negatives: Negatives = field(default_factory=Negatives)
 
     @property
     def shape_ihwc(self) -> tuple[int, int, int, int]:
@@ -115,7 +120,7 @@ class _Source:
         for row, band_hwc in read_bands(header, self.window.rows, band_bytes):
             kept_hwc = _columns(band_hwc, self.window)
             if header.dtype.kind == "f":
-                _check_radiance(kept_hwc, header.path, row, self.window.column)
+                kept_hwc = self.negatives.clip(kept_hwc, light, f"image {header.path}", row, self.window.column)
             yield row - self.window.row, self.values.convert(kept_hwc, light)
 
 
@@ -143,6 +148,9 @@ def ingest_folder(
     subset: str | None = None,
     allow_below: bool = False,
     divide_intensities: bool = True,
+    layer: str | None = None,
+    upright: bool = False,
+    clip_negative: bool = False,
     memory_bytes: int = 1 << 30,
     name: str | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -179,6 +187,14 @@ def ingest_folder(
         peak, is white under a light of mean intensity. White under a dimmer light comes out above 1; such values
         stay in the stack, and are clipped only where images are compared. Its type is float16 where the files are
         uint8 (11 bits keep 8), else float32. `subset` does not change these numbers.
+    layer : str, optional
+        Which layer of EXR images, or page of TIFFs, is read; see `image_parts.choose_picture`.
+    upright : bool
+        Turn images as their EXIF orientation says. By default it is only mentioned: a camera that looks down sets it
+        at random, and the images of one that is fixed lie alike as they are stored.
+    clip_negative : bool
+        Set negative values of float images to 0, however large. By default only those within a thousandth of what is
+        bright are, which lossy compression leaves; others are refused.
     memory_bytes : int
         Bound on decoded image data held at a time, without the decoders' own buffers.
     name : str, optional
@@ -203,14 +219,17 @@ def ingest_folder(
     chosen = parse_subset(subset, len(table.images)) if subset is not None else list(range(len(table.images)))
     written_i3 = table.directions_i3[chosen]
     directions_i3 = unit_directions(written_i3, lambda i: table.label(chosen[i]), allow_below)
-    headers = _read_headers([table.images[i] for i in chosen])
+    headers = read_headers([table.images[i] for i in chosen], layer, upright)
     window = _place_crop(headers[0], crop)
+    check_covers(headers, (window.column, window.row, window.width, window.height))
     values = _choose_values(table, headers[0], chosen, transfer, peak, divide_intensities)
     mask_path = Path(mask) if mask is not None else table.mask
-    mask_hw = _read_mask(mask_path, headers[0], window, memory_bytes) if mask_path is not None else None
+    mask_hw, mask_notes = (
+        _read_mask(mask_path, headers[0], window, memory_bytes) if mask_path is not None else (None, [])
+    )
     tables = [table.source, *(table.source.parent / name for name in (NAMES_FILE, INTENSITIES_FILE))]
     check_output(out_path, [*table.images, *tables, *([mask_path] if mask_path is not None else [])])
-    source = _Source(headers, window, values)
+    source = _Source(headers, window, values, Negatives(clip_negative))
     plan = _plan_memory(source, memory_bytes)
 
     with (
@@ -232,6 +251,7 @@ def ingest_folder(
         for done in steps:
             if progress is not None:
                 progress(done, len(headers))
+        negative_notes = source.negatives.conclude(values.code_peak)
 
     elevations = np.degrees(np.arcsin(np.clip(directions_i3[:, 2], -1.0, 1.0)))
     return IngestSummary(
@@ -243,25 +263,15 @@ def ingest_folder(
         duplicates=count_duplicates(directions_i3),
         below_horizon=int(np.count_nonzero(directions_i3[:, 2] < 0)),
         elevation_range=(float(elevations.min()), float(elevations.max())),
-        notes=(*table.notes, *length_note(written_i3), *_notes(table, folder, mask_path, values)),
+        notes=(
+            *table.notes,
+            *length_note(written_i3),
+            *_notes(table, folder, mask_path, values),
+            *mask_notes,
+            *describe_headers(headers),
+            *negative_notes,
+        ),
     )
-
-
-def _read_headers(paths: list[Path]) -> list[ImageHeader]:
-    headers = [read_header(path) for path in paths]
-    first = headers[0]
-    for header in headers[1:]:
-        for what, got, expected in (
-            ("pixels", f"{header.width}×{header.height}", f"{first.width}×{first.height}"),
-            ("channels", header.channels, first.channels),
-            ("values", header.dtype, first.dtype),
-            ("data window at", header.origin_xy, first.origin_xy),
-        ):
-            if got != expected:
-                raise InputError(
-                    f"image {header.path} has {what} {got}, but {first.path.name} {expected}; all images must be alike"
-                )
-    return headers
 
 
 def _place_crop(header: ImageHeader, crop: tuple[int, int, int, int] | None) -> _Window:
@@ -281,7 +291,7 @@ def _choose_values(
 ) -> _Values:
     code_peak = float(peak) if peak is not None else default_peak(header.dtype)
     if table.intensities_ic is None or not divide:
-        return _Values(header.dtype, code_peak)
+        return _Values(header.dtype, code_peak, code_peak=code_peak)
     if transfer != "linear":
         raise InputError(f"light intensities divide linear values only, got transfer {transfer!r}: do not divide them")
     intensities = table.intensities_ic
@@ -295,22 +305,17 @@ def _choose_values(
     # Codes are integers, so the smallest value but 0 is that of code 1.
     in_half = factors_ic.min() >= _HALF_SMALLEST and factors_ic.max() * 255 <= _HALF_LARGEST
     dtype = np.dtype(np.float16 if header.dtype == np.uint8 and in_half else np.float32)
-    return _Values(dtype, 1.0, factors_ic[chosen].astype(np.float32))
+    return _Values(dtype, 1.0, factors_ic[chosen].astype(np.float32), code_peak)
 
 
-def _read_mask(path: Path, header: ImageHeader, window: _Window, memory_bytes: int) -> NDArray[np.bool_]:
-    mask = read_header(path)
-    if (mask.height, mask.width) != (header.height, header.width):
-        raise InputError(
-            f"mask {path} has {mask.width}×{mask.height} pixels, but the images {header.width}×{header.height}"
-        )
-    mask_hw = np.empty((window.height, window.width), dtype=bool)
-    for row, band_hwc in read_bands(mask, window.rows, min(BAND_BYTES, memory_bytes // 2)):
-        at = row - window.row
-        mask_hw[at : at + len(band_hwc)] = _columns(band_hwc, window).any(axis=2)
+def _read_mask(
+    path: Path, header: ImageHeader, window: _Window, memory_bytes: int
+) -> tuple[NDArray[np.bool_], list[str]]:
+    whole_hw, notes = read_mask(path, (header.height, header.width), min(BAND_BYTES, memory_bytes // 2))
+    mask_hw = np.ascontiguousarray(_columns(whole_hw[slice(*window.rows)], window))
     if not mask_hw.any():
         raise InputError(f"mask {path} is zero everywhere in the pixels that are kept")
-    return mask_hw
+    return mask_hw, [f"mask {path.name} keeps {np.count_nonzero(mask_hw)} of {mask_hw.size} pixels", *notes]
 
 
 def _plan_memory(source: _Source, memory_bytes: int) -> _Plan:
@@ -384,22 +389,10 @@ def _columns(band_hwc: NDArray, window: _Window) -> NDArray:
     return band_hwc[:, window.column : window.column + window.width]
 
 
-def _check_radiance(band_hwc: NDArray, path: Path, row: int, column: int) -> None:
-    if is_radiance(band_hwc):
-        return
-    r, c, channel = (int(v) for v in np.argwhere(~((band_hwc >= 0) & (band_hwc < np.inf)))[0])
-    raise InputError(
-        f"image {path} has radiance {band_hwc[r, c, channel]} at row {r + row}, column {c + column}, "
-        f"channel {channel}; expected a finite number >= 0"
-    )
-
-
 def _notes(table: LightTable, folder: Path, mask_path: Path | None, values: _Values) -> Iterator[str]:
     if values.factors_ic is not None:
         yield f"divided by the light intensities; {values.peak:g} is white under a light of mean intensity"
     elif table.intensities_ic is not None:
         yield "not divided by the light intensities"
-    if mask_path is not None:
-        yield f"mask {mask_path.name}"
-    elif (folder / MASK_FILE).is_file():
+    if mask_path is None and (folder / MASK_FILE).is_file():
         yield f"{MASK_FILE} lies in the folder but was not asked for"

@@ -55,7 +55,7 @@ LIGHTS = [
     ("@o.h5 --env text.dds", "is no DDS file"),
     ("@o.h5 --env nowhere.dds", "nowhere.dds"),
     ("@o.h5 --env short.dds", "texel format 0; read are cube maps of half or single floats"),
-    ("@o.h5 --env negative.exr", "the texel at row 3, column 7, channel 1 is -1.0: radiance must be finite and not"),
+    ("@o.h5 --env negative.exr", "radiance -1.0 at row 3, column 7, channel 1; expected a finite number >= 0 (--clip-"),
     ("@o.h5 --env nan.exr", "the texel at row 3, column 7, channel 1 is nan"),
     ("@o.h5 --env infinite.exr", "the texel at row 3, column 7, channel 1 is inf"),
     ("@o.h5 --env odd.exr", "has 32×15 texels, which no layout has (latlong 2:1, angular 1:1"),

@@ -119,13 +119,14 @@ def test_jpeg_as_another_library_decodes_it(tmp_path):
     assert np.abs(read_image(tmp_path / "a.jpg").astype(int) - smooth).max() <= 16
 
 
-def test_orientation_is_not_applied(tmp_path):
+def test_orientation_of_cameras_is_not_applied(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
-    Image.fromarray(RGB8).save(tmp_path / "a.jpg", exif=exif)
-    Image.fromarray(RGB8).save(tmp_path / "a.tif", tiffinfo={0x0112: 6})
-    assert read_image(tmp_path / "a.jpg").shape == RGB8.shape
-    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), RGB8)
+    for name in ("a.jpg", "a.png"):
+        Image.fromarray(RGB8).save(tmp_path / name, exif=exif)
+        assert read_header(tmp_path / name).camera_orientation == 6
+        assert read_image(tmp_path / name).shape == RGB8.shape
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), RGB8)
 
 
 def test_netpbm_by_hand(tmp_path):
@@ -161,27 +162,30 @@ def test_exr_by_hand(tmp_path, dtype):
     np.testing.assert_array_equal(read_image(tmp_path / "y.exr")[..., 0], planes["G"])
 
 
-def test_exr_data_window_and_other_layers(tmp_path):
+def test_exr_data_window_lies_in_the_display_window(tmp_path):
     planes = {name: RNG.normal(size=(4, 5)).astype(np.float16) for name in "RGB"}
     depth = {"Z": np.ones((4, 5), np.float32)}
     (tmp_path / "a.exr").write_bytes(exr_bytes(planes | depth, origin=(3, -2), display=(0, 0, 19, 9)))
     header = read_header(tmp_path / "a.exr")
     assert header.origin_xy == (3, -2)
-    assert (header.height, header.width, header.channels, header.dtype) == (4, 5, 3, np.float16)
-    np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), np.stack([planes[c] for c in "RGB"], axis=2))
+    assert header.covers == (3, 0, 5, 2)
+    assert (header.height, header.width, header.channels, header.dtype) == (10, 20, 3, np.float16)
+    expected = np.zeros((10, 20, 3), np.float16)
+    expected[:2, 3:8] = np.stack([planes[c][2:] for c in "RGB"], axis=2)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), expected)
 
 
 def test_refused_channels_and_types_name_the_file(tmp_path):
     half, whole = np.ones((2, 2), np.float16), np.ones((2, 2), np.uint32)
     (tmp_path / "xyz.exr").write_bytes(exr_bytes(dict.fromkeys("XYZ", half)))
-    (tmp_path / "layer.exr").write_bytes(exr_bytes(dict.fromkeys(("d.R", "d.G", "d.B"), half)))
+    (tmp_path / "layer.exr").write_bytes(exr_bytes(dict.fromkeys(("d.R", "d.G"), half)))
     (tmp_path / "ids.exr").write_bytes(exr_bytes(dict.fromkeys("RGB", whole)))
-    (tmp_path / "mixed.exr").write_bytes(exr_bytes({"R": half, "G": half.astype(np.float32), "B": half}))
+    (tmp_path / "mixed.exr").write_bytes(exr_bytes({"R": half, "G": whole, "B": half}))
     Image.new("CMYK", (4, 4)).save(tmp_path / "cmyk.jpg")
     Image.new("CMYK", (4, 4)).save(tmp_path / "cmyk.tif")
     Image.fromarray(np.arange(4, dtype=np.int32).reshape(2, 2)).save(tmp_path / "int.tif")
     oiio_write(tmp_path / "double.tif", np.ones((2, 2, 1)))
-    expected = {"xyz.exr": "X, Y, Z", "layer.exr": "channels", "ids.exr": "uint", "mixed.exr": "float/half"}
+    expected = {"xyz.exr": "X, Y, Z", "layer.exr": "channels", "ids.exr": "uint", "mixed.exr": "half/uint"}
     expected |= {"cmyk.jpg": "CMYK", "cmyk.tif": "CMYK", "int.tif": "stores int", "double.tif": "stores double"}
     for name, part in expected.items():
         with pytest.raises(InputError, match=part) as error:
@@ -330,7 +334,9 @@ def test_values_that_a_format_cannot_hold(tmp_path):
         ("a.gif", gray, "extension '.gif'"),
         ("a", gray, "extension ''"),
         ("a.hdr", gray, "3 channels, got 1"),
-        ("a.exr", np.ones((2, 2, 2), np.float32), r"got shape \(2, 2, 2\)"),
+        ("a.tif", np.ones((2, 2, 2), np.float32), "2 channels go to .exr"),
+        ("a.png", np.ones((2, 2, 4), np.uint8), "4 channels go to .exr"),
+        ("a.exr", np.ones((2, 2, 3, 1), np.float32), r"got shape \(2, 2, 3, 1\)"),
         ("a.exr", np.ones((0, 2, 3), np.float32), "got shape"),
         ("none/a.exr", gray, "there is no folder"),
     ):

@@ -8,7 +8,14 @@ from typing import Any
 
 import click
 
-from clrelight.cli.options import Numbers, json_option, memory_option, whole_number
+from clrelight.cli.options import (
+    Numbers,
+    clip_negative_option,
+    json_option,
+    layer_option,
+    memory_option,
+    whole_number,
+)
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 
@@ -30,7 +37,12 @@ from clrelight.cli.progress import progress_bar
 @click.option(
     "--crop", type=Numbers(int, "X,Y,W,H", 4), help="Part of the images to keep, in pixels from the top left."
 )
-@click.option("--mask", type=click.Path(), help="Image that is not zero where pixels count.")
+@click.option("--mask", type=click.Path(), help="Image that is not zero where pixels count, or its alpha where flat.")
+@layer_option
+@click.option(
+    "--upright", is_flag=True, help="Turn images as their EXIF orientation says; default: as they are stored."
+)
+@clip_negative_option
 @click.option("--subset", metavar="LIGHTS", help="Lights to take: a slice such as 0:200:2, or 0,5,7.")
 @click.option("--allow-below", is_flag=True, help="Accept lights below the horizon and fit over what is there.")
 @click.option("--name", help="What tables call the stack; default: the folder's name.")

@@ -10,13 +10,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.lamps import ROTATION_HELP, Lamp, Rotation, Turn, lamp_options, make_lamp, note_horizon, rotate_by
-from clrelight.cli.options import Numbers, device_option, json_option, whole_number
+from clrelight.cli.options import (
+    Numbers,
+    clip_negative_option,
+    device_option,
+    json_option,
+    layer_option,
+    whole_number,
+)
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
+    from clrelight.lighting.environment import Environment
     from clrelight.lighting.light import Light
 
 # Two digits are l and m; more need a sign, a comma or a blank between the two: L110 could be 1,10 or 11,0.
@@ -101,8 +109,10 @@ def environment_options(command: Any) -> Any:
             "--layout",
             metavar="LAYOUT",
             help="latlong, angular, vertical-cross, horizontal-cross, vertical-strip, horizontal-strip or cube; "
-            "default: by the aspect.",
+            "default: by an EXR's envmap attribute, else the aspect.",
         ),
+        layer_option,
+        clip_negative_option,
     ):
         command = option(command)
     return command
@@ -151,6 +161,8 @@ def light(
     layout: str | None,
     axes: str,
     transfer: str,
+    layer: str | None,
+    clip_negative: bool,
     sky: str | None,
     sun: tuple[float, float] | None,
     zenith: float | None,
@@ -184,6 +196,7 @@ def light(
 
     import numpy as np
 
+    from clrelight.lighting.environment import read_environment
     from clrelight.lighting.lamps import cast_shadow
     from clrelight.lighting.light import apply_window, set_coefficients
     from clrelight.lighting.projection import measure_lobes
@@ -202,9 +215,12 @@ def light(
     notes: list[str] = []
     computed_on: str | None = None
     if environments:
-        made, computed_on = _project(
-            environments, layout, axes, transfer, 6 if degree is None else degree, method, device, notes, seconds
+        since = time.perf_counter()
+        environment, notes = read_environment(
+            environments, layout=layout, axes=axes, transfer=transfer, layer=layer, clip_negative=clip_negative
         )
+        seconds["read"] = time.perf_counter() - since
+        made, computed_on = _project(environment, 6 if degree is None else degree, method, device, notes, seconds)
     else:
         since = time.perf_counter()
         made = _cut(read_light(edit) if edit else make_lamp(lamp, degree), degree)
@@ -248,9 +264,9 @@ def light(
 def _check_map_options(with_map: bool) -> None:
     """Refuse options of maps where there is none: --axes would not turn a sky, for one."""
     context = click.get_current_context()
-    for name in ("layout", "axes", "transfer", "method"):
+    for name in ("layout", "axes", "transfer", "method", "layer", "clip_negative"):
         if not with_map and context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
-            raise InputError(f"--{name} is for maps (--env); --rotate turns any light")
+            raise InputError(f"--{name.replace('_', '-')} is for maps (--env); --rotate turns any light")
 
 
 @click.command()
@@ -281,6 +297,8 @@ def irradiance(
     layout: str | None,
     axes: str,
     transfer: str,
+    layer: str | None,
+    clip_negative: bool,
     method: str,
     size: int,
     shape: str,
@@ -318,7 +336,9 @@ def irradiance(
     check_output(out, environments)
     seconds: dict[str, float] = {}
     since = time.perf_counter()
-    environment, notes = read_environment(environments, layout=layout, axes=axes, transfer=transfer)
+    environment, notes = read_environment(
+        environments, layout=layout, axes=axes, transfer=transfer, layer=layer, clip_negative=clip_negative
+    )
     seconds["read"] = time.perf_counter() - since
     opened = open_device(device)
     since = time.perf_counter()
@@ -364,10 +384,7 @@ def print_coefficients(light: Light) -> None:
 
 
 def _project(
-    environments: tuple[str, ...],
-    layout: str | None,
-    axes: str,
-    transfer: str,
+    environment: Environment,
     degree: int,
     method: str,
     device: str | None,
@@ -376,13 +393,8 @@ def _project(
 ) -> tuple[Light, str | None]:
     """Return the light of a map, and the device it was projected on, None where the host did it."""
     from clrelight.device import open_device
-    from clrelight.lighting.environment import read_environment
     from clrelight.lighting.projection import project_environment
 
-    since = time.perf_counter()
-    environment, said = read_environment(environments, layout=layout, axes=axes, transfer=transfer)
-    notes += said
-    seconds["read"] = time.perf_counter() - since
     since = time.perf_counter()
     opened = open_device(device) if device else None  # the separable transform needs none
     made = project_environment(environment, degree, method=method, device=opened)

@@ -137,6 +137,25 @@ def json_option(command: Command) -> Command:
     )(command)
 
 
+def layer_option(command: Command) -> Command:
+    """Add ``--layer``."""
+    return click.option(
+        "--layer",
+        metavar="NAME",
+        help="Layer or part of EXR images, or page of TIFFs (from 1); default: R, G, B, else the one named as the "
+        "picture, such as ViewLayer.Combined.",
+    )(command)
+
+
+def clip_negative_option(command: Command) -> Command:
+    """Add ``--clip-negative``."""
+    return click.option(
+        "--clip-negative",
+        is_flag=True,
+        help="Set negative radiance to 0 however large; default: only tiny values, as lossy files have.",
+    )(command)
+
+
 def memory_option(default: str, what: str) -> Callable[[Command], Command]:
     """Add ``--memory``."""
     return click.option(

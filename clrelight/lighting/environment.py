@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from clrelight.conventions import TRANSFERS, default_peak, srgb_to_linear
 from clrelight.errors import InputError
-from clrelight.images import read_image
+from clrelight.image_header import ImageHeader
+from clrelight.images import read_header, read_image
 from clrelight.lighting import layouts
 from clrelight.lighting.dds import read_dds_faces
+from clrelight.negatives import Negatives
 
 STORED_LAYOUTS = ("angular", "latlong", "cube")
 """Layouts that maps are held in; crosses and strips are cut into the faces of a cube."""
@@ -77,6 +79,8 @@ def read_environment(
     layout: str | None = None,
     axes: str = "z-up",
     transfer: str = "srgb",
+    layer: str | None = None,
+    clip_negative: bool = False,
 ) -> tuple[Environment, list[str]]:
     """Read an environment map from one picture, or from six faces of a cube.
 
@@ -91,6 +95,11 @@ def read_environment(
         See `layouts.parse_axes`.
     transfer : str
         Curve of pictures of integers, ``"srgb"`` or ``"linear"``; floats are linear radiance.
+    layer : str, optional
+        Which layer of an EXR is read; see `image_parts.choose_picture`.
+    clip_negative : bool
+        Set negative texels to 0, however large. By default only those within a thousandth of the typical one are,
+        which lossy compression leaves; others are refused.
 
     Returns
     -------
@@ -113,15 +122,19 @@ def read_environment(
         raise InputError(f"an environment is one picture or the six faces of a cube, got {len(files)} files")
     source = ", ".join(file.name for file in files)
     notes: list[str] = []
+    reading = _Reading(transfer, layer, clip_negative, notes)
     if len(files) == 6:
         files = [files[i] for i in layouts.face_order([file.name for file in files])]
-        picture, stored = _read_faces(files, layout, transfer, notes), "cube"
+        picture, stored = _read_faces(files, layout, reading), "cube"
     elif files[0].suffix.lower() == ".dds":
         _want_cube(layout, "a DDS file")
+        if layer is not None:
+            raise InputError(f"a DDS file has no layers, got --layer {layer}")
         faces = read_dds_faces(files[0]).astype(np.float32)
-        picture, stored = faces.reshape(-1, *faces.shape[2:]), "cube"
+        stacked_hwc = faces.reshape(-1, *faces.shape[2:])
+        picture, stored = reading.clip(stacked_hwc, layouts.used_texels("cube", *stacked_hwc.shape[:2]), source), "cube"
     else:
-        picture, stored = _read_picture(files[0], layout, transfer, notes)
+        picture, stored = _read_picture(files[0], layout, reading)
     return Environment(np.ascontiguousarray(picture), stored, axes, source), notes
 
 
@@ -146,23 +159,69 @@ def _want_cube(layout: str | None, what: str) -> None:
         raise InputError(f"{what} is a cube map, it cannot be of layout {layout}")
 
 
-def _read_faces(files: list[Path], layout: str | None, transfer: str, notes: list[str]) -> NDArray[np.float32]:
+@dataclass(frozen=True)
+class _Reading:
+    """How files are read, and what is to be said of them."""
+
+    transfer: str
+    layer: str | None
+    clip_negative: bool
+    notes: list[str]
+
+    def read_linear(self, header: ImageHeader) -> NDArray[np.float32]:
+        """Return a picture's linear radiance."""
+        x, y, width, height = header.covers
+        name = header.path.name
+        if (width, height) != (header.width, header.height):
+            raise InputError(
+                f"{header.path} stores only {width}×{height} pixels at ({x}, {y}) of a picture of {header.width}×"
+                f"{header.height} (its data and display windows), a map must show every direction"
+            )
+        self.notes.extend(f"{name}: {note}" for note in header.notes)
+        if header.camera_orientation != 1:
+            self.notes.append(f"{name} carries EXIF orientation {header.camera_orientation}, not applied")
+        values = read_image(header)
+        if values.dtype.kind == "f":
+            return values.astype(np.float32)
+        self.notes.append(
+            f"{name} holds {8 * values.dtype.itemsize}-bit values, taken as {self.transfer}: what was brighter than "
+            "white in it is clipped"
+        )
+        codes = np.arange(np.iinfo(values.dtype).max + 1) / default_peak(values.dtype)
+        table = srgb_to_linear(codes) if self.transfer == "srgb" else codes
+        return table.astype(np.float32)[values]
+
+    def clip(self, radiance_hwc: NDArray[np.float32], used_hw: NDArray[np.bool_], what: str) -> NDArray[np.float32]:
+        """Return radiance without small negative texels, or any where the user wants so; InputError else."""
+        below = (radiance_hwc < 0) & used_hw[..., None] & np.isfinite(radiance_hwc)
+        if below.any():
+            lit = radiance_hwc[used_hw[..., None] & (radiance_hwc > 0)]
+            negatives = Negatives(self.clip_negative)
+            radiance_hwc = negatives.clip(np.where(used_hw[..., None], radiance_hwc, np.float32(0)), 0, what)
+            typical = float(np.median(lit)) if lit.size else 0.0
+            self.notes.extend(f"{Path(what).name}: {note}" for note in negatives.conclude(typical))
+        check_texels(radiance_hwc, used_hw, what)
+        return radiance_hwc
+
+
+def _read_faces(files: list[Path], layout: str | None, reading: _Reading) -> NDArray[np.float32]:
     _want_cube(layout, "what six files hold")
-    faces = [_read_linear(file, transfer, notes) for file in files]
+    faces = [reading.read_linear(read_header(file, layer=reading.layer)) for file in files]
     for file, face_hwc in zip(files, faces, strict=True):
         if face_hwc.shape != faces[0].shape or face_hwc.shape[0] != face_hwc.shape[1]:
             raise InputError(
                 f"the faces of a cube are squares of one size and channel count: {file} has shape {face_hwc.shape}, "
                 f"{files[0]} {faces[0].shape}"
             )
-        check_texels(face_hwc, layouts.used_texels("latlong", *face_hwc.shape[:2]), str(file))
-    return np.concatenate(faces)
+    used_hw = np.ones(faces[0].shape[:2], bool)
+    return np.concatenate([reading.clip(face, used_hw, str(file)) for file, face in zip(files, faces, strict=True)])
 
 
-def _read_picture(file: Path, layout: str | None, transfer: str, notes: list[str]) -> tuple[NDArray[np.float32], str]:
-    picture_hwc = _read_linear(file, transfer, notes)
-    height, width = picture_hwc.shape[:2]
-    found = layout or layouts.detect_layout(height, width)
+def _read_picture(file: Path, layout: str | None, reading: _Reading) -> tuple[NDArray[np.float32], str]:
+    header = read_header(file, layer=reading.layer)
+    height, width = header.height, header.width
+    is_exr_cube = header.envmap == "cube" and layout in (None, "cube")
+    found = "vertical-strip" if is_exr_cube else layout or header.envmap or layouts.detect_layout(height, width)
     if found is None:
         aspects = ", ".join(f"{name} {wide}:{high}" for name, (wide, high) in layouts.ASPECTS.items())
         raise InputError(f"{file} has {width}×{height} texels, which no layout has ({aspects})")
@@ -171,20 +230,11 @@ def _read_picture(file: Path, layout: str | None, transfer: str, notes: list[str
     if found == "angular" and layout is None and layouts.face_of(file.name) is not None:
         raise InputError(f"{file} is named as one face of a cube: give all six, or --layout angular")
     layouts.check_layout(found, height, width, str(file))
-    check_texels(picture_hwc, layouts.used_texels(found, height, width), str(file))
+    picture_hwc = reading.clip(reading.read_linear(header), layouts.used_texels(found, height, width), str(file))
     if found in STORED_LAYOUTS:
         return picture_hwc, found
     faces = layouts.cut_faces(picture_hwc, found)
+    if is_exr_cube:
+        faces = faces[list(layouts.OPENEXR_FACES)]
+        reading.notes.append(f"{file.name} is a cube as its envmap attribute says: -z is forward in it, y up")
     return faces.reshape(-1, *faces.shape[2:]), "cube"
-
-
-def _read_linear(file: Path, transfer: str, notes: list[str]) -> NDArray[np.float32]:
-    values = read_image(file)
-    if values.dtype.kind == "f":
-        return values.astype(np.float32)
-    bits = 8 * values.dtype.itemsize
-    notes.append(
-        f"{file.name} holds {bits}-bit values, taken as {transfer}: what was brighter than white in it is clipped"
-    )
-    scaled = values / default_peak(values.dtype)
-    return (srgb_to_linear(scaled) if transfer == "srgb" else scaled).astype(np.float32)

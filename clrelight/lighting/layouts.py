@@ -33,6 +33,9 @@ LAYOUTS = (*ASPECTS, "cube")
 FACES = ("+right", "-right", "+up", "-up", "+forward", "-forward")
 """Direct3D's order +X -X +Y -Y +Z -Z, whose left-handed axes are right, up and forward."""
 
+OPENEXR_FACES = (0, 1, 2, 3, 5, 4)
+"""Where our faces lie in OpenEXR's cubes (ImfEnvmap.h), whose right-handed axes are right, up and back."""
+
 AXES = {"z-up": "right,forward,up", "probe": "right,up,forward", "camera": "right,up,back"}
 """Named axes: the world's up is z; those of published tables (a mirror image); those of a stack whose y is up."""
 
