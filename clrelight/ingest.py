@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -25,6 +25,7 @@ from clrelight.lights import (
     LightTable,
     count_duplicates,
     find_lights,
+    horizon_note,
     length_note,
     parse_subset,
     unit_directions,
@@ -97,6 +98,26 @@ class _Values:
         return np.multiply(band_hwc, self.factors_ic[light], dtype=np.float32)
 
 
+@dataclass
+class _Extent:
+    """Whether an image is black, or at the largest code, wherever pixels count."""
+
+    black: bool = True
+    white: bool = True
+
+    def widen(self, band_hwc: NDArray, mask_hw: NDArray[np.bool_] | None) -> None:
+        """Take in further rows of the image; what is decided already costs nothing."""
+        top = np.iinfo(band_hwc.dtype).max if band_hwc.dtype.kind == "u" else None
+        self.white = self.white and top is not None
+        if not (self.black or self.white):
+            return
+        if mask_hw is not None:
+            band_hwc = band_hwc[mask_hw]
+        if band_hwc.size:
+            self.black = self.black and not band_hwc.any()
+            self.white = self.white and bool(band_hwc.min() == top)
+
+
 @dataclass(frozen=True)
 class _Source:
     """What is read: the images, the part of them that is kept, and how their values change."""
@@ -104,6 +125,8 @@ class _Source:
     headers: list[ImageHeader]
     window: _Window
     values: _Values
+    mask_hw: NDArray[np.bool_] | None = None
+    extents: Sequence[_Extent] = ()
 
     @property
     def shape_ihwc(self) -> tuple[int, int, int, int]:
@@ -116,6 +139,11 @@ class _Source:
             kept_hwc = _columns(band_hwc, self.window)
             if header.dtype.kind == "f":
                 _check_radiance(kept_hwc, header.path, row, self.window.column)
+            if self.extents:
+                at = row - self.window.row
+                self.extents[light].widen(
+                    kept_hwc, None if self.mask_hw is None else self.mask_hw[at : at + len(kept_hwc)]
+                )
             yield row - self.window.row, self.values.convert(kept_hwc, light)
 
 
@@ -202,7 +230,8 @@ def ingest_folder(
     table = find_lights(folder, Path(lights) if lights is not None else None)
     chosen = parse_subset(subset, len(table.images)) if subset is not None else list(range(len(table.images)))
     written_i3 = table.directions_i3[chosen]
-    directions_i3 = unit_directions(written_i3, lambda i: table.label(chosen[i]), allow_below)
+    label = lambda i: table.label(chosen[i])  # noqa: E731
+    directions_i3 = unit_directions(written_i3, label, allow_below)
     headers = _read_headers([table.images[i] for i in chosen])
     window = _place_crop(headers[0], crop)
     values = _choose_values(table, headers[0], chosen, transfer, peak, divide_intensities)
@@ -210,7 +239,7 @@ def ingest_folder(
     mask_hw = _read_mask(mask_path, headers[0], window, memory_bytes) if mask_path is not None else None
     tables = [table.source, *(table.source.parent / name for name in (NAMES_FILE, INTENSITIES_FILE))]
     check_output(out_path, [*table.images, *tables, *([mask_path] if mask_path is not None else [])])
-    source = _Source(headers, window, values)
+    source = _Source(headers, window, values, mask_hw, [_Extent() for _ in headers])
     plan = _plan_memory(source, memory_bytes)
 
     with (
@@ -243,7 +272,13 @@ def ingest_folder(
         duplicates=count_duplicates(directions_i3),
         below_horizon=int(np.count_nonzero(directions_i3[:, 2] < 0)),
         elevation_range=(float(elevations.min()), float(elevations.max())),
-        notes=(*table.notes, *length_note(written_i3), *_notes(table, folder, mask_path, values)),
+        notes=(
+            *table.notes,
+            *length_note(written_i3),
+            *horizon_note(written_i3, label, allow_below),
+            *_notes(table, folder, mask_path, values),
+            *_frame_notes(source),
+        ),
     )
 
 
@@ -403,3 +438,15 @@ def _notes(table: LightTable, folder: Path, mask_path: Path | None, values: _Val
         yield f"mask {mask_path.name}"
     elif (folder / MASK_FILE).is_file():
         yield f"{MASK_FILE} lies in the folder but was not asked for"
+
+
+def _frame_notes(source: _Source) -> Iterator[str]:
+    """Yield which images are wholly black or white: a lamp that failed, or an exposure that all lights exceed."""
+    for what, why, light_is in (
+        ("black", "did the light fail?", [extent.black for extent in source.extents]),
+        ("white", "are they overexposed?", [extent.white for extent in source.extents]),
+    ):
+        names = [header.path.name for header, found in zip(source.headers, light_is, strict=True) if found]
+        if names:
+            listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+            yield f"{len(names)} of {len(light_is)} images are wholly {what} ({why} --subset leaves them out): {listed}"

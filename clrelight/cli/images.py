@@ -122,13 +122,13 @@ def relight(
         raise InputError(
             "--exposure auto, --rotate, --turntable, --about and --tonemap are for light files (--light LIGHT.h5)"
         )
-    directions_i3 = _directions([each for each in light if not isinstance(each, str)], lights)
+    directions_i3, notes = _directions([each for each in light if not isinstance(each, str)], lights)
     names = _names(image, len(directions_i3))
     for name in names:
         check_output(name, [fitted, lights] if lights else [fitted])
     opened = open_device(device)
     seconds: dict[str, float] = {}
-    notes = [
+    notes += [
         f"light {i} is below the horizon, where a hemispherical fit knows nothing"
         for i in range(len(directions_i3))
         if directions_i3[i, 2] < 0
@@ -193,19 +193,18 @@ def _lend_view(path: str, device: Device, seconds: dict[str, float]) -> Iterator
         )
 
 
-def _directions(light: list[tuple[float, float, float]], lights: str | None) -> NDArray[np.float64]:
+def _directions(light: list[tuple[float, float, float]], lights: str | None) -> tuple[NDArray[np.float64], list[str]]:
     import numpy as np
 
-    from clrelight.lights import read_directions, read_lp
+    from clrelight.light_files import read_light_file
 
     if bool(light) == (lights is not None):
         raise InputError("give the light by --light X,Y,Z or by --lights FILE")
     if lights is None:
-        directions_i3 = np.array(light, np.float64)
-    elif lights.lower().endswith(".lp"):
-        directions_i3 = read_lp(Path(lights))[1]
+        directions_i3, notes = np.array(light, np.float64), []
     else:
-        directions_i3 = read_directions(Path(lights))
+        file = read_light_file(Path(lights))
+        directions_i3, notes = file.directions_i3, [*file.notes, *file.count_notes()]
     # Scaled by the largest component first, whose square could be beyond float64's range.
     largest = np.max(np.abs(directions_i3), axis=1, keepdims=True)
     bad = np.flatnonzero(~(np.isfinite(largest[:, 0]) & (largest[:, 0] > 0)))
@@ -214,7 +213,7 @@ def _directions(light: list[tuple[float, float, float]], lights: str | None) -> 
             f"light {bad[0]} has the direction {directions_i3[bad[0]]}, expected finite numbers that are not all zero"
         )
     directions_i3 = directions_i3 / largest
-    return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True)
+    return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True), notes
 
 
 def _names(image: str, count: int) -> list[str]:
