@@ -99,23 +99,30 @@ class _Values:
 
 
 @dataclass
-class _Extent:
-    """Whether an image is black, or at the largest code, wherever pixels count."""
+class _Extremes:
+    """Whether an image is black, or at the code of white or above, wherever pixels count.
 
+    Floats have no such code: what is above 1.0 is not clipped.
+    """
+
+    white_code: float
     black: bool = True
     white: bool = True
 
-    def widen(self, band_hwc: NDArray, mask_hw: NDArray[np.bool_] | None) -> None:
-        """Take in further rows of the image; what is decided already costs nothing."""
-        top = np.iinfo(band_hwc.dtype).max if band_hwc.dtype.kind == "u" else None
-        self.white = self.white and top is not None
-        if not (self.black or self.white):
-            return
-        if mask_hw is not None:
-            band_hwc = band_hwc[mask_hw]
-        if band_hwc.size:
-            self.black = self.black and not band_hwc.any()
-            self.white = self.white and bool(band_hwc.min() == top)
+    def take(self, band_hwc: NDArray, mask_hw: NDArray[np.bool_] | None) -> None:
+        """Take in further rows of the image; once both are out of the question this costs nothing."""
+        self.white = self.white and band_hwc.dtype.kind == "u"
+        if mask_hw is not None and mask_hw.any():
+            # One pixel decides nearly always, and spares picking out the others.
+            self._look(band_hwc[np.unravel_index(mask_hw.argmax(), mask_hw.shape)])
+            if self.black or self.white:
+                self._look(band_hwc[mask_hw])
+        elif mask_hw is None:
+            self._look(band_hwc)
+
+    def _look(self, values: NDArray) -> None:
+        self.black = self.black and not values.any()
+        self.white = self.white and bool(values.min() >= self.white_code)
 
 
 @dataclass(frozen=True)
@@ -126,7 +133,7 @@ class _Source:
     window: _Window
     values: _Values
     mask_hw: NDArray[np.bool_] | None = None
-    extents: Sequence[_Extent] = ()
+    extremes: Sequence[_Extremes] = ()
 
     @property
     def shape_ihwc(self) -> tuple[int, int, int, int]:
@@ -139,9 +146,9 @@ class _Source:
             kept_hwc = _columns(band_hwc, self.window)
             if header.dtype.kind == "f":
                 _check_radiance(kept_hwc, header.path, row, self.window.column)
-            if self.extents:
+            if self.extremes:
                 at = row - self.window.row
-                self.extents[light].widen(
+                self.extremes[light].take(
                     kept_hwc, None if self.mask_hw is None else self.mask_hw[at : at + len(kept_hwc)]
                 )
             yield row - self.window.row, self.values.convert(kept_hwc, light)
@@ -230,7 +237,10 @@ def ingest_folder(
     table = find_lights(folder, Path(lights) if lights is not None else None)
     chosen = parse_subset(subset, len(table.images)) if subset is not None else list(range(len(table.images)))
     written_i3 = table.directions_i3[chosen]
-    label = lambda i: table.label(chosen[i])  # noqa: E731
+
+    def label(light: int) -> str:
+        return table.label(chosen[light])
+
     directions_i3 = unit_directions(written_i3, label, allow_below)
     headers = _read_headers([table.images[i] for i in chosen])
     window = _place_crop(headers[0], crop)
@@ -239,7 +249,8 @@ def ingest_folder(
     mask_hw = _read_mask(mask_path, headers[0], window, memory_bytes) if mask_path is not None else None
     tables = [table.source, *(table.source.parent / name for name in (NAMES_FILE, INTENSITIES_FILE))]
     check_output(out_path, [*table.images, *tables, *([mask_path] if mask_path is not None else [])])
-    source = _Source(headers, window, values, mask_hw, [_Extent() for _ in headers])
+    white_code = float(peak) if peak is not None else default_peak(headers[0].dtype)
+    source = _Source(headers, window, values, mask_hw, [_Extremes(white_code) for _ in headers])
     plan = _plan_memory(source, memory_bytes)
 
     with (
@@ -277,7 +288,7 @@ def ingest_folder(
             *length_note(written_i3),
             *horizon_note(written_i3, label, allow_below),
             *_notes(table, folder, mask_path, values),
-            *_frame_notes(source),
+            *_frame_notes(source, chosen),
         ),
     )
 
@@ -440,13 +451,28 @@ def _notes(table: LightTable, folder: Path, mask_path: Path | None, values: _Val
         yield f"{MASK_FILE} lies in the folder but was not asked for"
 
 
-def _frame_notes(source: _Source) -> Iterator[str]:
-    """Yield which images are wholly black or white: a lamp that failed, or an exposure that all lights exceed."""
-    for what, why, light_is in (
-        ("black", "did the light fail?", [extent.black for extent in source.extents]),
-        ("white", "are they overexposed?", [extent.white for extent in source.extents]),
+def _frame_notes(source: _Source, chosen: list[int]) -> Iterator[str]:
+    """Yield which images are wholly black or white, as where a lamp failed, and what leaves them out."""
+    sound = [light for light, each in zip(chosen, source.extremes, strict=True) if not (each.black or each.white)]
+    subset = _subset_of(sound)
+    instead = f"; --subset {subset} leaves them out" if sound and len(subset) <= 60 else ""
+    for what, why, found in (
+        ("black", "did the light fail?", [each.black for each in source.extremes]),
+        ("white", "is it overexposed?", [each.white for each in source.extremes]),
     ):
-        names = [header.path.name for header, found in zip(source.headers, light_is, strict=True) if found]
+        names = [header.path.name for header, is_so in zip(source.headers, found, strict=True) if is_so]
         if names:
+            which = f"{len(names)} images are" if len(names) > 1 else "1 image is"
             listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-            yield f"{len(names)} of {len(light_is)} images are wholly {what} ({why} --subset leaves them out): {listed}"
+            yield f"{which} wholly {what} ({why}): {listed}{instead}"
+
+
+def _subset_of(lights: list[int]) -> str:
+    """Return the subset that `parse_subset` reads as these lights."""
+    runs: list[list[int]] = []
+    for light in lights:
+        if runs and light == runs[-1][1]:
+            runs[-1][1] += 1
+        else:
+            runs.append([light, light + 1])
+    return ",".join(f"{first}:{end}" for first, end in runs)
