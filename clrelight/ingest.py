@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -26,6 +26,7 @@ from clrelight.lights import (
     LightTable,
     count_duplicates,
     find_lights,
+    horizon_note,
     length_note,
     parse_subset,
     unit_directions,
@@ -101,6 +102,33 @@ class _Values:
         return np.multiply(band_hwc, self.factors_ic[light], dtype=np.float32)
 
 
+@dataclass
+class _Extremes:
+    """Whether an image is black, or at the code of white or above, wherever pixels count.
+
+    Floats have no such code: what is above 1.0 is not clipped.
+    """
+
+    white_code: float
+    black: bool = True
+    white: bool = True
+
+    def take(self, band_hwc: NDArray, mask_hw: NDArray[np.bool_] | None) -> None:
+        """Take in further rows of the image; once both are out of the question this costs nothing."""
+        self.white = self.white and band_hwc.dtype.kind == "u"
+        if mask_hw is not None and mask_hw.any():
+            # One pixel decides nearly always, and spares picking out the others.
+            self._look(band_hwc[np.unravel_index(mask_hw.argmax(), mask_hw.shape)])
+            if self.black or self.white:
+                self._look(band_hwc[mask_hw])
+        elif mask_hw is None:
+            self._look(band_hwc)
+
+    def _look(self, values: NDArray) -> None:
+        self.black = self.black and not values.any()
+        self.white = self.white and bool(values.min() >= self.white_code)
+
+
 @dataclass(frozen=True)
 class _Source:
     """What is read: the images, the part of them that is kept, and how their values change."""
@@ -109,6 +137,8 @@ class _Source:
     window: _Window
     values: _Values
     negatives: Negatives = field(default_factory=Negatives)
+    mask_hw: NDArray[np.bool_] | None = None
+    extremes: Sequence[_Extremes] = ()
 
     @property
     def shape_ihwc(self) -> tuple[int, int, int, int]:
@@ -121,6 +151,11 @@ class _Source:
             kept_hwc = _columns(band_hwc, self.window)
             if header.dtype.kind == "f":
                 kept_hwc = self.negatives.clip(kept_hwc, light, f"image {header.path}", row, self.window.column)
+            if self.extremes:
+                at = row - self.window.row
+                self.extremes[light].take(
+                    kept_hwc, None if self.mask_hw is None else self.mask_hw[at : at + len(kept_hwc)]
+                )
             yield row - self.window.row, self.values.convert(kept_hwc, light)
 
 
@@ -218,7 +253,11 @@ def ingest_folder(
     table = find_lights(folder, Path(lights) if lights is not None else None)
     chosen = parse_subset(subset, len(table.images)) if subset is not None else list(range(len(table.images)))
     written_i3 = table.directions_i3[chosen]
-    directions_i3 = unit_directions(written_i3, lambda i: table.label(chosen[i]), allow_below)
+
+    def label(light: int) -> str:
+        return table.label(chosen[light])
+
+    directions_i3 = unit_directions(written_i3, label, allow_below)
     headers = read_headers([table.images[i] for i in chosen], layer, upright)
     window = _place_crop(headers[0], crop)
     check_covers(headers, (window.column, window.row, window.width, window.height))
@@ -229,7 +268,9 @@ def ingest_folder(
     )
     tables = [table.source, *(table.source.parent / name for name in (NAMES_FILE, INTENSITIES_FILE))]
     check_output(out_path, [*table.images, *tables, *([mask_path] if mask_path is not None else [])])
-    source = _Source(headers, window, values, Negatives(clip_negative))
+    white_code = float(peak) if peak is not None else default_peak(headers[0].dtype)
+    extremes = [_Extremes(white_code) for _ in headers]
+    source = _Source(headers, window, values, Negatives(clip_negative), mask_hw, extremes)
     plan = _plan_memory(source, memory_bytes)
 
     with (
@@ -266,10 +307,12 @@ def ingest_folder(
         notes=(
             *table.notes,
             *length_note(written_i3),
+            *horizon_note(written_i3, label, allow_below),
             *_notes(table, folder, mask_path, values),
             *mask_notes,
             *describe_headers(headers),
             *negative_notes,
+            *_frame_notes(source, chosen),
         ),
     )
 
@@ -396,3 +439,30 @@ def _notes(table: LightTable, folder: Path, mask_path: Path | None, values: _Val
         yield "not divided by the light intensities"
     if mask_path is None and (folder / MASK_FILE).is_file():
         yield f"{MASK_FILE} lies in the folder but was not asked for"
+
+
+def _frame_notes(source: _Source, chosen: list[int]) -> Iterator[str]:
+    """Yield which images are wholly black or white, as where a lamp failed, and what leaves them out."""
+    sound = [light for light, each in zip(chosen, source.extremes, strict=True) if not (each.black or each.white)]
+    subset = _subset_of(sound)
+    instead = f"; --subset {subset} leaves them out" if sound and len(subset) <= 60 else ""
+    for what, why, found in (
+        ("black", "did the light fail?", [each.black for each in source.extremes]),
+        ("white", "is it overexposed?", [each.white for each in source.extremes]),
+    ):
+        names = [header.path.name for header, is_so in zip(source.headers, found, strict=True) if is_so]
+        if names:
+            which = f"{len(names)} images are" if len(names) > 1 else "1 image is"
+            listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+            yield f"{which} wholly {what} ({why}): {listed}{instead}"
+
+
+def _subset_of(lights: list[int]) -> str:
+    """Return the subset that `parse_subset` reads as these lights."""
+    runs: list[list[int]] = []
+    for light in lights:
+        if runs and light == runs[-1][1]:
+            runs[-1][1] += 1
+        else:
+            runs.append([light, light + 1])
+    return ",".join(f"{first}:{end}" for first, end in runs)

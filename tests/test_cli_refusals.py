@@ -321,7 +321,7 @@ def ruin(folder, what):
         case "channels":
             write_image(folder / "3.png", np.ones((6, 5, 1), np.uint8))
         case "fewer":
-            (folder / "dirs.lp").write_text("\n".join(lines[:-1]))
+            (folder / "dirs.lp").write_text("\n".join(lines[:-2]))
         case "zero":
             lines[4] = "3.png 0 0 0"
         case "nan":
@@ -343,10 +343,10 @@ def ruin(folder, what):
         ("unreadable", "3.png"),
         ("size", "3.png has pixels 4×6, but 0.png 5×6"),
         ("channels", "3.png has channels 1, but 0.png 3"),
-        ("fewer", "dirs.lp announces 5 images on line 1, but 4 lines follow"),
+        ("fewer", "dirs.lp announces 5 lights, but lists 3"),
         ("zero", "light 3 (3.png)"),
         ("nan", "light 3 (3.png)"),
-        ("below", "light 3 (3.png)"),
+        ("below", "is below the horizon: 0.6 0 -0.8; expected z >= 0, or --allow-below"),
         ("words", "dirs.lp line 5: expected an image name and x y z"),
         ("none", "name a light file"),
     ],

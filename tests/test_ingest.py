@@ -123,6 +123,67 @@ def test_duplicates_and_lights_below_are_counted(tmp_path, written):
     assert ingest_folder(folder, tmp_path / "o.h5", subset="0:2").below_horizon == 0
 
 
+def test_light_just_below_the_horizon_is_put_on_it(tmp_path, written):
+    directions = DIRECTIONS.copy()
+    directions[3] = [0, 1, -np.sin(np.radians(0.1))]
+    folder = make_folder(tmp_path / "a", random_images(), directions=directions)
+    summary = ingest_folder(folder, tmp_path / "o.h5")
+    np.testing.assert_allclose(written.settings.directions_i3[3], [0, 1, 0], atol=1e-15)
+    assert summary.below_horizon == 0
+    assert any("im 3.png" in note and "0.1° below the horizon" in note for note in summary.notes)
+    ingest_folder(folder, tmp_path / "o.h5", allow_below=True)
+    assert written.settings.directions_i3[3, 2] < -1e-3
+
+
+@pytest.mark.parametrize(("dtype", "extension", "white"), [(np.uint8, ".png", 255), (np.uint16, ".tif", 4095)])
+@pytest.mark.parametrize("memory", [1 << 20, 3000])
+def test_black_and_white_images_are_named(tmp_path, written, dtype, extension, white, memory):
+    images = random_images(dtype) % white
+    images[[1, 3]] = 0
+    images[4] = white
+    folder = make_folder(tmp_path / "a", images, extension)
+    options = {"memory_bytes": memory, "peak": white}
+    subset = "; --subset 0:1,2:3 leaves them out"
+    notes = ingest_folder(folder, tmp_path / "o.h5", **options).notes
+    black, bright = (next(note for note in notes if word in note) for word in ("black", "white"))
+    assert black == f"2 images are wholly black (did the light fail?): im 1{extension}, im 3{extension}{subset}"
+    assert bright == f"1 image is wholly white (is it overexposed?): im 4{extension}{subset}"
+    np.testing.assert_array_equal(written.images, images)
+    assert not ingest_folder(folder, tmp_path / "o.h5", subset="0:1,2:3", **options).notes
+    write_image(folder / f"im 3{extension}", np.eye(13, 9, dtype=dtype)[..., None].repeat(3, 2))
+    notes = ingest_folder(folder, tmp_path / "o.h5", crop=(0, 1, 9, 12), subset="3,1", **options).notes
+    assert notes == (f"1 image is wholly black (did the light fail?): im 1{extension}; --subset 3:4 leaves them out",)
+
+
+@pytest.mark.parametrize("memory", [1 << 20, 3000])
+def test_images_are_black_or_white_where_the_mask_is(tmp_path, written, memory):
+    images = np.maximum(random_images(), 1)
+    mask = np.zeros((13, 9), np.uint8)
+    mask[3:6, 2:7] = mask[12, 8] = 255
+    images[0, mask > 0] = 0
+    images[2, mask > 0] = 255
+    images[3, mask > 0] = 0
+    images[3, 12, 8, 1] = 1
+    folder = make_folder(tmp_path / "a", images)
+    write_image(tmp_path / "m.png", mask)
+    notes = ingest_folder(folder, tmp_path / "o.h5", mask=tmp_path / "m.png", memory_bytes=memory).notes
+    assert [note.split(";")[0] for note in notes if "wholly" in note] == [
+        "1 image is wholly black (did the light fail?): im 0.png",
+        "1 image is wholly white (is it overexposed?): im 2.png",
+    ]
+    assert not any("wholly" in note for note in ingest_folder(folder, tmp_path / "o.h5").notes)
+
+
+def test_stack_that_is_black_altogether(tmp_path, written):
+    folder = make_folder(tmp_path / "a", np.zeros((5, 13, 9, 3), np.float32), ".exr")
+    notes = ingest_folder(folder, tmp_path / "o.h5").notes
+    assert notes == (
+        "5 images are wholly black (did the light fail?): im 0.exr, im 1.exr, im 2.exr, im 3.exr, im 4.exr",
+    )
+    folder = make_folder(tmp_path / "b", np.full((5, 13, 9, 3), 7, np.float32), ".exr")
+    assert ingest_folder(folder, tmp_path / "o.h5").notes == ()  # above 1 is no clipping where floats are kept
+
+
 def make_diligent(folder, images_ihwc, intensities_ic, extension=".png"):
     make_folder(folder, images_ihwc, extension)
     (folder / "dirs.lp").unlink()
@@ -419,6 +480,15 @@ def test_psbox_cat(real_data, tmp_path, written):
     )
     for i in range(12):
         np.testing.assert_array_equal(written.images[i], pillow(folder / f"Image_{i + 1:02d}.png"))
+
+
+def test_realrti_lists_one_light_too_many(real_data, tmp_path, written):
+    folder = real_data / "stacks" / "realrti" / "item12"
+    summary = ingest_folder(folder, tmp_path / "o.h5", crop=(0, 0, 8, 8))
+    lines = [line.split() for line in (folder / "dirs.lp").read_text().splitlines()[1:48]]
+    expected = np.array([[float(v) for v in line[1:]] for line in lines])
+    np.testing.assert_allclose(written.settings.directions_i3, expected, atol=1e-6)
+    assert "dirs.lp announces 47 lights, but lists 48; the first 47 were taken" in summary.notes
 
 
 def test_univr_dome(real_data, tmp_path, written):

@@ -5,12 +5,9 @@ from clrelight.errors import InputError
 from clrelight.lights import (
     count_duplicates,
     find_lights,
+    horizon_note,
     length_note,
-    natural_key,
     parse_subset,
-    read_directions,
-    read_lp,
-    read_numbers,
     unit_directions,
 )
 
@@ -28,87 +25,6 @@ def touch_images(folder, *names):
 
 def label(light):
     return f"light {light}"
-
-
-def test_lp_names_may_contain_blanks(tmp_path):
-    path = write(tmp_path / "a.lp", "\ufeff2\r\nmy lion 1.jpg  0 0.6\t0.8\r\n\r\n dir/b 2.jpg -1 0 1e-3 \r\n")
-    names, directions = read_lp(path)
-    assert names == ["my lion 1.jpg", "dir/b 2.jpg"]
-    assert directions.tolist() == [[0, 0.6, 0.8], [-1, 0, 1e-3]]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "line 1: expected the number of images"),
-        ("a.jpg 0 0 1\n", "line 1: expected the number of images"),
-        ("-1\n", "line 1: expected the number of images"),
-        ("²\n", "line 1: expected the number of images"),
-        ("0\n", "names no image"),
-        ("1\n0 0 1\n", "line 2: expected an image name and x y z"),
-        ("1\n\na.jpg 0 zero 1\n", "line 3: expected a number, got 'zero'"),
-        ("3\na.jpg 0 0 1\nb.jpg 0 0 1\n", "announces 3 images on line 1, but 2 lines follow"),
-        ("1\na.jpg 0 0 1\nb.jpg 0 0 1\n", "announces 1 images on line 1, but 2 lines follow"),
-    ],
-)
-def test_lp_that_does_not_parse(tmp_path, text, message):
-    path = write(tmp_path / "a.lp", text)
-    with pytest.raises(InputError, match=message) as error:
-        read_lp(path)
-    assert str(path) in str(error.value)
-
-
-def test_numbers_with_commas_and_comments(tmp_path):
-    path = write(tmp_path / "d.txt", "# x y z\n1, 2,3\n\n 4\t5 6e-1 # last\n")
-    assert read_numbers(path).tolist() == [[1, 2, 3], [4, 5, 0.6]]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("# nothing\n", "holds no numbers"),
-        ("1 2 3\n\n4 5\n", "line 3: expected 3 numbers, got 2"),
-        ("1 2 3\n4 5 x\n", "line 2: expected a number, got 'x'"),
-        ("1 2\n3 4\n", "2×2 numbers, expected N×3 or 3×N"),
-    ],
-)
-def test_table_that_does_not_parse(tmp_path, text, message):
-    path = write(tmp_path / "d.txt", text)
-    with pytest.raises(InputError, match=message) as error:
-        read_directions(path)
-    assert str(path) in str(error.value)
-
-
-def test_light_file_that_is_no_text(tmp_path):
-    path = tmp_path / "d.txt"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="no text file"):
-        read_directions(path)
-
-
-def test_table_is_read_by_rows_or_columns(tmp_path):
-    rows = np.random.default_rng(1).normal(size=(5, 3))
-    np.savetxt(tmp_path / "rows.txt", rows, fmt="%.17g")
-    np.savetxt(tmp_path / "columns.txt", rows.T, fmt="%.17g", delimiter=",")
-    np.testing.assert_array_equal(read_directions(tmp_path / "rows.txt"), rows)
-    np.testing.assert_array_equal(read_directions(tmp_path / "columns.txt"), rows)
-    assert read_directions(write(tmp_path / "one.txt", "0\n0\n1\n")).tolist() == [[0, 0, 1]]
-
-
-def test_three_by_three_is_rows_unless_only_columns_are_unit(tmp_path):
-    unit = np.array([[0.6, 0, 0.8], [0, 0.6, 0.8], [0, 0, 1.0]])
-    for name, table, expected in (("r", unit, unit), ("c", unit.T, unit), ("n", unit * 2, unit * 2)):
-        np.savetxt(tmp_path / name, table)
-        np.testing.assert_allclose(read_directions(tmp_path / name), expected)
-    both = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
-    np.savetxt(tmp_path / "b", both)
-    np.testing.assert_array_equal(read_directions(tmp_path / "b"), both)
-
-
-def test_natural_order():
-    names = ["img10.png", "img9.png", "IMG2.png", "img2b.png", "1.png", "a1b02.png", "a1b1.png"]
-    expected = ["1.png", "a1b1.png", "a1b02.png", "IMG2.png", "img2b.png", "img9.png", "img10.png"]
-    assert sorted(names, key=natural_key) == expected
 
 
 @pytest.mark.parametrize(
@@ -158,7 +74,8 @@ def test_unit_directions():
         ([0, 0, 0], "light 1 has direction 0 0 0"),
         ([0, np.nan, 1], "light 1 has direction 0 nan 1, expected finite"),
         ([np.inf, 0, 1], "light 1 has direction inf 0 1, expected finite"),
-        ([1, 0, -1e-6], "light 1 is below the horizon: 1 0 -1e-06"),
+        ([1, 0, -0.003], "light 1 is below the horizon: 1 0 -0.003; expected z >= 0, or --allow-below"),
+        ([0, -1, -1], "light 1 is below the horizon"),
     ],
 )
 def test_directions_that_are_none(direction, message):
@@ -205,8 +122,13 @@ def test_lp_that_does_not_fit_the_folder(tmp_path):
     touch_images(tmp_path, "a.jpg")
     with pytest.raises(InputError, match=r"no image .*b.jpg, which .*a.lp names for light 1"):
         find_lights(tmp_path)
+    write(tmp_path / "a.lp", "3\na.jpg 0 0 1\nb.jpg 0 0 1\nc.jpg 0 0 1\n")
+    with pytest.raises(InputError, match=r"b.jpg, which .* for light 1 \(line 3\); 2 of 3 images are missing"):
+        find_lights(tmp_path)
     write(tmp_path / "a.lp", "2\nleft/a.jpg 0 0 1\nright/a.jpg 0 0 1\n")
-    with pytest.raises(InputError, match=r"names image a.jpg for light 0 and for light 1"):
+    with pytest.raises(
+        InputError, match=r"names image a.jpg as left/a.jpg and right/a.jpg for light 0 .*line 2.* light 1"
+    ):
         find_lights(tmp_path)
 
 
@@ -215,7 +137,7 @@ def test_table_takes_all_images_in_natural_order(tmp_path):
     touch_images(tmp_path, "i10.png", "i9.png", "i2.PNG", "i1.jpg", "mask.png", "._i1.png", "notes.txt")
     assert [p.name for p in find_lights(tmp_path).images] == ["i1.jpg", "i2.PNG", "i9.png", "i10.png"]
     other = write(tmp_path / "other" / "lights.csv", "0,0,1\n0,1,1\n")
-    with pytest.raises(InputError, match=r"holds 4 images, but .*lights.csv 2 light directions"):
+    with pytest.raises(InputError, match=r"holds 4 images \(without mask.png\), but .*lights.csv 2 light directions"):
         find_lights(tmp_path, other)
 
 
@@ -241,6 +163,7 @@ def test_diligent_folder(tmp_path):
     [
         ({"names": "1.png\n2.png\n"}, "filenames.txt names 2 images, but .* 3 light directions"),
         ({"intensities": "1 2 3\n4 5 6\n"}, "2×3 numbers, expected 3×3"),
+        ({"intensities": "1 2 3 4\n4 5 6 7\n7 8 9 10\n"}, "3×4 numbers, expected 3×3"),
         ({"intensities": "1 2 3\n4 0 6\n7 8 9\n"}, r"light 1 \(10.png\) has intensity 4 0 6"),
         ({"intensities": "1 2 3\n4 5 6\n7 nan 9\n"}, r"light 2 \(1.png\) has intensity 7 nan 9"),
     ],
@@ -259,7 +182,104 @@ def test_nothing_found(tmp_path):
     with pytest.raises(InputError, match="no light file"):
         find_lights(tmp_path, tmp_path / "x.lp")
     touch_images(tmp_path, "a.lp", "b.lp")
-    with pytest.raises(InputError, match=r"2 \.lp files \(a.lp, b.lp\)"):
+    with pytest.raises(InputError, match=r"2 \.lp files \(a.lp, b.lp\): name one with --lights"):
+        find_lights(tmp_path)
+    (tmp_path / "a.lp").unlink()
+    (tmp_path / "b.lp").unlink()
+    touch_images(tmp_path, "lights.txt", "Directions.csv")
+    with pytest.raises(InputError, match=r"2 tables of lights \(Directions.csv, lights.txt\): name one with --lights"):
         find_lights(tmp_path)
     with pytest.raises(InputError, match="no images"):
         find_lights(tmp_path, write(tmp_path / "d.txt", "0 0 1"))
+
+
+def test_what_a_table_of_lights_may_be_called(tmp_path):
+    touch_images(tmp_path, "1.png", "2.png", "buddha.mask.png")
+    for name in ("lights.txt", "Lights.TXT", "directions.csv", "Light_Directions.txt"):
+        table = write(tmp_path / name, "2\n0 0 1\n0.6 0 0.8\n")
+        found = find_lights(tmp_path)
+        assert found.directions_i3.tolist() == [[0, 0, 1], [0.6, 0, 0.8]]
+        assert [path.name for path in found.images] == ["1.png", "2.png"]
+        assert any("buddha.mask.png" in note for note in found.notes)
+        assert found.label(1) == f"light 1 (2.png) of {table} line 3"
+        table.unlink()
+
+
+def test_directions_of_diligent_come_first(tmp_path):
+    touch_images(tmp_path, "1.png")
+    write(tmp_path / "lights.txt", "1 0 0\n")
+    write(tmp_path / "light_directions.txt", "0 0 1\n")
+    assert find_lights(tmp_path).directions_i3.tolist() == [[0, 0, 1]]
+
+
+def test_table_that_names_images_takes_these(tmp_path):
+    table = write(tmp_path / "dome.csv", "file,x,y,z\n3.png,0,0,1\n1.png,0.6,0,0.8\n")
+    touch_images(tmp_path, "1.png", "2.png", "3.png")
+    found = find_lights(tmp_path, table)
+    assert [path.name for path in found.images] == ["3.png", "1.png"]
+    assert found.directions_i3.tolist() == [[0, 0, 1], [0.6, 0, 0.8]]
+
+
+def test_lp_that_lists_one_light_more_than_it_announces(tmp_path):
+    write(tmp_path / "a.lp", "2\n1.png 0 0 1\n2.png 0.6 0 0.8\n3.png 0 0.6 0.8\n")
+    touch_images(tmp_path, "1.png", "2.png")
+    found = find_lights(tmp_path)  # the last image is not there either
+    assert ([path.name for path in found.images], len(found.directions_i3)) == (["1.png", "2.png"], 2)
+    assert found.notes == ("a.lp announces 2 lights, but lists 3; the first 2 were taken",)
+    touch_images(tmp_path, "3.png")
+    found = find_lights(tmp_path)
+    assert found.directions_i3.tolist() == [[0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8]]
+    assert found.notes == ("a.lp announces 2 lights, but lists 3; all 3 were taken",)
+    (tmp_path / "2.png").unlink()
+    with pytest.raises(InputError, match=r"no image .*2.png"):
+        find_lights(tmp_path)
+
+
+def test_diligent_files_in_other_forms(tmp_path):
+    diligent(tmp_path, names='3\r\n"2.png"\r\n10.png\r\n1.PNG\r\n', intensities="1,5 4 7\n2 5 8\n")
+    with pytest.raises(InputError, match="2×3 numbers, expected 3×3"):
+        find_lights(tmp_path)
+    write(tmp_path / "light_intensities.txt", "r;g;b\n1,5;2;3\n4;5,25;6\n7;8;9\n")
+    table = find_lights(tmp_path)
+    assert [path.name for path in table.images] == ["2.png", "10.png", "1.png"]
+    assert table.intensities_ic.tolist() == [[1.5, 2, 3], [4, 5.25, 6], [7, 8, 9]]
+
+
+def test_intensities_with_a_light_in_each_column(tmp_path):
+    write(tmp_path / "filenames.txt", "1.png\n2.png\n")
+    write(tmp_path / "light_directions.txt", "0 0 1\n0 1 1\n")
+    write(tmp_path / "light_intensities.txt", "1 2\n3 4\n5 6\n")
+    touch_images(tmp_path, "1.png", "2.png")
+    table = find_lights(tmp_path)
+    assert table.intensities_ic.tolist() == [[1, 3, 5], [2, 4, 6]]
+    assert "light_intensities.txt has one light a column" in table.notes
+
+
+def test_lights_just_below_the_horizon_are_put_on_it():
+    z = -np.sin(np.radians(0.1))
+    given = np.array([[0, 0, 1.0], [3, -4, 5 * z], [1, 0, z * 1.01], [0.0, 0.0, 2.0]])
+    unit = unit_directions(given, label)
+    np.testing.assert_allclose(unit, [[0, 0, 1], [0.6, -0.8, 0], [1, 0, 0], [0, 0, 1]], atol=2e-6)
+    assert (unit[:, 2] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1, atol=1e-15)
+    assert horizon_note(given, label, False) == [
+        "light 1 is 0.1° below the horizon and 1 more, at most 0.15°: taken to be at it"
+    ]
+    assert horizon_note(given[:1], label, False) == horizon_note(given, label, True) == []
+    assert unit_directions(given, label, allow_below=True)[2, 2] < -1e-3
+
+
+def test_lights_below_the_horizon_may_come_of_other_axes():
+    rng = np.random.default_rng(3)
+    up = np.abs(rng.normal(size=(9, 3)))
+    signed = rng.choice([-1.0, 1.0], size=(9, 3)) * up
+    signed[0] = up[0] * [1, 1, -1]
+    for axis, number in ((0, "first"), (1, "second")):
+        swapped = signed.copy()
+        swapped[:, axis] = up[:, axis]
+        swapped[:4, 1 - axis] *= [1, -1, 1, -1]
+        swapped[:4, 2] = -up[:4, 2]
+        with pytest.raises(InputError, match=f"the {number} number is never negative: is z written there"):
+            unit_directions(swapped, label)
+    with pytest.raises(InputError, match="does z point away from the camera"):
+        unit_directions(np.column_stack([signed[:, :2], -up[:, 2]]), label)

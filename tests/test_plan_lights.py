@@ -8,7 +8,7 @@ import pytest
 from clrelight.dataset import split_lights
 from clrelight.errors import InputError
 from clrelight.experiment.light_counts import measure_choices
-from clrelight.lights import read_lp
+from clrelight.light_files import read_light_file
 from clrelight.plan_lights import CHOICES, PROPOSALS, assess_lights, choose_lights, propose_lights
 from clrelight.sampling import make_pattern
 from tests.commands import call, contents, succeed
@@ -159,7 +159,8 @@ def test_command_writes_what_it_proposes(tmp_path):
     told = succeed(
         "plan-lights", "--degree", 3, "--count", 24, "--pattern", "farthest,grid", tmp_path / "a.lp", "--json"
     )
-    names, directions = read_lp(tmp_path / "a.lp")
+    written = read_light_file(tmp_path / "a.lp")
+    names, directions = written.names, written.directions_i3
     assert (len(names), len(set(names))) == (24, 24)
     np.testing.assert_allclose(directions, propose_lights("farthest", 24, 3), atol=1e-9)
     row = next(r for r in told.json["rows"] if (r["n_light"], r["pattern"]) == (24, "farthest"))
@@ -169,7 +170,8 @@ def test_command_writes_what_it_proposes(tmp_path):
 
 def test_command_chooses_from_given_lights(made, tmp_path):
     succeed("plan-lights", "--lights", made / "given.lp", "--degree", 0, "--count", 2, tmp_path / "b.lp")
-    names, directions = read_lp(tmp_path / "b.lp")
+    written = read_light_file(tmp_path / "b.lp")
+    names, directions = written.names, written.directions_i3
     assert names[0] == "a b.png"
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-8)
     told = succeed("plan-lights", made / "ring.h5", "--degree", 2, "--counts", 20, "--measure", "--json").json

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.options import Names, Numbers, device_option, json_option, whole_number
-from clrelight.cli.output import print_facts, print_json
+from clrelight.cli.output import print_facts, print_json, print_notes
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
@@ -36,6 +36,7 @@ class _Lights:
     sphere: bool
     names: tuple[str, ...] = ()
     directions_i3: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
 
     def take(self, pattern: str, count: int) -> tuple[list[str], NDArray[np.float64]]:
         """Return names and directions of `count` lights."""
@@ -135,7 +136,7 @@ def plan_lights(
             raise InputError(
                 "--measure takes a stack with --counts, and writes no lights: leave out --count and OUT.lp"
             )
-        names = methods or _METHODS
+        names, notes = methods or _METHODS, tuple[str, ...]()
         rows = _measure(stack, degree, counts, patterns, names, holdout, seed, device)
     else:
         for name, value in (("methods", methods), ("holdout", holdout), ("device", device)):
@@ -152,9 +153,11 @@ def plan_lights(
                 raise InputError(f"{out} is there: --lights {out} says what it is worth, --force replaces it")
             write_lp(out, *source.take(taken[0], wanted))
             facts.update({"file": out, "lights": wanted, "pattern": taken[0]})
+        notes = source.notes
     if as_json:
-        print_json({**facts, "rows": rows})
+        print_json({**facts, "rows": rows, "notes": notes})
         return
+    print_notes(notes)
     print_table([*_HEADERS, *(f"{name} (dB)" for name in names)], [_cells(row, names) for row in rows])
     if out is not None:
         print_facts({"lights": f"{out}, {facts['lights']} of {facts['pattern']}"})
@@ -172,23 +175,22 @@ def _stack_and_out(files: Sequence[str]) -> tuple[str | None, str | None]:
 
 def _open_lights(stack: str | None, lights: str | None, degree: int, seed: int, below: bool) -> _Lights:
     from clrelight.fit.plan import is_sphere
-    from clrelight.lights import read_directions, read_lp, unit_directions
+    from clrelight.light_files import read_light_file
+    from clrelight.lights import horizon_note, unit_directions
     from clrelight.store import open_stack
 
     if stack is not None:
         with open_stack(stack) as source:
             directions_i3 = source.directions_i3
-        names = _numbered(len(directions_i3))
+        names, notes = tuple(_numbered(len(directions_i3))), []
     elif lights is None:
         return _Lights(degree, seed, below)
     else:
-        if lights.lower().endswith(".lp"):
-            names, directions_i3 = read_lp(Path(lights))
-        else:
-            directions_i3 = read_directions(Path(lights))
-            names = _numbered(len(directions_i3))
-        directions_i3 = unit_directions(directions_i3, lambda light: f"light {light} of {lights}", below)
-    return _Lights(degree, seed, below or is_sphere(directions_i3), tuple(names), directions_i3)
+        file = read_light_file(Path(lights))
+        names = file.names or tuple(_numbered(len(file.directions_i3)))
+        directions_i3 = unit_directions(file.directions_i3, file.label, below, "--below")
+        notes = [*file.notes, *file.count_notes(), *horizon_note(file.directions_i3, file.label, below)]
+    return _Lights(degree, seed, below or is_sphere(directions_i3), names, directions_i3, tuple(notes))
 
 
 def _assess(source: _Lights, counts: Sequence[int], patterns: Sequence[str], asked: set[int]) -> list[dict[str, Any]]:

@@ -29,9 +29,9 @@ from clrelight.jobs.pictures import (
 )
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_stops
+from clrelight.light_files import read_light_file
 from clrelight.lighting.light import Light
 from clrelight.lighting.relighting import TONEMAPS
-from clrelight.lights import read_directions, read_lp
 from clrelight.store import read_light
 
 
@@ -258,7 +258,8 @@ def _directions(light: ArrayLike | None, lights: Path | None, report: Report) ->
 
 def _read_directions(path: pathlib.Path) -> tuple[NDArray[np.float64], list[str]]:
     """Return directions of a file as they are written, and what to say of them."""
-    return (read_lp(path)[1] if path.suffix.lower() == ".lp" else read_directions(path)), []
+    file = read_light_file(path)
+    return file.directions_i3, [*file.notes, *file.count_notes()]
 
 
 def _numbers(light: ArrayLike | None) -> NDArray[np.float64]:
