@@ -5,10 +5,12 @@ The names below are imported when first used, so that ``import clrelight`` costs
 
 from __future__ import annotations
 
-import importlib
 import sys
 from types import ModuleType
-from typing import Any
+
+TYPE_CHECKING = False  # typing's own would take most of the time of this import, in which Ctrl-C prints a traceback
+if TYPE_CHECKING:
+    from typing import Any
 
 __version__ = "0.1.0"
 
@@ -58,6 +60,8 @@ __all__ = sorted([*_HOMES, "__version__"])
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
     importlib.import_module(_HOMES[name])
     return getattr(sys.modules[_HOMES[name]], name)
 

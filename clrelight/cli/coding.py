@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.claims import claim_output
 from clrelight.cli.coding_parts import check_memory, decode_again, encode_source, fits, take_source
 from clrelight.cli.options import ByteCount, device_option, given, json_option, memory_option
 from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
@@ -91,7 +92,7 @@ def encode(
     from clrelight.device import open_device
     from clrelight.experiment.noise import coding_psnr, predicted_psnr
     from clrelight.experiment.target import encode_to_quality
-    from clrelight.store import check_output, open_fit, open_stack, write_encoded
+    from clrelight.store import open_fit, open_stack, write_encoded
     from clrelight.store.scratch import scratch_room
 
     if target_psnr is not None and not abs(target_psnr) <= _MAX_DECIBELS:
@@ -112,7 +113,7 @@ def encode(
         raise InputError(f"--bytes: what {codec} takes follows from its options; klt, wavelet and jpeg2000 meet a size")
     if target_psnr is None and byte_budget is None:
         _choose(codec, basis, wanted)  # says what is wrong before the fit is read
-    check_output(out, [fit_file] if stack is None else [fit_file, stack])
+    claim_output(out, [fit_file] if stack is None else [fit_file, stack])
     opened = open_device(device)
     asked = context.get_parameter_source("memory") is click.core.ParameterSource.COMMANDLINE
     seconds: dict[str, float] = {}
@@ -201,13 +202,12 @@ def decode(context: click.Context, encoded_file: str, out: str, memory: int, dev
     from clrelight.codec import bytes_to_decode, decode_stream
     from clrelight.codec.streams import Room
     from clrelight.device import open_device
-    from clrelight.store import check_output
     from clrelight.store.coding import RowTarget
     from clrelight.store.encodings import create_decoded, stage_encoded
     from clrelight.store.scratch import scratch_room
     from clrelight.streaming import writing_behind
 
-    check_output(out, [encoded_file])
+    claim_output(out, [encoded_file])
     opened = open_device(device)
     asked = context.get_parameter_source("memory") is click.core.ParameterSource.COMMANDLINE
     seconds: dict[str, float] = {}

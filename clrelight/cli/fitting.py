@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.claims import claim_output
 from clrelight.cli.options import DegreeType, device_option, given, holdout_option, json_option, memory_option
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
@@ -92,9 +93,9 @@ def fit(
     from clrelight.device import open_device
     from clrelight.fit.run import prepare_fit
     from clrelight.sampling import split_chosen
-    from clrelight.store import check_output, create_fit, open_stack
+    from clrelight.store import create_fit, open_stack
 
-    check_output(out, [stack, *([config] if config else [])])
+    claim_output(out, [stack, *([config] if config else [])])
     model: str | FitMethod = method
     lights = None
     if config is not None:

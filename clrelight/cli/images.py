@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.claims import claim_output
 from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
 from clrelight.cli.lighting import FLOAT_FORMATS, Exposure, relight_environment
 from clrelight.cli.options import Numbers, device_option, json_option, whole_number
@@ -126,6 +127,7 @@ def relight(
     names = _names(image, len(directions_i3))
     for name in names:
         check_output(name, [fitted, lights] if lights else [fitted])
+    claim_output(names[0])  # and so the others: two commands share all of them, or none
     opened = open_device(device)
     seconds: dict[str, float] = {}
     notes = [

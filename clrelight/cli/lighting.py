@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.claims import claim_output
 from clrelight.cli.lamps import ROTATION_HELP, Lamp, Rotation, Turn, lamp_options, make_lamp, note_horizon, rotate_by
 from clrelight.cli.options import Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
@@ -204,7 +205,7 @@ def light(
     from clrelight.lighting.lamps import cast_shadow
     from clrelight.lighting.light import apply_window, set_coefficients
     from clrelight.lighting.projection import measure_lobes
-    from clrelight.store import check_output, read_light, write_light
+    from clrelight.store import read_light, write_light
 
     lamp = Lamp(sky, sun, zenith, cap, directional, colour, blend, at, power)
     sources = {"--env FILE": environments, "--edit LIGHT": edit, **lamp.sources}
@@ -214,7 +215,7 @@ def light(
     if not abs(scale) < math.inf:
         raise InputError(f"--scale must be a finite number, got {scale}")
     lamp.check()
-    check_output(out, [*environments, *([edit] if edit else []), *(file for file, _ in blend)])
+    claim_output(out, [*environments, *([edit] if edit else []), *(file for file, _ in blend)])
     seconds: dict[str, float] = {}
     notes: list[str] = []
     computed_on: str | None = None
@@ -299,6 +300,7 @@ def relight_environment(
         raise InputError("a .gif needs Pillow: pip install 'clrelight[codecs]', or write .png files")
     for name in files:
         check_output(name, [fitted, light_file])
+    claim_output(files[0], [fitted, light_file])  # its frames too: two commands share all of them, or none
     lit = read_light(light_file) if rotate is None else rotate_by(read_light(light_file), rotate)
     opened = open_device(device)
     seconds: dict[str, float] = {}
@@ -429,11 +431,10 @@ def irradiance(
         irradiance_matrix,
     )
     from clrelight.lighting.projection import project_environment
-    from clrelight.store import check_output
 
     if not out.lower().endswith(FLOAT_FORMATS):
         raise InputError(f"irradiance is linear radiance: write it to {', '.join(FLOAT_FORMATS)}, got {out}")
-    check_output(out, environments)
+    claim_output(out, environments)
     seconds: dict[str, float] = {}
     since = time.perf_counter()
     environment, notes = read_environment(environments, layout=layout, axes=axes, transfer=transfer)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -51,7 +52,8 @@ def _short(value: Any) -> str:
 def print_notes(notes: Sequence[str]) -> None:
     """Print notes on standard error, so that they never mix with results."""
     for note in notes:
-        click.echo(f"note: {note}", err=True)
+        with suppress(OSError):  # nobody may be there to read it
+            click.echo(f"note: {note}", err=True)
 
 
 def decibel(value: float) -> str:

@@ -1,0 +1,38 @@
+"""Standard input, output and errors, as a shell may leave them: closed, full, or of an encoding without our letters."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+
+
+def mend_streams() -> None:
+    """Open what is closed to nowhere, so that no file of ours gets its number, and let every name be printed."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest free number is taken: this one, since those below are open.
+            os.open(os.devnull, os.O_RDWR)
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8"))  # noqa: SIM115
+    # A file's name need not be text, and goes out as it came in.
+    is_utf8 = sys.stdout.encoding.lower().replace("-", "") == "utf8"
+    sys.stdout.reconfigure(errors="surrogateescape" if is_utf8 else "backslashreplace")  # type: ignore[union-attr]
+
+
+def flush_streams() -> bool:
+    """Return whether all that was printed has gone out; the rest is dropped, or Python complains at its end."""
+    done = True
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            done = False
+            with suppress(OSError, ValueError):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, stream.fileno())
+                os.close(nowhere)
+    return done
