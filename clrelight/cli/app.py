@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 from contextlib import suppress
 
@@ -22,7 +23,6 @@ from clrelight.cli import (
     quality,
     trade,
 )
-from clrelight.cli.standard import flush_streams
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.interrupts import end_watch, watch_interrupts
 
@@ -82,8 +82,7 @@ def _explain(error: BaseException) -> tuple[int, str] | None:
         where = error.ctx.command_path if error.ctx else "clrelight"
         return _refuse(f"{where}: {error.format_message().rstrip('.')} (see {where} --help)")
     if isinstance(error, BrokenPipeError):
-        flush_streams()  # the reader of a pipe has gone: nothing is left to say, and nobody to say it to
-        return 0, ""
+        return 0, ""  # the reader of a pipe has gone: nothing is left to say, and nobody to say it to
     if _lacks_descriptors(error):
         return _refuse("clrelight: too few files may be open at once (ulimit -n): allow more, such as ulimit -n 256")
     if isinstance(error, click.ClickException):
@@ -93,7 +92,7 @@ def _explain(error: BaseException) -> tuple[int, str] | None:
     if isinstance(error, InputError):
         return _refuse(f"clrelight: {error}")
     if isinstance(error, OSError):
-        place = f"{error.filename}: " if error.filename else "" if flush_streams() else "cannot write standard output: "
+        place = f"{os.fsdecode(error.filename)}: " if error.filename else ""
         return _refuse(f"clrelight: {place}{error.strerror or error}")
     if isinstance(error, MemoryError):
         return _refuse(f"clrelight: out of memory ({error}); ask for less at once (--memory, --size, --degree)")

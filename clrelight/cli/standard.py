@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from contextlib import suppress
+from typing import Any
+
+
+class _Output(io.FileIO):
+    """Standard output, which says that it is what cannot be written."""
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, "cannot write standard output") from error
 
 
 def mend_streams() -> None:
@@ -20,19 +34,21 @@ def mend_streams() -> None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8"))  # noqa: SIM115
     # A file's name need not be text, and goes out as it came in.
     is_utf8 = sys.stdout.encoding.lower().replace("-", "") == "utf8"
-    sys.stdout.reconfigure(errors="surrogateescape" if is_utf8 else "backslashreplace")  # type: ignore[union-attr]
+    sys.stdout = io.TextIOWrapper(
+        io.BufferedWriter(_Output(1, "w", closefd=False)),
+        encoding=sys.stdout.encoding,
+        errors="surrogateescape" if is_utf8 else "backslashreplace",
+        line_buffering=sys.stdout.isatty(),
+    )
 
 
-def flush_streams() -> bool:
-    """Return whether all that was printed has gone out; the rest is dropped, or Python complains at its end."""
-    done = True
+def flush_streams() -> None:
+    """Send out what was printed; what cannot be is dropped, or Python would complain of it at its end."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
         except (OSError, ValueError):
-            done = False
             with suppress(OSError, ValueError):
                 nowhere = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(nowhere, stream.fileno())
                 os.close(nowhere)
-    return done
