@@ -202,7 +202,7 @@ def _open(path: Path) -> tuple[oiio.ImageInput, ImageHeader]:
     hints = oiio.ImageSpec()
     # Otherwise colours come multiplied by alpha, and rounded.
     hints.attribute("oiio:UnassociatedAlpha", 1)
-    reader = oiio.ImageInput.open(str(path), hints)
+    reader = oiio.ImageInput.open(_text_name(path), hints)
     if reader is None:
         raise InputError(f"cannot read image {path}: {_one_line(oiio.geterror())}")
     try:
@@ -263,7 +263,7 @@ def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
     if extension == ".jpg":
         spec.attribute("CompressionQuality", 95)
         spec.attribute("jpeg:subsampling", "4:4:4")
-    done = writer.open(str(path), spec) and writer.write_image(values)
+    done = writer.open(_text_name(path), spec) and writer.write_image(values)
     message = writer.geterror()
     # Closing flushes what is left, so it can fail too.
     if not writer.close() or not done:
@@ -283,6 +283,15 @@ def _check_png_end(path: Path) -> None:
             at += 12 + length
             if at > size or not kind:
                 raise InputError(f"cannot decode image {path}: the PNG is cut short at {size} bytes")
+
+
+def _text_name(path: Path) -> str:
+    name = str(path)
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(f"images need names in UTF-8, for OpenImageIO takes no others: rename {name!r}") from None
+    return name
 
 
 def _one_line(message: object) -> str:

@@ -124,7 +124,7 @@ class Campaign:
                 self._await_write(started, writes)
             time.sleep(wait)
             if name != "SIGKILL":
-                _await_handlers(started)
+                await_handlers(started)
             started.send_signal(signal.Signals[name])
             since = time.monotonic()
             if again is not None:
@@ -216,7 +216,7 @@ class Campaign:
         assert done.returncode == 0, done.stderr
 
 
-def _await_handlers(started):
+def await_handlers(started):
     """Return when the command takes signals: what strikes Python itself, which begins before, is not ours to mend."""
     status = Path(f"/proc/{started.pid}/status")
     while started.poll() is None:
@@ -234,18 +234,22 @@ def _await_handlers(started):
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--only", metavar="TEXT", default="", help="Only commands whose name holds TEXT.")
 @click.option("--first", type=click.IntRange(min=0), default=0, help="Number of the first case.")
-def main(count, seed, only, first):
+@click.option("--progress", is_flag=True, help="Name each case before it is begun.")
+def main(count, seed, only, first, progress):
     """End commands by signals; print one JSON object for each signal, exit 1 on a failure."""
     tallies = {name: Tally() for name in SIGNALS}
     with tempfile.TemporaryDirectory() as folder:
         campaign = Campaign(Path(folder), only)
         for number in range(first, first + count):
             _, command, name = campaign.draw(number, seed)
+            if progress:
+                print(f"{number} {command} {name}", file=sys.stderr, flush=True)
             tally = tallies[name]
             try:
                 found = campaign.run(number, seed)
             except (AssertionError, subprocess.TimeoutExpired) as error:
                 tally.ended += 1
+                print(f"{number}: {error}", file=sys.stderr, flush=True)
                 tally.failures.append(f"--first {number} --seed {seed} --only '{only}' ({command}): {error}")
                 continue
             for key in ("ended", "late", "absent", "old", "new", "twice"):

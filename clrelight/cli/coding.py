@@ -92,6 +92,7 @@ def encode(
     from clrelight.device import open_device
     from clrelight.experiment.noise import coding_psnr, predicted_psnr
     from clrelight.experiment.target import encode_to_quality
+    from clrelight.metrics import domain_note
     from clrelight.store import open_fit, open_stack, write_encoded
     from clrelight.store.scratch import scratch_room
 
@@ -153,7 +154,6 @@ def encode(
                 encoded = encode_source(maps, chosen, room)
         seconds["encode"] = time.perf_counter() - since
         facts = {"file": out, **_size_facts(encoded), "config": dict(encoded.config), "device": opened.info.label}
-        facts["notes"] = notes + told
         facts["coding_noise"] = predicted_psnr(noise)
         if stack is not None:
             with open_stack(stack) as source:
@@ -164,11 +164,12 @@ def encode(
                 since = time.perf_counter()
                 facts["coding_noise"] = coding_psnr(noise, coefficients.coeffs_khwc, decoded.coeffs_khwc)
                 facts["psnr"] = measure(decoded, source, opened)
+                told += [note for note in [domain_note(decoded, source)] if note]
                 seconds["measure"] = time.perf_counter() - since
         since = time.perf_counter()
         write_encoded(out, encoded, coefficients)
         seconds["write"] = time.perf_counter() - since
-    facts["seconds"] = seconds
+    facts["notes"], facts["seconds"] = notes + told, seconds
     if as_json:
         print_json(facts)
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
 
 _PICTURE_BYTES = 1 << 26
 """So many bytes of pictures, and one at least, are made in one pass through the coefficients."""
-_NUMBER_FIELD = re.compile(r"%0?[0-9]?d")
+_NUMBER_FIELD = re.compile(r"%0[1-9]d|%[1-9]?d(?![A-Za-z])")
+"""Where the number of a picture goes: ``%03d``, or ``%d`` that is no part of a word, as in ``50%done``."""
 
 
 class LightOrDirection(Numbers):
@@ -220,9 +222,13 @@ def _directions(light: list[tuple[float, float, float]], lights: str | None) -> 
 
 
 def _names(image: str, count: int) -> list[str]:
-    field = _NUMBER_FIELD.search(image)
-    if field:
-        return [image[: field.start()] + field[0] % index + image[field.end() :] for index in range(count)]
+    folder, name = os.path.split(image)
+    fields = list(_NUMBER_FIELD.finditer(name))
+    if len(fields) > 1:
+        raise InputError(f"{image} has {len(fields)} number fields, expected one, such as relit%03d.png")
+    if fields:
+        before, after = name[: fields[0].start()], name[fields[0].end() :]
+        return [os.path.join(folder, before + fields[0][0] % index + after) for index in range(count)]
     if count > 1:
         raise InputError(f"{count} images need a number field in their name, such as relit%03d.png, got {image!r}")
     return [image]

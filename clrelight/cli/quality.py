@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.options import device_option, json_option
-from clrelight.cli.output import decibel, print_facts, print_json, seconds_line
+from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError
 
@@ -39,6 +39,7 @@ def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
       clrelight psnr enc.h5 stack.h5
     """
     from clrelight.device import open_device
+    from clrelight.metrics import domain_note
     from clrelight.store import open_stack
 
     opened = open_device(device)
@@ -46,10 +47,12 @@ def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
     with open_stack(stack) as source, lend_coefficients(fitted, opened, seconds) as coefficients:
         since = time.perf_counter()
         quality = measure(coefficients, source, opened)
+        notes = [note for note in [domain_note(coefficients, source)] if note]
         seconds["measure"] = time.perf_counter() - since
     if as_json:
-        print_json({"file": fitted, "psnr": quality, "seconds": seconds, "device": opened.info.label})
+        print_json({"file": fitted, "psnr": quality, "notes": notes, "seconds": seconds, "device": opened.info.label})
         return
+    print_notes(notes)
     print_facts({**psnr_lines(quality), "time": seconds_line(seconds)})
 
 
@@ -115,19 +118,25 @@ def measure(
     stack: LightStack,
     device: Device,
     split: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
-) -> dict[str, float]:
-    """Return PSNRs at the fitted lights and, apart, at those held out; by default all that were not fitted."""
+) -> dict[str, Any]:
+    """Return PSNRs at the fitted lights and, apart, at those held out; by default all that were not fitted.
+
+    Where some images are identical but not all, their number and the mean over the others are there too.
+    """
     from clrelight.dataset import split_by_fit
     from clrelight.metrics import measure_errors, summarize_errors
 
     fitted, held = split_by_fit(stack, coefficients) if split is None else split
     with progress_bar("measuring") as bar:
         mse_i = measure_errors(coefficients, stack, device=device, progress=bar)
-    quality: dict[str, float] = {}
+    quality: dict[str, Any] = {}
     for name, lights in (("fitted", fitted), ("holdout", held)):
         if len(lights):
             measured = summarize_errors(mse_i[lights])
             quality[f"mean_{name}"], quality[f"pooled_{name}"] = measured.psnr_mean, measured.psnr_pooled
+            if measured.note:
+                quality[f"identical_{name}"] = measured.n_identical
+                quality[f"mean_others_{name}"] = measured.psnr_others
     return quality
 
 
@@ -137,7 +146,12 @@ def psnr_lines(quality: dict[str, Any] | None) -> dict[str, str]:
     for name, title in (("fitted", "PSNR"), ("holdout", "PSNR, held out")):
         if quality and f"mean_{name}" in quality:
             mean, pooled = quality[f"mean_{name}"], quality[f"pooled_{name}"]
-            lines[title] = f"{decibel(mean)} mean over lights, {decibel(pooled)} pooled"
+            over = "lights"
+            if f"identical_{name}" in quality:
+                # A black image is met exactly: one is enough to make the mean of all infinite.
+                mean = quality[f"mean_others_{name}"]
+                over = f"the lights whose images are not identical ({quality[f'identical_{name}']} are)"
+            lines[title] = f"{decibel(mean)} mean over {over}, {decibel(pooled)} pooled"
     return lines
 
 

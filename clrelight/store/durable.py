@@ -121,9 +121,13 @@ def _lend_sibling(target: Path, ending: str) -> Iterator[Part]:
 
 
 def _sibling_stem(target: Path) -> str:
-    """Return ``.NAME``, or something shorter in place of a name that leaves no room for an ending."""
+    """Return ``.NAME``, or something else in place of a name that is no text, or leaves no room for an ending."""
     name = os.fsencode(target.name)
-    return f".{target.name if len(name) <= STEM_BYTES else hashlib.sha256(name).hexdigest()[:32]}"
+    try:
+        is_plain = len(name) <= STEM_BYTES and name.decode("utf-8") == target.name
+    except UnicodeDecodeError:
+        is_plain = False
+    return f".{target.name if is_plain else hashlib.sha256(name).hexdigest()[:32]}"
 
 
 def _remove_sibling(part: Part) -> None:
