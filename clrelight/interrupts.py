@@ -3,6 +3,9 @@
 Within `watch_interrupts` the first of them raises KeyboardInterrupt. Libraries swallow one that reaches them inside a
 callback, so `raise_if_interrupted` repeats it. The next one does not wait for that: what is unfinished is removed, and
 the process ends.
+
+One thread waits for these signals, and all others have them blocked: LLVM, which compiles kernels, has handlers of its
+own, which remove its files and print that there was an error. That thread wakes the main one by a signal of ours.
 """
 
 from __future__ import annotations
@@ -13,9 +16,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from types import FrameType
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+_WAKE = getattr(signal, "SIGRTMIN", None)  # not on macOS
+_GRACE_SECONDS = 2.0
+"""After the second signal, for a main thread that runs no Python: a driver that hangs, say."""
 _WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
 
 
@@ -24,6 +29,7 @@ class _Watch:
 
     def __init__(self) -> None:
         self.first = 0
+        self.last = 0
         self.held = 0
         self.put_off: list[int] = []
         self.ended = False
@@ -41,15 +47,55 @@ def watch_interrupts() -> Iterator[None]:
         yield
         return
     numbers = [n for n in SIGNALS if n == signal.SIGINT or signal.getsignal(n) is not signal.SIG_IGN]
-    before, hook = {number: signal.signal(number, _note) for number in numbers}, sys.unraisablehook
+    hook = sys.unraisablehook
     # Python would print the swallowed one; it is repeated, so there is nothing to say yet.
     sys.unraisablehook = lambda event: None if event.exc_type is KeyboardInterrupt else hook(event)
     try:
-        yield
+        with _handled(numbers) if _WAKE is None else _awaited(numbers, _WAKE):
+            yield
     finally:
         sys.unraisablehook = hook
+
+
+@contextmanager
+def _handled(numbers: list[int]) -> Iterator[None]:
+    before = {number: signal.signal(number, lambda number, frame: _note(number)) for number in numbers}
+    try:
+        yield
+    finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def _awaited(numbers: list[int], wake: int) -> Iterator[None]:
+    handler = signal.signal(wake, lambda number, frame: _note(_watch.last))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    main, ending = threading.get_ident(), threading.Event()
+
+    def wait() -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, [wake])
+        count = 0
+        while not ending.is_set():
+            number = signal.sigwait([*numbers, wake])
+            if number == wake or _watch.ended:
+                continue
+            count, _watch.last = count + 1, number
+            signal.pthread_kill(main, wake)
+            if count > 1 and not ending.wait(_GRACE_SECONDS):
+                _end_at_once()
+
+    waiter = threading.Thread(target=wait, name="clrelight-signals", daemon=True)
+    waiter.start()
+    try:
+        yield
+    finally:
+        ending.set()
+        if waiter.ident is not None:
+            signal.pthread_kill(waiter.ident, wake)
+        waiter.join()
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(wake, handler)
 
 
 def raise_if_interrupted() -> None:
@@ -97,7 +143,7 @@ def end_watch() -> tuple[int, str] | None:
     return 128 + _watch.first, f"clrelight: {word}; files that were not finished are discarded"
 
 
-def _note(number: int, frame: FrameType | None) -> None:
+def _note(number: int) -> None:
     if _watch.ended:
         return
     if _watch.held:
@@ -110,6 +156,11 @@ def _act(number: int) -> None:
     if not _watch.first:
         _watch.first = number
         raise KeyboardInterrupt
+    _end_at_once()
+
+
+def _end_at_once() -> None:
+    _watch.first = _watch.first or _watch.last
     ending = end_watch()
     if ending is not None:
         with suppress(OSError):

@@ -119,7 +119,7 @@ PUT_OFF = """
     def strike(*arguments, **options):
         made = opened(*arguments, **options)
         for _ in range({signals}):
-            os.kill(os.getpid(), signal.SIGTERM)
+            interrupts._note(signal.SIGTERM)
         return made
 
     {blocked} = strike
