@@ -59,9 +59,8 @@ class Quality:
         """What to say of an infinite mean that is no sign of identical images; empty where there is none."""
         if self.n_identical in (0, len(self.psnr_i)):
             return ""
-        return (
-            f"{self.n_identical} of {len(self.psnr_i)} images are identical, {self.psnr_others:.2f} dB mean over others"
-        )
+        identical = f"{self.n_identical} of {len(self.psnr_i)} images are identical"
+        return f"{identical}, {self.psnr_others:.2f} dB mean over the others"
 
 
 def psnr_of(mean_squared_error: float | NDArray[np.float64]) -> NDArray[np.float64]:

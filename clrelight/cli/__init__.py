@@ -25,6 +25,9 @@ def main(arguments: list[str] | None = None) -> None:
     mend_streams()
     code = run(arguments)
     flush_streams()
+    if code > 128:
+        # Python may end itself by SIGINT instead, if an interrupt has passed a library that runs Python code.
+        os._exit(code)
     sys.exit(code)
 
 
