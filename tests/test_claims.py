@@ -53,10 +53,8 @@ def test_every_command_refuses_what_another_program_writes(holder, tmp_path):
     ):
         since = time.monotonic()
         ended = call(*words)
-        line = (
-            f"clrelight: cannot write {out}: another program is writing it; "
+        line = f"clrelight: cannot write {out}: another program is writing it; "
         line += "wait for its end, or choose another name\n"
-        )
         assert (ended.code, ended.out, ended.err) == (2, "", line)
         assert time.monotonic() - since < 30
     assert contents(tmp_path).keys() == {"ring.h5", ".out.h5.lock"}
