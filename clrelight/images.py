@@ -208,7 +208,7 @@ def _open(name: str, path: Path) -> oiio.ImageInput:
     hints = oiio.ImageSpec()
     # Otherwise colours come multiplied by alpha, and rounded.
     hints.attribute("oiio:UnassociatedAlpha", 1)
-    reader = oiio.ImageInput.open(name, hints)
+    reader = oiio.ImageInput.open(_text_name(name), hints)
     if reader is None:
         raise InputError(f"cannot read image {path}: {_one_line(oiio.geterror()).replace(name, str(path))}")
     return reader
@@ -244,7 +244,7 @@ def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
     if extension == ".jpg":
         spec.attribute("CompressionQuality", 95)
         spec.attribute("jpeg:subsampling", "4:4:4")
-    done = writer.open(str(path), spec) and writer.write_image(values)
+    done = writer.open(_text_name(str(path)), spec) and writer.write_image(values)
     message = writer.geterror()
     # Closing flushes what is left, so it can fail too.
     if not writer.close() or not done:
@@ -280,6 +280,14 @@ def _check_png_chunk(file: BinaryIO, path: Path, kind: bytes, length: int) -> No
         found, left = zlib.crc32(piece, found), left - len(piece)
     if file.read(4) != struct.pack(">I", found):
         raise InputError(f"cannot decode image {path}: the PNG is damaged, its chunk {kind!r} has another checksum")
+
+
+def _text_name(name: str) -> str:
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(f"images need names in UTF-8, for OpenImageIO takes no others: rename {name!r}") from None
+    return name
 
 
 def _one_line(message: object) -> str:

@@ -43,6 +43,25 @@ class Quality:
     psnr_pooled: float
     psnr_i: NDArray[np.float64]
 
+    @property
+    def n_identical(self) -> int:
+        """Number of images without any error, such as black ones: a single one makes the mean infinite."""
+        return int(np.isinf(self.psnr_i).sum())
+
+    @property
+    def psnr_others(self) -> float:
+        """The mean over the images that are not identical; inf where all are."""
+        others_i = self.psnr_i[np.isfinite(self.psnr_i)]
+        return float(np.mean(others_i)) if len(others_i) else math.inf
+
+    @property
+    def note(self) -> str:
+        """What to say of an infinite mean that is no sign of identical images; empty where there is none."""
+        if self.n_identical in (0, len(self.psnr_i)):
+            return ""
+        identical = f"{self.n_identical} of {len(self.psnr_i)} images are identical"
+        return f"{identical}, {self.psnr_others:.2f} dB mean over the others"
+
 
 def psnr_of(mean_squared_error: float | NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``-10 log10(mse)`` for errors in units of the peak; inf for 0."""
@@ -56,6 +75,19 @@ def summarize_errors(mse_i: NDArray[np.float64]) -> Quality:
     return Quality(float(np.mean(psnr_i)), float(psnr_of(float(np.mean(mse_i)))), psnr_i)
 
 
+def domain_note(coefficients: CoefficientMap, stack: LightStack) -> str:
+    """Return what to say of a measurement against a stack of another curve or peak than the fitted one's; else nothing.
+
+    Coefficients are of linear radiance in units of the peak whatever the curve, so that there is always a right way.
+    """
+    if (coefficients.transfer, coefficients.peak) == (stack.transfer, stack.peak):
+        return ""
+    return (
+        f"the fit is of a {coefficients.transfer} stack with peak {coefficients.peak:g}, this one is {stack.transfer} "
+        f"with peak {stack.peak:g}: what is relit was converted to that, 1.0 to its peak"
+    )
+
+
 def measure_errors(
     coefficients: CoefficientMap,
     stack: LightStack,
@@ -65,7 +97,8 @@ def measure_errors(
 ) -> NDArray[np.float64]:
     """Return each light's mean squared error between the relit and the given image, float64, in units of the peak.
 
-    Values are clipped to [0, peak] and compared in the stack's own transfer; pixels outside the mask do not count.
+    Values are clipped to [0, peak] and compared in the stack's own transfer, to which relit radiance is converted
+    whatever was fitted (`domain_note` says so); pixels outside the mask do not count.
 
     Raises
     ------

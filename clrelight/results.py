@@ -44,7 +44,7 @@ ROW_DTYPE = np.dtype(
         ("seconds_encode", "<f8"),
         ("seconds_decode", "<f8"),
         ("seconds_measure", "<f8"),
-        ("note", "S192"),  # why a row has no PSNR, such as a coefficient beyond half's range
+        ("note", "S192"),  # why a row has no PSNR, such as a coefficient beyond half's range, or an infinite mean
         ("seed", "<i8"),
         ("device", "S192"),
         ("versions", "S256"),

@@ -15,6 +15,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from clrelight.interrupts import SIGNALS
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -80,11 +82,11 @@ class Buffer:
 
 
 def one_thread() -> ThreadPoolExecutor:
-    """Return an executor of one thread, which leaves Ctrl-C to the main one."""
+    """Return an executor of one thread, which leaves Ctrl-C and its like to the main one."""
     return ThreadPoolExecutor(1, thread_name_prefix="clrelight-io", initializer=_leave_interrupts)
 
 
 def _leave_interrupts() -> None:
-    # Ctrl-C must wake the main thread, which may be waiting for this one.
+    # They must wake the main thread, which may be waiting for this one.
     if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)

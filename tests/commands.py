@@ -55,10 +55,16 @@ def command_line(*arguments):
     return [sys.executable, "-m", "clrelight", *map(str, arguments)]
 
 
-def process(*arguments, folder=None, **changes):
-    """Run a command in a process of its own."""
+def process(*arguments, folder=None, errors=None, **changes):
+    """Run a command in a process of its own; `errors` is for output that need not be text."""
     done = subprocess.run(
-        command_line(*arguments), cwd=folder, env=environment(**changes), capture_output=True, text=True, timeout=120
+        command_line(*arguments),
+        cwd=folder,
+        env=environment(**changes),
+        capture_output=True,
+        text=True,
+        errors=errors,
+        timeout=120,
     )
     return Ended(done.returncode, done.stdout, done.stderr)
 

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clrelight.cli.quality import psnr_lines
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
-from clrelight.metrics import measure_errors, psnr_of, summarize_errors
+from clrelight.metrics import domain_note, measure_errors, psnr_of, summarize_errors
 from clrelight.relight import relight
 from clrelight.sampling import make_pattern
 from tests.reference import basis, psnr
@@ -92,6 +93,27 @@ def test_identical_images(device):
     assert quality.psnr_mean == np.inf
     assert np.isfinite(quality.psnr_pooled)
     assert np.isfinite(quality.psnr_i).sum() == 1
+    assert (quality.n_identical, quality.psnr_others) == (8, pytest.approx(quality.psnr_i[4]))
+    assert quality.note == f"8 of 9 images are identical, {quality.psnr_i[4]:.2f} dB mean over the others"
+
+
+def test_an_infinite_mean_is_not_printed_as_identical():
+    some = {"mean_fitted": np.inf, "pooled_fitted": 42.0, "identical_fitted": 2, "mean_others_fitted": 41.0}
+    line = "41.00 dB mean over the lights whose images are not identical (2 are), 42.00 dB pooled"
+    assert psnr_lines(some) == {"PSNR": line}
+    every = {"mean_fitted": np.inf, "pooled_fitted": np.inf}
+    line = "inf dB (identical) mean over lights, inf dB (identical) pooled"
+    assert psnr_lines(every) == {"PSNR": line}
+
+
+@pytest.mark.parametrize(("fit_transfer", "transfer"), [("linear", "srgb"), ("srgb", "linear")])
+def test_a_stack_of_another_curve_is_converted_and_that_is_said(device, fit_transfer, transfer):
+    fitted, same = make_case("uint8", (5, 7, 3), transfer=fit_transfer)
+    fitted = replace(fitted, peak=same.peak)
+    _, stack = make_case("uint8", (5, 7, 3), transfer=transfer)
+    assert domain_note(fitted, same) == ""
+    assert f"of a {fit_transfer} stack with peak 204, this one is {transfer}" in domain_note(fitted, stack)
+    np.testing.assert_allclose(measure_errors(fitted, stack), reference_errors(fitted, stack), rtol=2e-6)
 
 
 def test_other_lights_and_peaks_than_the_fit_s(device):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
+from contextlib import suppress
 
 import click
 
@@ -21,10 +23,8 @@ from clrelight.cli import (
     quality,
     trade,
 )
-from clrelight.cli.interrupts import watch_interrupts
 from clrelight.errors import InputError, KernelBuildError
-
-INTERRUPTED = 130
+from clrelight.interrupts import end_watch, watch_interrupts
 
 # Of click 8.2; before, a group without a command printed its help and raised Exit.
 _NO_COMMAND = getattr(click.exceptions, "NoArgsIsHelpError", ())
@@ -48,53 +48,69 @@ for module in (machines, files, light_plans, fitting, coding, images, export, li
         cli.add_command(command)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit: 0 done, 1 our fault, 2 bad input, 130 interrupted."""
-    sys.exit(run(arguments))
-
-
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code; what is no user's fault goes on as the exception that it is."""
-    try:
-        # Not cli.main, which ends the program by itself at a broken pipe.
-        words = list(sys.argv[1:] if arguments is None else arguments)
-        with watch_interrupts(), cli.make_context("clrelight", words) as context:
-            cli.invoke(context)
-        sys.stdout.flush()
-    except click.exceptions.Exit as end:
-        return end.exit_code
-    except click.UsageError as error:
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    with watch_interrupts():
+        try:
+            # Not cli.main, which ends the program by itself at a broken pipe.
+            with cli.make_context("clrelight", words) as context:
+                cli.invoke(context)
+            sys.stdout.flush()
+            code, message = 0, ""
+        except BaseException as error:
+            # What comes after a signal comes of it, whatever it says: an import cut short, say.
+            ending = end_watch() or _explain(error)
+            if ending is None:
+                raise
+            code, message = ending
+        end_watch()
+        if message:
+            with suppress(OSError, ValueError):  # nobody may be there to read it
+                print(message, file=sys.stderr)
+        return code
+
+
+def _explain(error: BaseException) -> tuple[int, str] | None:
+    """Return the exit code and the line to print of an error; None where it is our fault."""
+    if isinstance(error, click.exceptions.Exit):
+        return error.exit_code, ""
+    if isinstance(error, click.UsageError):
         if error.ctx and isinstance(error, _NO_COMMAND):
             click.echo(error.ctx.get_help())
-            return 0
+            return 0, ""
         where = error.ctx.command_path if error.ctx else "clrelight"
-        return _fail(f"{where}: {error.format_message().rstrip('.')} (see {where} --help)")
-    except click.ClickException as error:
-        return _fail(f"clrelight: {error.format_message()}")
-    except (click.Abort, KeyboardInterrupt):
-        return _fail("clrelight: interrupted; files that were not finished are discarded", INTERRUPTED)
-    except InputError as error:
-        return _fail(f"clrelight: {error}")
-    except BrokenPipeError:
-        return _leave_pipe()
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        return _fail(f"clrelight: {place}{error.strerror or error}")
-    except MemoryError as error:
-        return _fail(f"clrelight: out of memory ({error}); ask for less at once (--memory, --size, --degree)")
-    except KernelBuildError as error:
-        return _fail(f"clrelight: {error}", 1)
-    return 0
+        return _refuse(f"{where}: {error.format_message().rstrip('.')} (see {where} --help)")
+    if isinstance(error, BrokenPipeError):
+        return 0, ""  # the reader of a pipe has gone: nothing is left to say, and nobody to say it to
+    if _lacks_descriptors(error):
+        return _refuse("clrelight: too few files may be open at once (ulimit -n): allow more, such as ulimit -n 256")
+    if isinstance(error, click.ClickException):
+        return _refuse(f"clrelight: {error.format_message()}")
+    if isinstance(error, click.Abort | KeyboardInterrupt):  # without a signal: somebody else's
+        return _refuse("clrelight: interrupted; files that were not finished are discarded", 130)
+    if isinstance(error, InputError):
+        return _refuse(f"clrelight: {error}")
+    if isinstance(error, OSError):
+        place = f"{os.fsdecode(error.filename)}: " if error.filename else ""
+        return _refuse(f"clrelight: {place}{error.strerror or error}")
+    if isinstance(error, MemoryError):
+        return _refuse(f"clrelight: out of memory ({error}); ask for less at once (--memory, --size, --degree)")
+    if isinstance(error, KernelBuildError):
+        return 1, f"clrelight: {error}"
+    return None
 
 
-def _leave_pipe() -> int:
-    """The reader of a pipe has gone: nothing is left to say, and nobody to say it to."""
-    # What is still buffered would be tried again at the interpreter's end, and complained about.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
+def _refuse(message: str, code: int = 2) -> tuple[int, str]:
+    return code, " ".join(message.split())
 
 
-def _fail(message: str, code: int = 2) -> int:
-    text = message if code == 1 else " ".join(message.split())
-    print(text, file=sys.stderr)
-    return code
+def _lacks_descriptors(error: BaseException | None) -> bool:
+    """Return whether the system refused to open one file more, whatever a library made of that."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+            return True
+        if "Too many open files" in str(error):  # a module that cannot be loaded, or HDF5
+            return True
+        error = error.__cause__ or error.__context__
+    return False

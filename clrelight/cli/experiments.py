@@ -154,6 +154,7 @@ def _bench_grid(what: str, out: str, grid: dict, ring: dict, *, force: bool, dev
             device=open_device(device),
             force=force,
             progress=lambda step, done, total: bar(done, total, step),
+            tell=lambda note: print_notes([note]),
         )
     if as_json:
         print_json({"file": out, "rows": _rows(results)})

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.claims import claim_output
 from clrelight.cli.options import (
     Numbers,
     clip_negative_option,
@@ -60,6 +61,7 @@ def ingest(folder: str, out: str, memory: int, as_json: bool, **options: Any) ->
     """
     from clrelight.ingest import ingest_folder
 
+    claim_output(out)
     since = time.perf_counter()
     with progress_bar("reading images") as bar:
         summary = ingest_folder(folder, out, memory_bytes=memory, progress=bar, **options)
@@ -117,10 +119,10 @@ def ring(out: str, size: int, lights: int, pattern: str, seed: int, dtype: str, 
     Example:
       clrelight synth ring ring.h5 --size 256 --lights 256 --pattern uniform --seed 0
     """
-    from clrelight.store import check_output, write_stack
+    from clrelight.store import write_stack
     from datasets_synth.ring import render_ring
 
-    check_output(out)
+    claim_output(out)
     since = time.perf_counter()
     with progress_bar("rendering") as bar:
         stack = render_ring(size=size, lights=lights, pattern=pattern, seed=seed, dtype=dtype, progress=bar)

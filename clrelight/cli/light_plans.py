@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.claims import claim_output
 from clrelight.cli.options import Names, Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import print_facts, print_json, print_notes
 from clrelight.cli.progress import progress_bar
@@ -121,7 +122,6 @@ def plan_lights(
       clrelight plan-lights stack.h5 --degree 6 --counts 64,128 --measure
     """
     from clrelight.lights import write_lp
-    from clrelight.store import check_output
 
     stack, out = _stack_and_out(files)
     if too_many := [n for n in counts or () if not 1 <= n <= _MOST]:
@@ -143,7 +143,7 @@ def plan_lights(
             if value is not None:
                 raise InputError(f"--{name} is an option of --measure")
         if out is not None:
-            check_output(out, [file for file in (stack, lights) if file is not None])
+            claim_output(out, [file for file in (stack, lights) if file is not None])
         source, names = _open_lights(stack, lights, degree, seed, below), ()
         taken, wanted = patterns or source.default_patterns(), count or source.default_count()
         rows = _assess(source, counts or source.default_counts(wanted), taken, {wanted, *(counts or ())})

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.claims import claim_output
 from clrelight.cli.lamps import ROTATION_HELP, Lamp, Rotation, Turn, lamp_options, make_lamp, note_horizon, rotate_by
 from clrelight.cli.options import (
     Numbers,
@@ -200,7 +201,7 @@ def light(
     from clrelight.lighting.lamps import cast_shadow
     from clrelight.lighting.light import apply_window, set_coefficients
     from clrelight.lighting.projection import measure_lobes
-    from clrelight.store import check_output, read_light, write_light
+    from clrelight.store import read_light, write_light
 
     lamp = Lamp(sky, sun, zenith, cap, directional, colour, blend, at, power)
     sources = {"--env FILE": environments, "--edit LIGHT": edit, **lamp.sources}
@@ -210,7 +211,7 @@ def light(
     if not abs(scale) < math.inf:
         raise InputError(f"--scale must be a finite number, got {scale}")
     lamp.check()
-    check_output(out, [*environments, *([edit] if edit else []), *(file for file, _ in blend)])
+    claim_output(out, [*environments, *([edit] if edit else []), *(file for file, _ in blend)])
     seconds: dict[str, float] = {}
     notes: list[str] = []
     computed_on: str | None = None
@@ -329,11 +330,10 @@ def irradiance(
         irradiance_matrix,
     )
     from clrelight.lighting.projection import project_environment
-    from clrelight.store import check_output
 
     if not holds_floats(out):
         raise InputError(f"irradiance is linear radiance: write it to {', '.join(FLOAT_FORMATS)}, got {out}")
-    check_output(out, environments)
+    claim_output(out, environments)
     seconds: dict[str, float] = {}
     since = time.perf_counter()
     environment, notes = read_environment(

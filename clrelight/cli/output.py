@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import unicodedata
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -48,13 +50,19 @@ def print_facts(facts: Mapping[str, Any], indent: str = "") -> None:
 def _short(value: Any) -> str:
     if isinstance(value, list | tuple):
         return (", " if any(isinstance(v, str) for v in value) else " × ").join(str(v) for v in value) or "none"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else _shown(str(value))
+
+
+def _shown(text: str) -> str:
+    """Return a text in one line, with escapes in place of what a terminal would obey: names come from anybody."""
+    return "".join(repr(c)[1:-1] if unicodedata.category(c) == "Cc" else c for c in text)
 
 
 def print_notes(notes: Sequence[str]) -> None:
     """Print notes on standard error, so that they never mix with results."""
     for note in notes:
-        click.echo(f"note: {note}", err=True)
+        with suppress(OSError):  # nobody may be there to read it
+            click.echo(f"note: {note}", err=True)
 
 
 def make_report(as_json: bool) -> Report:

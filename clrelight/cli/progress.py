@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
-from clrelight.cli.interrupts import raise_if_interrupted
+from clrelight.interrupts import raise_if_interrupted
 
 _PATIENCE_SECONDS = 1.0
 
@@ -63,7 +63,8 @@ class ProgressBar:
         with self._lock:
             self._closed = True
             if self._bar is not None:
-                self._bar.stop()
+                with suppress(OSError):  # a terminal may go away
+                    self._bar.stop()
 
 
 @contextmanager

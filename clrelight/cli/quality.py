@@ -44,7 +44,12 @@ def psnr_lines(quality: dict[str, Any] | None) -> dict[str, str]:
     for name, title in (("fitted", "PSNR"), ("holdout", "PSNR, held out")):
         if quality and f"mean_{name}" in quality:
             mean, pooled = quality[f"mean_{name}"], quality[f"pooled_{name}"]
-            lines[title] = f"{decibel(mean)} mean over lights, {decibel(pooled)} pooled"
+            over = "lights"
+            if f"identical_{name}" in quality:
+                # A black image is met exactly: one is enough to make the mean of all infinite.
+                mean = quality[f"mean_others_{name}"]
+                over = f"the lights whose images are not identical ({quality[f'identical_{name}']} are)"
+            lines[title] = f"{decibel(mean)} mean over {over}, {decibel(pooled)} pooled"
     return lines
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.claims import claim_output
 from clrelight.cli.output import print_facts, print_json, print_notes
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
@@ -29,6 +30,7 @@ def bench_speed(
     from clrelight.speed.run import measure_growth
 
     check_record(out)
+    claim_output(out)
     if report is not None:
         canvas.require_matplotlib()
         check_folder(report)

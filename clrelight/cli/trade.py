@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.options import ByteCount, Names, Numbers, device_option, given, json_option, whole_number
-from clrelight.cli.output import decibel, print_facts, print_json
+from clrelight.cli.output import decibel, print_facts, print_json, print_notes
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
@@ -100,6 +100,7 @@ def trade(
             device=open_device(device),
             force=force,
             progress=lambda step, done, total: bar(done, total, step),
+            tell=lambda note: print_notes([note]),
         )
     facts: dict[str, Any] = {"results": out, "rows": len(trials)}
     if report_to is not None:

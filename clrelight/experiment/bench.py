@@ -218,9 +218,13 @@ class Bench:
         at_fitted = summarize_errors(mse_i[self.fitted])
         row["psnr_mean"], row["psnr_pooled"] = at_fitted.psnr_mean, at_fitted.psnr_pooled
         row["psnr_mean_holdout"] = row["psnr_pooled_holdout"] = math.nan
+        notes = {"fitted": at_fitted.note}
         if len(self.held):
             at_held = summarize_errors(mse_i[self.held])
             row["psnr_mean_holdout"], row["psnr_pooled_holdout"] = at_held.psnr_mean, at_held.psnr_pooled
+            notes["held out"] = at_held.note
+        told = "; ".join(f"{lights}: {note}" for lights, note in notes.items() if note)
+        row["note"] = _fixed(told, ROW_DTYPE["note"])
         if not self.illustrated:
             return _append(results, row)
         pictures, profiles = self._illustrate(results, coefficients, method, degree, setting)

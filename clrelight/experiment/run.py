@@ -16,6 +16,7 @@ from clrelight.experiment.grid import RING, Experiment
 from clrelight.experiment.scenes import check_names, open_scene, scene_name
 from clrelight.results import ROW_DTYPE, Results
 from clrelight.store import check_output, read_results, write_results
+from clrelight.store.durable import claiming, no_locks
 
 Progress = Callable[[str, int, int], None]
 
@@ -27,6 +28,7 @@ def run_experiment(
     device: Device | None = None,
     progress: Progress | None = None,
     force: bool = False,
+    tell: Callable[[str], None] | None = None,
 ) -> Results:
     """Measure every row of an experiment; rows that `out` holds already are kept, not measured again.
 
@@ -40,6 +42,8 @@ def run_experiment(
         Called with what is being done, rows done, and rows in all.
     force : bool
         Start anew although `out` exists.
+    tell : callable, optional
+        Called with what the user should know.
 
     Returns
     -------
@@ -50,13 +54,25 @@ def run_experiment(
     Raises
     ------
     InputError
-        If a scene or `out` cannot be used, two scenes have one name, or `out` holds rows of another stack of the
-        same name.
+        If a scene or `out` cannot be used, another program has `out`, two scenes have one name, or `out` holds rows of
+        another stack of the same name.
     """
     check_output(out, [scene for scene in experiment.scenes if scene != RING])
     check_names(experiment)
-    device = device or open_device()
-    results = earlier_results(out, force)
+    # Rows are added to what was read: of two experiments on one file, each would write over the other's.
+    with claiming(out) as is_claimed:
+        if tell is not None and not is_claimed:
+            tell(no_locks(out))
+        return _measure_rows(experiment, out, device or open_device(), earlier_results(out, force), progress)
+
+
+def _measure_rows(
+    experiment: Experiment,
+    out: str | os.PathLike[str],
+    device: Device,
+    results: Results,
+    progress: Progress | None,
+) -> Results:
     done = {row_key(row) for row in results.table}
     report = progress or (lambda what, count, total: None)
     planned = list(itertools.product(experiment.methods, experiment.degrees, experiment.codecs))

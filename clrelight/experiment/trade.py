@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from clrelight.basis import decompose, evaluate_basis
@@ -22,6 +22,7 @@ from clrelight.fit.cls import CONVERGED_AFTER, ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED, check_precision, differing_precisions
 from clrelight.results import NO_CODEC
 from clrelight.store import write_results
+from clrelight.store.durable import claiming, no_locks
 
 REPEATS = 3
 HALF = "half"
@@ -127,6 +128,7 @@ def sweep_trade(
     device: Device | None = None,
     progress: Progress | None = None,
     force: bool = False,
+    tell: Callable[[str], None] | None = None,
 ) -> list[Trial]:
     """Measure what is worth measuring, and keep it; rows that `out` holds already are not measured again.
 
@@ -148,14 +150,19 @@ def sweep_trade(
         Called with what is being done, rows done, and rows in all as far as can be told.
     force : bool
         Start anew although `out` exists.
+    tell : callable, optional
+        Called with what the user should know.
 
     Raises
     ------
     InputError
-        If the stack has too few lights, the device has not a precision that is asked for, or `out` cannot be used or
-        holds rows of another stack of this name.
+        If the stack has too few lights, the device has not a precision that is asked for, or `out` cannot be used, is
+        another program's, or holds rows of another stack of this name.
     """
-    return _Sweep(stack, scene, out, axes, device or open_device(), progress, force).run()
+    with claiming(out) as is_claimed:
+        if tell is not None and not is_claimed:
+            tell(no_locks(out))
+        return _Sweep(stack, scene, out, axes, device or open_device(), progress, force).run()
 
 
 class _Sweep:

@@ -90,7 +90,7 @@ def decode(
     kept, room_bytes = report_for(report), DEFAULT_MEMORY if memory is None else count_bytes(memory)
     limit = None if memory is None else room_bytes
     targets = [] if out is None else [out]
-    with claimed(targets, paths_among(source)), opened_on(device, kept) as opened:
+    with claimed(targets, paths_among(source), kept), opened_on(device, kept) as opened:
         since = time.perf_counter()
         if out is None:
             encoded, record = take_encoded(source)

@@ -139,7 +139,7 @@ def encode(
     room_bytes = DEFAULT_MEMORY if memory is None else count_bytes(memory)
     limit = None if memory is None else room_bytes
     with (
-        claimed([] if out is None else [out], paths_among(source, stack)),
+        claimed([] if out is None else [out], paths_among(source, stack), kept),
         opened_on(device, kept) as opened,
         lend_fit(source) as coefficients,
         scratch_room(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, room_bytes) as room,

@@ -11,7 +11,7 @@ from clrelight.dataset import CoefficientMap, LightStack, split_by_fit
 from clrelight.device import Device
 from clrelight.jobs.inputs import FittedLike, StackLike, lend_coefficients, lend_stack, opened_on
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.metrics import measure_errors, summarize_errors
+from clrelight.metrics import domain_note, measure_errors, summarize_errors
 
 
 def measure(
@@ -54,6 +54,7 @@ def measure(
         lend_coefficients(fitted, opened, kept, progress) as coefficients,
     ):
         since = time.perf_counter()
+        kept.note(*filter(None, [domain_note(coefficients, source)]))
         kept.psnr = measure_split(coefficients, source, opened, progress=progress)
         kept.add("measure", since)
     return kept.psnr
@@ -66,7 +67,10 @@ def measure_split(
     split: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
     progress: Progress | None = None,
 ) -> dict[str, float]:
-    """Return PSNRs at the fitted lights and, apart, at those held out; by default all that were not fitted."""
+    """Return PSNRs at the fitted lights and, apart, at those held out; by default all that were not fitted.
+
+    Where some images are identical but not all, their number and the mean over the others are there too.
+    """
     fitted, held = split_by_fit(stack, coefficients) if split is None else split
     with stage(progress, "measuring") as tell:
         mse_i = measure_errors(coefficients, stack, device=device, progress=tell)
@@ -75,4 +79,7 @@ def measure_split(
         if len(lights):
             measured = summarize_errors(mse_i[lights])
             quality[f"mean_{name}"], quality[f"pooled_{name}"] = measured.psnr_mean, measured.psnr_pooled
+            if measured.note:
+                quality[f"identical_{name}"] = measured.n_identical
+                quality[f"mean_others_{name}"] = measured.psnr_others
     return quality

@@ -1,18 +1,29 @@
-"""Where jobs write: asked about before long work, so that it is not done in vain."""
+"""Where jobs write: asked about and claimed before long work, so that it is not done in vain."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from clrelight.jobs.inputs import path_text
+from clrelight.jobs.report import Report
 from clrelight.store import check_output
+from clrelight.store.durable import claiming, no_locks
 
 
 @contextmanager
-def claimed(names: Sequence[str | os.PathLike[str]], inputs: Sequence[str | os.PathLike[str]] = ()) -> Iterator[None]:
-    """Do the work of the block for files that can be written as they look now, and are none of the inputs."""
+def claimed(
+    names: Sequence[str | os.PathLike[str]], inputs: Sequence[str | os.PathLike[str]], report: Report
+) -> Iterator[None]:
+    """Keep every other program from files while the block works for them.
+
+    InputError if one cannot be written as it looks now, or is one of the inputs.
+    """
     for name in names:
         check_output(path_text(name, "a file to write"), inputs)
-    yield
+    with ExitStack() as claims:
+        for name in names[:1]:  # and so the others: two programs share all of them, or none
+            if not claims.enter_context(claiming(name)):
+                report.note(no_locks(name))
+        yield

@@ -150,7 +150,7 @@ def relight(
         directions_i3, flat = _directions(light, lights, kept)
         frames = DirectedFrames(directions_i3, how.exposure or 0.0)
     names = _name(target, frames)
-    with claimed(names, paths_among(source, light, lights)), opened_on(device, kept) as opened:
+    with claimed(names, paths_among(source, light, lights), kept), opened_on(device, kept) as opened:
         images_ihwc = _show(frames, source, names, how, opened, kept, progress)
     if target is not None:
         kept.facts = {"files": names, **kept.facts}

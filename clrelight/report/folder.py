@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 from clrelight.errors import InputError
+from clrelight.interrupts import holding
+from clrelight.store.durable import claiming, folder_aside
 
 
 def fill_folder(out_dir: str | os.PathLike[str], make: Callable[[Path], list[str]]) -> list[Path]:
@@ -36,11 +36,8 @@ def fill_folder(out_dir: str | os.PathLike[str], make: Callable[[Path], list[str
     out = Path(out_dir).resolve()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=out.parent))
-        try:
+        with claiming(out), folder_aside(out) as aside:
             return _move(make(aside), aside, out)
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
     except OSError as error:
         raise InputError(f"cannot write the report to {out_dir}: {error}") from error
 
@@ -64,7 +61,8 @@ def _move(written: list[str], source: Path, out: Path) -> list[Path]:
             raise InputError(f"{out / path} is a folder, but the report has a file of that name; move it away")
         if (out / path).parent.exists() and not (out / path).parent.is_dir():
             raise InputError(f"{(out / path).parent} is a file, but the report has a folder of that name; move it away")
-    for path in written:
-        (out / path).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(source / path, out / path)
+    with holding():  # all of them, or none
+        for path in written:
+            (out / path).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(source / path, out / path)
     return [out / path for path in (*written[-1:], *written[:-1])]

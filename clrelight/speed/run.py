@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -17,10 +16,12 @@ from typing import Any
 import clrelight
 from clrelight.conventions import coefficient_count
 from clrelight.errors import InputError
+from clrelight.interrupts import at_end, forget, holding
 from clrelight.speed.environment import THREAD_VARIABLES
 from clrelight.speed.job import NUMPY, OURS
 from clrelight.speed.plan import PLURALS, Growth, Point
 from clrelight.speed.scene import TILE, write_scene
+from clrelight.store.durable import folder_aside
 
 NUMPY_BYTES = 1 << 30
 """NumPy, which holds all at once, runs where that takes no more than this."""
@@ -62,8 +63,7 @@ def measure_growth(
     _check_room(max(map(_disk_bytes, points)), folder)
     report = progress or (lambda done, total, what: None)
     steps = len(points) + 1
-    with tempfile.TemporaryDirectory(prefix=".speed.", suffix=".part", dir=folder) as name:
-        place = Path(name)
+    with folder_aside(folder / "speed") as place:
         common = {"rounds": growth.rounds, "settle_seconds": growth.settle_seconds, "device": device}
         report(0, steps, "stages beside other libraries")
         stack = place / "stack.h5"
@@ -122,20 +122,26 @@ def run_child(task: Mapping[str, Any], threads: int | None = None) -> dict[str, 
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, (home, environment.get("PYTHONPATH"))))
     if threads is not None:
         environment.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
-    child = subprocess.Popen(
-        [sys.executable, "-m", "clrelight.speed.child", json.dumps(task)],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # Ctrl-C is for this process, which ends the child
-    )
+    child: subprocess.Popen[str] | None = None
     try:
+        with holding():
+            child = subprocess.Popen(
+                [sys.executable, "-m", "clrelight.speed.child", json.dumps(task)],
+                env=environment,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                start_new_session=True,  # Ctrl-C is for this process, which ends the child
+            )
+            key = at_end(child.kill)
         out, complaints = child.communicate()
     finally:
-        if child.poll() is None:
-            child.kill()
-            child.wait()
+        with holding():
+            if child is not None:
+                if child.poll() is None:
+                    child.kill()
+                    child.wait()
+                forget(key)
     if child.returncode == -signal.SIGKILL:
         raise InputError("the process was killed: not enough memory")
     if child.returncode != 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
 import os
 import shutil
 import stat
@@ -12,21 +13,26 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from clrelight.errors import InputError
+from clrelight.interrupts import at_end, forget, holding
 from clrelight.streaming import one_thread
 
 SYNC_BYTES = 32 << 20
 """Bytes that a large file gathers before they are sent to the disk."""
+STEM_BYTES = 232
+"""Bytes of a name, of the 255 that systems take, to which a dot, eight random letters and an ending can be added."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """The sibling of a file that is being written: its path, and a descriptor that holds its lock."""
+    """The sibling of a file that is being written: its path, and a descriptor that holds its lock, if it has one."""
 
     path: Path
     descriptor: int
+    is_locked: bool = True
 
     def write(self, content: bytes) -> None:
         """Write every byte; a single call of the system may take fewer."""
@@ -66,23 +72,69 @@ def replacing(path: str | os.PathLike) -> Iterator[Part]:
     target = Path(os.fsdecode(path))
     with naming(target):
         _check_target(target)
-        sibling = target.with_name(f".{target.name}.part")
-        part = Part(sibling, _open_locked(sibling))
-    try:
-        try:
-            with naming(target):
-                os.ftruncate(part.descriptor, 0)
-            yield part
-            with naming(target):
-                os.fsync(part.descriptor)
-                os.replace(part.path, target)
-        except BaseException:
-            with suppress(OSError):
-                os.unlink(part.path)
-            raise
-    finally:
-        os.close(part.descriptor)
+    with _lend_sibling(target, ".part") as part:
+        with naming(target):
+            os.ftruncate(part.descriptor, 0)
+        yield part
+        with naming(target):
+            os.fsync(part.descriptor)
+            os.replace(part.path, target)
     _sync_folder(target.parent)
+
+
+@contextmanager
+def claiming(path: str | os.PathLike) -> Iterator[bool]:
+    """Keep every other program from a file or folder through long work that writes it at last, or many times.
+
+    The claim is a lock on the sibling ``.NAME.lock``, which goes away with its program, however that ends. Lends
+    whether there is one: some network file systems know none.
+
+    Raises
+    ------
+    InputError
+        If another program has claimed `path`, or the system refuses (no permission, disk full).
+    """
+    with _lend_sibling(Path(os.fsdecode(path)), ".lock") as lock:
+        yield lock.is_locked
+
+
+def no_locks(path: str | os.PathLike) -> str:
+    """Return what to say where `claiming` found no locks."""
+    return f"there are no file locks where {os.fsdecode(path)} lies: let no second program write it"
+
+
+@contextmanager
+def _lend_sibling(target: Path, ending: str) -> Iterator[Part]:
+    """Lend a sibling that no other program has; it is removed when the block ends, unless it was renamed."""
+    lent: Part | None = None
+    try:
+        with holding(), naming(target):
+            lent = _open_locked(target.with_name(_sibling_stem(target) + ending), target)
+            key = at_end(partial(_remove_sibling, lent))
+        yield lent
+    finally:
+        with holding():
+            if lent is not None:
+                forget(key)
+                _remove_sibling(lent)
+                os.close(lent.descriptor)
+
+
+def _sibling_stem(target: Path) -> str:
+    """Return ``.NAME``, or something else in place of a name that is no text, or leaves no room for an ending."""
+    name = os.fsencode(target.name)
+    try:
+        is_plain = len(name) <= STEM_BYTES and name.decode("utf-8") == target.name
+    except UnicodeDecodeError:
+        is_plain = False
+    return f".{target.name if is_plain else hashlib.sha256(name).hexdigest()[:32]}"
+
+
+def _remove_sibling(part: Part) -> None:
+    # By that name there may be another program's by now: ours was renamed.
+    with suppress(OSError):
+        if os.path.samestat(os.fstat(part.descriptor), os.lstat(part.path)):
+            os.unlink(part.path)
 
 
 @contextmanager
@@ -124,22 +176,34 @@ def replacing_folder(path: str | os.PathLike) -> Iterator[Path]:
         If something is at `path`, or the system refuses (no permission, disk full).
     """
     target = Path(os.fsdecode(path))
-    with naming(target):
-        sibling = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
-    try:
-        with naming(target):
-            # One more level: the sibling is for its owner's eyes alone, the result for whom the umask says.
-            folder = sibling / target.name
-            folder.mkdir()
-            yield folder
-            for file in folder.iterdir():
-                with open(file, "rb") as written:
-                    os.fsync(written.fileno())
-            _sync_folder(folder)
-            os.replace(folder, target)
-    finally:
-        shutil.rmtree(sibling, ignore_errors=True)
+    with naming(target), folder_aside(target) as sibling:
+        # One more level: the sibling is for its owner's eyes alone, the result for whom the umask says.
+        folder = sibling / target.name
+        folder.mkdir()
+        yield folder
+        for file in folder.iterdir():
+            with open(file, "rb") as written:
+                os.fsync(written.fileno())
+        _sync_folder(folder)
+        os.replace(folder, target)
     _sync_folder(target.parent)
+
+
+@contextmanager
+def folder_aside(target: Path) -> Iterator[Path]:
+    """Lend a folder ``.NAME.*.part`` beside `target` that is no other program's, and gone when the block has ended."""
+    sibling: Path | None = None
+    try:
+        with holding():
+            prefix = _sibling_stem(target) + "."
+            sibling = Path(tempfile.mkdtemp(prefix=prefix, suffix=".part", dir=target.parent))
+            key = at_end(partial(shutil.rmtree, sibling, ignore_errors=True))
+        yield sibling
+    finally:
+        with holding():
+            if sibling is not None:
+                shutil.rmtree(sibling, ignore_errors=True)
+                forget(key)
 
 
 @contextmanager
@@ -183,17 +247,17 @@ def _check_target(target: Path) -> None:
             raise InputError(f"cannot write {target}: it is there and is no regular file")
 
 
-def _open_locked(part: Path) -> int:
+def _open_locked(sibling: Path, target: Path) -> Part:
     while True:
-        descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+        descriptor = os.open(sibling, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
         try:
-            _lock(descriptor, part)
+            is_locked = _lock(descriptor, target)
             ours = os.fstat(descriptor)
             if not stat.S_ISREG(ours.st_mode) or ours.st_nlink > 1:
-                raise InputError(f"cannot write {part}: it is there and is no plain file, remove it")
+                raise InputError(f"cannot write {sibling}: it is there and is no plain file, remove it")
             with suppress(FileNotFoundError):
-                if os.path.samestat(ours, os.lstat(part)):
-                    return descriptor
+                if os.path.samestat(ours, os.lstat(sibling)):
+                    return Part(sibling, descriptor, is_locked)
         except BaseException:
             os.close(descriptor)
             raise
@@ -201,14 +265,18 @@ def _open_locked(part: Path) -> int:
         os.close(descriptor)
 
 
-def _lock(descriptor: int, part: Path) -> None:
+def _lock(descriptor: int, target: Path) -> bool:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise InputError(f"cannot write {part}: another program is writing it") from None
+        raise InputError(
+            f"cannot write {target}: another program is writing it; wait for its end, or choose another name"
+        ) from None
     except OSError as error:
         if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL):
-            raise  # else a file system without locks: go on, as every other writer would
+            raise
+        return False  # a file system without locks: go on, as every other writer would
+    return True
 
 
 def _sync_folder(folder: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.streams import BodyWriter, BoundedRoom, Planes, Progress
+from clrelight.interrupts import holding
 from clrelight.store.durable import Part, naming
 
 
@@ -30,7 +31,7 @@ class Scratch:
 
     def __init__(self, folder: str | os.PathLike, n_bytes: int) -> None:
         self._what = Path(os.fsdecode(folder), "(temporary file)")
-        with naming(self._what):
+        with naming(self._what), holding():  # it has a name for an instant, where the system cannot do without
             self._file = tempfile.TemporaryFile(prefix=".clrelight.", suffix=".part", dir=os.fsdecode(folder))  # noqa: SIM115
             if n_bytes:
                 Part(self._what, self._file.fileno()).reserve(n_bytes)
