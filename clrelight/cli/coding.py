@@ -229,7 +229,6 @@ def decode(context: click.Context, encoded_file: str, out: str, memory: int, dev
             ):
 
                 def hand_on(first: int, coeffs_khwc: NDArray[np.float32]) -> None:
-                    sink.sum_rows(first, coeffs_khwc, None, None)
                     put((first, coeffs_khwc))
 
                 target = RowTarget(

@@ -197,7 +197,6 @@ def _fill(sink: FitSink, prepared: PreparedFit, memory: int) -> None:
         with writing_behind(write) as put:
             for tile in tiles:
                 since = time.perf_counter()
-                sink.sum_rows(tile.first, tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc)
                 put(tile)
                 since = prepared.report.add("write", since)
                 bar(tile.end, prepared.stack.image_shape[0])
