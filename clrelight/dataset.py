@@ -64,7 +64,9 @@ class LightStack:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        _convert(self, images_ihwc=as_samples(self.images_ihwc), directions_i3=as_float64(self.directions_i3, "directions"))
+        _convert(
+            self, images_ihwc=as_samples(self.images_ihwc), directions_i3=as_float64(self.directions_i3, "directions")
+        )
         if self.weights_i is not None:
             _convert(self, weights_i=as_float64(self.weights_i, "weights"))
         if self.mask_hw is not None:

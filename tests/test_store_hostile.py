@@ -17,29 +17,9 @@ from clrelight import store
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.results import Results
 from clrelight.store.walk import MAX_DEPTH
-from tests.hdf5 import unseal
+from tests.hdf5 import content, unseal
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
-
-
-def content(kind, path):
-    """Return all that a reader can see of a file, comparable with ==."""
-    match kind:
-        case "stack":
-            with store.open_stack(path) as s:
-                arrays = (s.images_ihwc[...], s.directions_i3, s.weights_i, s.mask_hw)
-                return (*(a.tobytes() for a in arrays), s.peak, s.transfer, s.name, s.images_ihwc.shape)
-        case "fit":
-            f = store.read_fit(path)
-            arrays = (f.coeffs_khwc, f.lambda_hwc, f.rank_hwc, f.directions_i3)
-            return (*(a.tobytes() for a in arrays), f.method, f.degree, f.peak, f.transfer, f.name, str(f.config))
-        case "encoded":
-            e, r = store.read_encoded(path)
-            return (e.to_bytes(), str(e.config), str(e.info), r.directions_i3.tobytes(), str(r.config), r.name, r.peak)
-        case _:
-            r = store.read_results(path)
-            items = {**r.pictures, **r.profiles}
-            return (r.table.tobytes(), *((k, v.tobytes()) for k, v in items.items()))
 
 
 def refused(path, *phrases, kind="stack"):

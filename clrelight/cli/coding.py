@@ -131,7 +131,7 @@ def encode(
             with open_stack(stack) as source:
                 encoded, trials, why = encode_to_quality(coefficients, source, target_psnr, codec=codec, device=opened)
             told = [f"tried {t.byte_count} bytes: {t.psnr:.2f} dB" for t in trials]
-            told.append(f"took {encoded.encoded_bytes} bytes: {why}")
+            told += [f"took {encoded.encoded_bytes} bytes: {why}", *source.notes]
         else:
             if byte_budget is not None:
                 key, value = (
@@ -152,7 +152,6 @@ def encode(
                 encoded = encode_source(maps, chosen, room)
         seconds["encode"] = time.perf_counter() - since
         facts = {"file": out, **_size_facts(encoded), "config": dict(encoded.config), "device": opened.info.label}
-        facts["notes"] = notes + told
         facts["coding_noise"] = predicted_psnr(noise)
         if stack is not None:
             with open_stack(stack) as source:
@@ -163,7 +162,9 @@ def encode(
                 since = time.perf_counter()
                 facts["coding_noise"] = coding_psnr(noise, coefficients.coeffs_khwc, decoded.coeffs_khwc)
                 facts["psnr"] = measure(decoded, source, opened)
+                told += [note for note in source.notes if note not in told]
                 seconds["measure"] = time.perf_counter() - since
+        facts["notes"] = notes + told
         since = time.perf_counter()
         write_encoded(out, encoded, coefficients)
         seconds["write"] = time.perf_counter() - since

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.options import device_option, json_option
-from clrelight.cli.output import decibel, print_facts, print_json, seconds_line
+from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError
 
@@ -48,8 +48,10 @@ def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
         quality = measure(coefficients, source, opened)
         seconds["measure"] = time.perf_counter() - since
     if as_json:
-        print_json({"file": fitted, "psnr": quality, "seconds": seconds, "device": opened.info.label})
+        facts = {"file": fitted, "psnr": quality, "notes": list(source.notes), "seconds": seconds}
+        print_json({**facts, "device": opened.info.label})
         return
+    print_notes(source.notes)
     print_facts({**psnr_lines(quality), "time": seconds_line(seconds)})
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.options import ByteCount, Names, Numbers, device_option, given, json_option, whole_number
-from clrelight.cli.output import decibel, print_facts, print_json
+from clrelight.cli.output import decibel, print_facts, print_json, print_notes
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
@@ -91,7 +91,7 @@ def trade(
         canvas.require_matplotlib()
         check_folder(report_to)
     with open_stack(stack) as source, progress_bar("trade") as bar:
-        name = source.name
+        name, notes = source.name, list(source.notes)
         trials = sweep_trade(
             source,
             stack,
@@ -101,7 +101,7 @@ def trade(
             force=force,
             progress=lambda step, done, total: bar(done, total, step),
         )
-    facts: dict[str, Any] = {"results": out, "rows": len(trials)}
+    facts: dict[str, Any] = {"results": out, "rows": len(trials), "notes": notes}
     if report_to is not None:
         facts["report"] = str(write_trade_report(trials, name, report_to)[0])
     if limits.are_set:
@@ -115,6 +115,7 @@ def trade(
         told = {**facts, "trials": [_facts(trial) for trial in trials]}
         print_json(told if not limits.are_set else {**told, "choice": _facts(chosen)})
         return
+    print_notes(facts.pop("notes"))
     for table in (step_table(trials), front_table(trials)):
         click.echo(f"{table.caption}:")
         print_table(*to_strings(table))

@@ -179,7 +179,9 @@ class BlockWriter:
                 part = tuple(slice(p.start - b.start, p.stop - b.start) for b, p in zip(box, place, strict=True))
                 self._write_block(number, place, values[part])
             else:
-                inner = tuple(slice(max(b.start, p.start), min(b.stop, p.stop)) for b, p in zip(box, place, strict=True))
+                inner = tuple(
+                    slice(max(b.start, p.start), min(b.stop, p.stop)) for b, p in zip(box, place, strict=True)
+                )
                 part = tuple(slice(i.start - b.start, i.stop - b.start) for i, b in zip(inner, box, strict=True))
                 self._dataset[inner] = values[part]
                 self._is_summed[number] = False

@@ -127,4 +127,3 @@ class StoredArray:
         stored = self.id.read_direct_chunk(offset)[1]
         if len(zlib.decompressobj().decompress(stored, inflated + 1)) != inflated:
             raise OSError(f"the chunk at {offset} does not inflate to {inflated} bytes")
-

@@ -98,7 +98,10 @@ def _check_dataset(dataset: h5py.h5d.DatasetID, name: str, file_bytes: int) -> N
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     for code in filters:
         if code not in FILTERS or filters.count(code) > 1:
-            raise StoreFormatError(f"{name} has filter {code}; read are {', '.join(FILTERS.values())}, once each")
+            raise StoreFormatError(
+                f"{name} has filter {code}; read are {', '.join(FILTERS.values())}, once each: store it with gzip or "
+                f"without compression"
+            )
     _check_size(dataset, plan, name, file_bytes, filters)
 
 

@@ -24,6 +24,7 @@ IN_MEMORY_BYTES = 64 << 20
 """Files of fewer bytes are built in memory, which holds them three times, and where a full disk cannot reach HDF5."""
 
 CHUNK_BYTES = 1 << 20
+_TABLE_CHUNK = 1 << 17  # checksums
 FAR_OVER_BYTES = 8 << 20
 """A chunk of one row that is larger than this is split along its first axis."""
 
@@ -148,7 +149,7 @@ class Draft:
             for name, writer in sealed.items()
         }
         held = {name: self._attributes["/"][name] for name in self._schema.attributes}
-        self.dataset(TABLE, table_b, chunks=(min(len(table_b), CHUNK_BYTES // 8),))
+        self.dataset(TABLE, table_b, chunks=(min(len(table_b), _TABLE_CHUNK),))
         self.attributes({SEAL_ATTRIBUTE: seal_of(self._schema.name, held, arrays, table_b)})
 
     def _create(
