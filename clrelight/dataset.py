@@ -18,6 +18,7 @@ SAMPLE_DTYPES = ("uint8", "uint16", "float16", "float32")
 COEFFICIENT_DTYPES = ("float32", "float16")
 """The types that coefficients may be stored in; kernels that relight read both."""
 
+_ACCEPTED_KINDS = "buif"
 _LEAST_PEAK = 1e-37
 _UNIT_TOLERANCE = 1e-6
 _WIDENED_BYTES = 1 << 24
@@ -32,9 +33,10 @@ class LightStack:
     Attributes
     ----------
     images_ihwc : array_like, shape (n_light, height, width, channel)
-        Code values, one of `SAMPLE_DTYPES`; a NumPy array or an HDF5 dataset that is read tile by tile.
-    directions_i3 : ndarray, shape (n_light, 3), float64
-        Unit vectors from the surface to the lights.
+        Code values, one of `SAMPLE_DTYPES`; a NumPy array or an HDF5 dataset that is read tile by tile. Lists and
+        arrays of other numbers are converted: see `sample_dtype`.
+    directions_i3 : array_like, shape (n_light, 3)
+        Unit vectors from the surface to the lights; held as float64.
     peak : float
         Code value that means radiance 1.0.
     transfer : str
@@ -47,6 +49,8 @@ class LightStack:
         What tables call it.
     picked_i : ndarray, shape (n_light,), int, optional
         Where each image stands in the stack that `select` took it from, for messages.
+    notes : tuple of str
+        What a file left open, and how it was taken.
     """
 
     images_ihwc: Any
@@ -57,12 +61,20 @@ class LightStack:
     mask_hw: NDArray[np.bool_] | None = None
     name: str = "stack"
     picked_i: NDArray[np.intp] | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        _convert(
+            self, images_ihwc=as_samples(self.images_ihwc), directions_i3=as_float64(self.directions_i3, "directions")
+        )
+        if self.weights_i is not None:
+            _convert(self, weights_i=as_float64(self.weights_i, "weights"))
+        if self.mask_hw is not None:
+            _convert(self, mask_hw=np.asarray(self.mask_hw))
         shape = tuple(self.images_ihwc.shape)
         if len(shape) != 4 or min(shape) < 1:
             raise InputError(f"images must be (light, height, width, channel), none of them empty, got shape {shape}")
-        if np.dtype(self.images_ihwc.dtype).name not in SAMPLE_DTYPES:
+        if self.images_ihwc.dtype not in SAMPLE_DTYPES:
             raise InputError(f"images must be {', '.join(SAMPLE_DTYPES)}, got {self.images_ihwc.dtype}")
         if self.transfer not in TRANSFERS:
             raise InputError(f"transfer must be one of {', '.join(TRANSFERS)}, got {self.transfer!r}")
@@ -161,8 +173,8 @@ class CoefficientMap:
 
     Attributes
     ----------
-    coeffs_khwc : ndarray, shape (n_coeff, height, width, channel), one of `COEFFICIENT_DTYPES`
-        Coefficients of linear radiance in units of the peak; ``k = l (l + 1) + m``. May be an HDF5 dataset.
+    coeffs_khwc : array_like, shape (n_coeff, height, width, channel), one of `COEFFICIENT_DTYPES`
+        Lists, float64 and other byte orders become float32. Coefficients of linear radiance in units of the peak; ``k = l (l + 1) + m``. May be an HDF5 dataset.
         `read_rows` and `to_float32` give float32 of either type.
     degree : int
         Largest degree; ``n_coeff = (degree + 1)**2``.
@@ -194,6 +206,11 @@ class CoefficientMap:
     name: str = "stack"
 
     def __post_init__(self) -> None:
+        _convert(
+            self,
+            coeffs_khwc=as_coefficients(self.coeffs_khwc),
+            directions_i3=as_float64(self.directions_i3, "directions"),
+        )
         shape = tuple(self.coeffs_khwc.shape)
         if len(shape) != 4 or min(shape) < 1:
             raise InputError(f"coefficients must be (coefficient, height, width, channel), got shape {shape}")
@@ -289,6 +306,71 @@ class FitRecord:
             self.config,
             name=self.name,
         )
+
+
+def sample_dtype(dtype: np.dtype) -> np.dtype:
+    """Return the type that samples of a type are held in: a byte for bool, 16 bits for wider integers and signed ones,
+    float32 for wider floats, and the machine's byte order. InputError for what is no number.
+    """
+    if dtype.kind not in _ACCEPTED_KINDS:
+        raise InputError(f"images must be {', '.join(SAMPLE_DTYPES)} or numbers that fit one of them, got {dtype}")
+    if dtype.kind == "b" or (dtype.kind == "u" and dtype.itemsize == 1):
+        return np.dtype(np.uint8)
+    if dtype.kind == "f":
+        return np.dtype(np.float16 if dtype.itemsize == 2 else np.float32)
+    return np.dtype(np.uint16)
+
+
+def to_samples(values: NDArray, dtype: np.dtype) -> NDArray:
+    """Return samples in the type that `sample_dtype` gave for theirs; InputError where an integer does not fit."""
+    if values.dtype.kind == "i" or (values.dtype.itemsize > dtype.itemsize > 0 and dtype.kind == "u"):
+        low, high = values.min(initial=0), values.max(initial=0)
+        if low < 0 or high > np.iinfo(dtype).max:
+            raise InputError(
+                f"images are {values.dtype} from {low} to {high}: integers must be from 0 to {np.iinfo(dtype).max}, "
+                f"others are for floats"
+            )
+    with np.errstate(over="ignore"):  # an infinity is refused where the sample can be named
+        return values.astype(dtype, copy=False)
+
+
+def as_samples(images: Any) -> Any:
+    """Return images as they are held: an array in memory, converted where need be, or what is read when indexed."""
+    if isinstance(images, np.ndarray) or not hasattr(images, "shape"):
+        values = _as_array(images, "images")
+        return to_samples(values, sample_dtype(values.dtype))
+    return images
+
+
+def as_coefficients(coefficients: Any) -> Any:
+    """Return coefficients as they are held: float32 or float16 in memory, or what is read when indexed."""
+    if isinstance(coefficients, np.ndarray) or not hasattr(coefficients, "shape"):
+        values = _as_array(coefficients, "coefficients")
+        if values.dtype.kind not in _ACCEPTED_KINDS:
+            raise InputError(f"coefficients must be {' or '.join(COEFFICIENT_DTYPES)}, got {values.dtype}")
+        is_half = values.dtype.kind == "f" and values.dtype.itemsize == 2
+        return values.astype(np.float16 if is_half else np.float32, copy=False)
+    return coefficients
+
+
+def as_float64(values: Any, what: str) -> NDArray[np.float64]:
+    """Return numbers as float64; InputError for anything else."""
+    found = _as_array(values, what)
+    if found.dtype.kind not in _ACCEPTED_KINDS:
+        raise InputError(f"{what} must be numbers, got {found.dtype}")
+    return found.astype(np.float64, copy=False)
+
+
+def _as_array(values: Any, what: str) -> NDArray:
+    try:
+        return np.asarray(values)
+    except ValueError:  # rows of unequal length
+        raise InputError(f"{what} must be an array, or lists of equal lengths") from None
+
+
+def _convert(record: Any, **values: Any) -> None:
+    for name, value in values.items():
+        object.__setattr__(record, name, value)  # frozen for all others
 
 
 def check_directions(directions_i3: NDArray, n_light: int | None) -> None:

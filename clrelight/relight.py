@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from clrelight.basis import evaluate_basis
 from clrelight.conventions import linear_to_srgb
-from clrelight.dataset import CoefficientMap, check_directions
+from clrelight.dataset import CoefficientMap, as_float64, check_directions
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.matmul import multiply_columns
@@ -20,7 +20,7 @@ _TILE_BYTES = 1 << 25
 
 
 def relight(
-    coefficients: CoefficientMap, directions_i3: NDArray[np.float64], *, device: Device | None = None
+    coefficients: CoefficientMap, directions_i3: ArrayLike, *, device: Device | None = None
 ) -> NDArray[np.float32]:
     """Return the view under distant lights of unit strength, ``image = sum_k c_k y_k(s)`` (paper, eq. 1).
 
@@ -28,7 +28,7 @@ def relight(
     ----------
     coefficients : CoefficientMap
         In memory, or in an open file; then they are read once, tile by tile. Those in float16 are read as they are.
-    directions_i3 : ndarray, shape (n_light, 3), float64
+    directions_i3 : array_like, shape (n_light, 3)
         Unit vectors from the surface to the lights. Below the horizon of a hemispherical fit the result means
         nothing; it is returned as it is.
     device : Device, optional
@@ -38,9 +38,10 @@ def relight(
     ndarray, shape (n_light, height, width, channel), float32
         Linear radiance in units of the peak, not clipped.
     """
-    check_directions(directions_i3, None)
-    if not len(directions_i3):
+    directions_i3 = as_float64(directions_i3, "directions")
+    if not directions_i3.size:
         raise InputError("relighting needs at least 1 light, got none")
+    check_directions(directions_i3, None)
     return combine_maps(device or open_device(), evaluate_basis(directions_i3, coefficients.degree), coefficients)
 
 

@@ -12,6 +12,7 @@ from clrelight.lighting.hemisphere import share_below
 from clrelight.lighting.light import Light, turn_about_z
 from clrelight.store import read_light, write_light
 from tests.commands import attributes, call, contents, succeed
+from tests.hdf5 import unseal
 from tests.test_cli_refusals import refuse
 
 
@@ -177,6 +178,7 @@ def test_a_light_file_that_contradicts_itself_is_refused(made, tmp_path, name, v
     path = tmp_path / "o.h5"
     path.write_bytes((made / "light.h5").read_bytes())
     with h5py.File(path, "a") as file:
+        unseal(file)
         if name == "coefficients" and np.ndim(value) == 0:
             file[name][4, 1] = value
         elif name == "coefficients":

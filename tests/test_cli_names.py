@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from clrelight.cli.images import _names
 from clrelight.errors import InputError
+from clrelight.jobs.pictures import name_pictures
 from tests.commands import call, process, succeed
 
 NAMES = [
@@ -148,7 +148,7 @@ def test_a_name_that_no_system_takes(made, tmp_path):
     ],
 )
 def test_number_fields(image, count, names):
-    assert _names(image, count) == names
+    assert name_pictures(image, count) == names
 
 
 @pytest.mark.parametrize(
@@ -161,4 +161,4 @@ def test_number_fields(image, count, names):
 )
 def test_number_fields_that_are_none(image, count, message):
     with pytest.raises(InputError, match=message):
-        _names(image, count)
+        name_pictures(image, count)

@@ -45,8 +45,13 @@ def test_a_stack():
     [
         ({"images_ihwc": np.ones((2, 3, 4), np.uint8)}, r"none of them empty, got shape \(2, 3, 4\)"),
         ({"images_ihwc": np.ones((2, 0, 4, 3), np.uint8)}, r"none of them empty, got shape \(2, 0, 4, 3\)"),
-        ({"images_ihwc": np.ones((2, 3, 4, 3))}, "uint8, uint16, float16, float32, got float64"),
-        ({"images_ihwc": np.ones((2, 3, 4, 3), np.int16)}, "got int16"),
+        ({"images_ihwc": np.ones((2, 3, 4, 3), complex)}, "uint8, uint16, float16, float32 or numbers .* got complex"),
+        ({"images_ihwc": np.full((2, 3, 4, 3), "a")}, "got <U1"),
+        ({"images_ihwc": np.full((2, 3, 4, 3), None)}, "got object"),
+        ({"images_ihwc": [[1, 2], [3]]}, "images must be an array, or lists of equal lengths"),
+        ({"images_ihwc": "s.h5"}, "got <U4"),
+        ({"images_ihwc": np.full((2, 3, 4, 3), -1)}, "int64 from -1 to 0: integers must be from 0 to 65535"),
+        ({"images_ihwc": np.full((2, 3, 4, 3), 65536)}, "int64 from 0 to 65536"),
         ({"images_ihwc": np.ones((3, 3, 4, 3), np.uint8)}, "there are 3 images but 2 light directions"),
         ({"transfer": "gamma"}, "transfer must be one of linear, srgb, got 'gamma'"),
         ({"peak": 0.0}, "peak must be a positive number, got 0.0"),
@@ -57,6 +62,7 @@ def test_a_stack():
         ({"weights_i": np.array([1.0, -1.0])}, "weights must be 2 finite numbers >= 0"),
         ({"weights_i": np.array([1.0, np.nan])}, "weights must be 2 finite numbers >= 0"),
         ({"weights_i": np.zeros(2)}, "weights must not all be 0"),
+        ({"weights_i": ["a", "b"]}, "weights must be numbers, got <U1"),
         ({"mask_hw": np.ones((4, 3), bool)}, r"mask must be bool of shape \(3, 4\), got bool \(4, 3\)"),
         ({"mask_hw": np.ones((3, 4), np.uint8)}, r"mask must be bool of shape \(3, 4\), got uint8"),
     ],
@@ -69,7 +75,9 @@ def test_a_stack_refuses(changed, message):
 @pytest.mark.parametrize(
     ("directions", "message"),
     [
-        (UP.astype(np.float32), r"float64 of shape \(n_light, 3\), got float32 \(2, 3\)"),
+        (UP.astype("c16"), "directions must be numbers, got complex128"),
+        ([[0, 0, 1], [0, 1]], "directions must be an array, or lists of equal lengths"),
+        ("up", "directions must be numbers, got <U2"),
         (UP[0], r"got float64 \(3,\)"),
         (UP[:, :2], r"got float64 \(2, 2\)"),
         (UP * [[1.0], [1.00001]], r"light 1 has direction .* no finite unit vector"),
@@ -83,6 +91,47 @@ def test_directions(directions, message):
         make_stack(directions_i3=directions)
 
 
+@pytest.mark.parametrize(
+    ("images", "dtype"),
+    [
+        (np.arange(24.0).reshape(1, 2, 4, 3), np.float32),
+        (np.arange(24.0).reshape(1, 2, 4, 3).tolist(), np.float32),
+        (np.arange(24.0, dtype=">f4").reshape(1, 2, 4, 3), np.float32),
+        (np.arange(24.0, dtype=">f2").reshape(1, 2, 4, 3), np.float16),
+        (np.arange(24, dtype=">u2").reshape(1, 2, 4, 3), np.uint16),
+        (np.arange(24).reshape(1, 2, 4, 3), np.uint16),
+        (np.arange(24).reshape(1, 2, 4, 3).tolist(), np.uint16),
+        (np.arange(24, dtype=np.int8).reshape(1, 2, 4, 3), np.uint16),
+        (np.arange(24).reshape(1, 2, 4, 3) % 2 == 0, np.uint8),
+    ],
+)
+def test_other_numbers_become_samples(images, dtype):
+    for directions in ([[0, 0, 1]], np.array([[0, 0, 1]], ">i4"), np.array([[0.0, 0.0, 1.0]], np.float32)):
+        stack = LightStack(images, directions, 255, weights_i=[2], mask_hw=[[True] * 4] * 2)
+        assert stack.images_ihwc.dtype == dtype
+        np.testing.assert_array_equal(stack.images_ihwc, images)
+        assert (stack.directions_i3.tolist(), stack.directions_i3.dtype) == ([[0.0, 0.0, 1.0]], np.float64)
+        np.testing.assert_array_equal(stack.read_rows(1, 2), np.asarray(images)[:, 1:2])
+        np.testing.assert_array_equal(stack.weights_i, [2.0])
+
+
+@pytest.mark.parametrize("dtype", [">f4", "<f8", ">f2", "<i4"])
+def test_other_numbers_become_coefficients(dtype):
+    values = np.arange(24).reshape(4, 2, 3, 1)
+    for given in (values.astype(dtype), values.astype(dtype).tolist()):
+        fitted = make_map(coeffs_khwc=given, directions_i3=UP.astype("f8").tolist())
+        is_half = dtype == ">f2" and not isinstance(given, list)
+        assert fitted.coeffs_khwc.dtype == (np.float16 if is_half else np.float32)
+        np.testing.assert_array_equal(fitted.coeffs_khwc, values)
+
+
+def test_a_double_beyond_float_is_no_radiance():
+    with pytest.raises(InputError, match="image 1 is inf at row 0, column 0, channel 2"):
+        images = np.ones((2, 1, 1, 3))
+        images[1, 0, 0, 2] = 1e300
+        make_stack(images_ihwc=images, peak=1.0).read_rows(0, 1)
+
+
 def test_directions_may_be_off_by_rounding():
     check_directions(UP * (1 + 9e-7), 2)
     check_directions(-UP, None)
@@ -92,8 +141,9 @@ def test_directions_may_be_off_by_rounding():
     ("changed", "message"),
     [
         ({"coeffs_khwc": np.zeros((4, 2, 3), np.float32)}, r"got shape \(4, 2, 3\)"),
-        ({"coeffs_khwc": np.zeros((4, 2, 3, 1))}, "coefficients must be float32 or float16, got float64"),
-        ({"coeffs_khwc": np.zeros((4, 2, 3, 1), ">f4")}, "float32 or float16, got >f4"),
+        ({"coeffs_khwc": np.zeros((4, 2, 3, 1), complex)}, "coefficients must be float32 or float16, got complex128"),
+        ({"coeffs_khwc": [[1.0], [2.0, 3.0]]}, "coefficients must be an array, or lists of equal lengths"),
+        ({"directions_i3": [["x", "y", "z"]]}, "directions must be numbers, got <U1"),
         ({"degree": 2}, "degree 2 has 9 coefficients, got 4"),
         ({"degree": -3}, "got 4"),
         ({"transfer": "log"}, "got 'log'"),

@@ -55,10 +55,21 @@ def test_lights_that_are_none(device):
     fitted = make_map(1, (1, 1, 1))
     with pytest.raises(InputError, match=r"light 1 has direction \[0\. 0\. 2\.\], which is no finite unit vector"):
         relight(fitted, np.array([[0.0, 0, 1], [0, 0, 2]]))
-    with pytest.raises(InputError, match="float64 of shape"):
-        relight(fitted, np.array([[0, 0, 1]], np.float32))
+    for lights in ([0, 0, 1], [[0, 1]], [[[0, 0, 1]]]):
+        with pytest.raises(InputError, match="float64 of shape"):
+            relight(fitted, lights)
+    with pytest.raises(InputError, match="directions must be numbers"):
+        relight(fitted, [["up"]])
     with pytest.raises(InputError, match="at least 1 light, got none"):
         relight(fitted, np.zeros((0, 3)))
+
+
+@pytest.mark.parametrize("dtype", [None, ">f8", "<f4", "<i2"])
+def test_lights_of_any_type(device, dtype):
+    fitted = make_map(1, (1, 2, 1))
+    lights = [[0, 0, 1], [1, 0, 0]]
+    found = relight(fitted, lights if dtype is None else np.array(lights, dtype))
+    np.testing.assert_array_equal(found, relight(fitted, np.array(lights, np.float64)))
 
 
 @pytest.mark.parametrize("transfer", ["linear", "srgb"])

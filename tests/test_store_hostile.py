@@ -17,28 +17,9 @@ from clrelight import store
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.results import Results
 from clrelight.store.walk import MAX_DEPTH
+from tests.hdf5 import content, unseal
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
-
-
-def content(kind, path):
-    """Return all that a reader can see of a file, comparable with ==."""
-    match kind:
-        case "stack":
-            with store.open_stack(path) as s:
-                arrays = (s.images_ihwc[...], s.directions_i3, s.weights_i, s.mask_hw)
-                return (*(a.tobytes() for a in arrays), s.peak, s.transfer, s.name, s.images_ihwc.shape)
-        case "fit":
-            f = store.read_fit(path)
-            arrays = (f.coeffs_khwc, f.lambda_hwc, f.rank_hwc, f.directions_i3)
-            return (*(a.tobytes() for a in arrays), f.method, f.degree, f.peak, f.transfer, f.name, str(f.config))
-        case "encoded":
-            e, r = store.read_encoded(path)
-            return (e.to_bytes(), str(e.config), str(e.info), r.directions_i3.tobytes(), str(r.config), r.name, r.peak)
-        case _:
-            r = store.read_results(path)
-            items = {**r.pictures, **r.profiles}
-            return (r.table.tobytes(), *((k, v.tobytes()) for k, v in items.items()))
 
 
 def refused(path, *phrases, kind="stack"):
@@ -69,7 +50,9 @@ def stack_file(tmp_path):
 
 
 def edit(path, change):
+    """Change a file as another program would, and take away the seal of ours, as it is told to."""
     with h5py.File(path, "r+", libver="latest") as file:
+        unseal(file)
         change(file)
 
 
@@ -119,11 +102,14 @@ def test_what_is_no_file_of_ours(tmp_path):
     os.mkfifo(tmp_path / "fifo.h5")
     refused(tmp_path / "fifo.h5", "no regular file")
     store.write_stack(tmp_path / "s.h5", make_stack())
-    (tmp_path / "link.h5").symlink_to("s.h5")
+    (tmp_path / "link.h5").symlink_to("folder.h5")
     refused(tmp_path / "link.h5", "no regular file")
+    (tmp_path / "loop.h5").symlink_to("loop.h5")
+    with pytest.raises(InputError, match=r"cannot read .*loop\.h5"):
+        store.describe(tmp_path / "loop.h5")
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["images"] = np.zeros(3)
-    refused(tmp_path / "other.h5", "no clrelight file")
+    refused(tmp_path / "other.h5", "f.attrs['clrelight_schema'] = 'stack/1'")
 
 
 def test_other_schemas_are_named(tmp_path):
@@ -176,32 +162,33 @@ GOOD = make_stack()
         (set_attribute("peak", np.bytes_("1")), "peak must be one float"),
         (set_attribute("peak", h5py.Empty("f8")), "peak must be one float"),
         (set_attribute("transfer", np.bytes_("gamma")), "transfer must be one of"),
-        (set_attribute("transfer", "srgb"), "string of fixed length"),
+        (set_attribute("transfer", 1), "transfer must be one text"),
+        (set_attribute("transfer", ["srgb", "linear"]), "transfer must be one text"),
         (set_attribute("transfer", np.bytes_(b"\xff\xfe")), "damaged"),
-        (set_attribute("clrelight_schema", 1), "string of fixed length"),
-        (remove_attribute("peak"), "no attribute peak"),
+        (set_attribute("clrelight_schema", 1), "clrelight_schema must be one text"),
         (remove_attribute("clrelight_schema"), "no clrelight file"),
         (delete("images"), "no dataset images"),
         (delete("directions"), "no dataset directions"),
         (replace_data("directions", GOOD.directions_i3 * 2), "no finite unit vector"),
         (replace_data("directions", GOOD.directions_i3 * np.nan), "no finite unit vector"),
-        (replace_data("directions", GOOD.directions_i3[:4]), "along light"),
-        (replace_data("directions", GOOD.directions_i3.astype("f4")), "directions is <f4"),
-        (replace_data("directions", GOOD.directions_i3.astype(">f8")), "directions is >f8"),
+        (replace_data("directions", GOOD.directions_i3 * 1.02), "no finite unit vector"),
+        (replace_data("directions", GOOD.directions_i3[:4]), "as many images as directions"),
+        (replace_data("directions", GOOD.directions_i3[:, :2]), "directions are float64 (5, 2), expected numbers N×3"),
+        (replace_data("directions", np.array([[b"x"] * 3] * 5)), "something else than integers and floats"),
         (replace_data("weights", -GOOD.weights_i), "weights must be"),
-        (replace_data("mask", np.full((7, 6), 2, "u1")), "mask must be 0 or 1"),
-        (replace_data("mask", np.zeros((6, 7), "u1")), "along"),
-        (replace_data("mask", np.zeros((7, 6), bool)), "something else than integers and floats"),
-        (replace_data("images", np.zeros((5, 7, 6, 3), "i8")), "images is <i8"),
-        (replace_data("images", np.zeros((5, 7, 6), "u1")), "with 4 axes"),
-        (replace_data("images", np.zeros((5, 7, 6, 0), "u1")), "along channel"),
+        (replace_data("mask", np.full((7, 6), 2, "u1")), "mask must be 0 and 1"),
+        (replace_data("mask", np.full((7, 6), np.nan)), "mask must be 0 and 1"),
+        (replace_data("mask", np.full((7, 6), -0.5)), "mask must be 0 and 1"),
+        (replace_data("mask", np.arange(42, dtype="u1").reshape(7, 6) * 6), "mask must be 0 and 1"),
+        (replace_data("mask", np.zeros((6, 7), "u1")), "mask is 6×7, the images are 7×6"),
+        (replace_data("mask", np.zeros((7, 5), "u1")), "mask is uint8 (7, 5), expected 7×6"),
+        (replace_data("images", np.zeros((5, 7), "u1")), "got 5×7"),
+        (replace_data("images", np.zeros((5, 7, 6, 0), "u1")), "none of them empty"),
+        (replace_data("images", np.zeros((5, 7, 6, 3), "c16")), "numbers that fit one of them, got complex128"),
         (replace_data("images", h5py.Empty("u1")), "has no shape"),
-        (replace_data("images", 1), "with 4 axes"),
-        (lambda f: f.create_dataset("note", data=1), "dataset note, which stack/1 does not know"),
-        (lambda f: f.create_dataset("ein name", data=1), "none of ours"),
-        (lambda f: f.create_dataset("text", data="variable"), "something else than integers"),
-        (lambda f: f.create_dataset("enum", data=1, dtype=h5py.enum_dtype({"A": 1})), "something else"),
-        (lambda f: f.__setitem__("kind", np.dtype("f8")), "neither a group nor a dataset"),
+        (replace_data("images", 1), "images must be (light, height, width, channel)"),
+        (replace_data("images", "text"), "something else than integers and floats"),
+        (replace_data("images", 1, dtype=h5py.enum_dtype({"A": 1})), "something else"),
     ],
 )
 def test_wrong_values(stack_file, change, phrase):
@@ -255,6 +242,8 @@ def test_wrong_values_of_encoded_and_results(tmp_path):
         (lambda f: f["pictures/p00001"].attrs.__delitem__("key"), "no attribute key"),
         (lambda f: f.create_dataset("pictures/p3", data=np.zeros((2, 2, 3), "f4")), "pictures/p3 is <f4"),
         (lambda f: f.create_dataset("pictures/a/p3", data=np.zeros((2, 2, 3), "u1")), "does not know"),
+        (lambda f: f.create_dataset("pictures/ein bild", data=np.zeros((2, 2, 3), "u1")), "none of ours"),
+        (lambda f: f["pictures"].__setitem__("p3", np.dtype("f8")), "neither a group nor a dataset"),
     ):
         store.write_results(path, make_results())
         edit(path, change)
@@ -266,6 +255,7 @@ def test_wrong_values_of_encoded_and_results(tmp_path):
 
 def test_links(stack_file, tmp_path):
     store.write_stack(tmp_path / "other.h5", make_stack())
+    store.write_stack(stack_file, make_stack(optional=False))
     good = stack_file.read_bytes()
 
     def swap(link):
@@ -276,21 +266,21 @@ def test_links(stack_file, tmp_path):
         return change
 
     def cycle(file):
-        file.create_group("a")["b"] = file["/"]
+        file.create_group("mask")["b"] = file["/"]
 
     def group_cycle(file):
-        a = file.create_group("a")
-        a.create_group("b")["c"] = a
+        mask = file.create_group("mask")
+        mask.create_group("b")["c"] = mask
 
     for change, phrase in (
         (swap(h5py.ExternalLink(str(tmp_path / "other.h5"), "/images")), "soft or external link"),
         (swap(h5py.SoftLink("/mask")), "soft or external link"),
         (lambda f: f.__setitem__("dangling", h5py.SoftLink("/nothing")), "soft or external link"),
         (lambda f: f.__setitem__("g", h5py.ExternalLink("other.h5", "/")), "soft or external link"),
-        (lambda f: f.__setitem__("twice", f["mask"]), "linked twice"),
+        (lambda f: f.__setitem__("weights", f["images"]), "linked twice"),
         (cycle, "linked twice"),
         (group_cycle, "linked twice"),
-        (lambda f: f.create_group("/".join("abcdefghij"[: MAX_DEPTH + 1])), "deeper than"),
+        (lambda f: f.create_group("/".join(["mask", *"abcdefghij"[:MAX_DEPTH]])), "deeper than"),
     ):
         stack_file.write_bytes(good)
         edit(stack_file, change)
@@ -324,7 +314,7 @@ def test_values_elsewhere(stack_file, tmp_path):
 
 def claim(shape, written=None, dtype="u1", **options):
     def change(file):
-        for name in ("images", "directions", "weights", "mask", "light", "height", "width", "channel"):
+        for name in ("images", "directions", "weights", "mask"):
             del file[name]
         dataset = file.create_dataset("images", shape, dtype, **options)
         if written is not None:
@@ -365,8 +355,7 @@ ONE = (1, 1 << 12, 1 << 8, 1)
 )
 def test_sizes(stack_file, change, phrase):
     edit(stack_file, change)
-    with h5py.File(stack_file, "r+", libver="latest") as file:
-        file["directions"] = directions(file["images"].shape[0])
+    edit(stack_file, lambda f: f.__setitem__("directions", directions(f["images"].shape[0])))
     with pytest.raises(StoreFormatError, match=phrase), store.open_stack(stack_file) as stack:
         stack.images_ihwc[0, :5]
 
@@ -419,7 +408,7 @@ def test_damage_is_said_when_the_tile_is_read(tmp_path):
 def test_many_objects(tmp_path):
     path = tmp_path / "r.h5"
     store.write_results(path, Results(make_results().table))
-    edit(path, lambda f: [f.create_group(f"g{i}") for i in range(200)])
+    edit(path, lambda f: [f.create_group(f"pictures/g{i}") for i in range(200)])
     script = f"""
         from clrelight import store
         from clrelight.store import walk

@@ -142,11 +142,13 @@ def _only_number(option: str, numbers: tuple[int, ...] | None) -> int | None:
 def _bench_grid(what: str, out: str, grid: dict, ring: dict, *, force: bool, device: str | None, as_json: bool) -> None:
     from clrelight.device import open_device
     from clrelight.experiment import run_experiment
+    from clrelight.experiment.scenes import read_notes
     from clrelight.report import summary_rows
     from clrelight.store import check_output
 
     experiment = _experiment(what, grid, ring)
     check_output(out, [what])
+    taken = read_notes(experiment)
     with progress_bar("bench") as bar:
         results = run_experiment(
             experiment,
@@ -157,9 +159,9 @@ def _bench_grid(what: str, out: str, grid: dict, ring: dict, *, force: bool, dev
             tell=lambda note: print_notes([note]),
         )
     if as_json:
-        print_json({"file": out, "rows": _rows(results)})
+        print_json({"file": out, "rows": _rows(results), "notes": taken})
         return
-    print_notes(_notes(results))
+    print_notes(taken + _notes(results))
     print_table(
         *summary_rows(results), expendable=("encode (s)", "fit (s)", "noise, predicted (dB)", "noise (dB)", "kB")
     )

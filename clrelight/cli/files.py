@@ -153,6 +153,7 @@ def info(file: str, as_json: bool) -> None:
     if as_json:
         print_json(facts)
     else:
+        print_notes(facts.pop("notes", []))
         print_facts(facts)
 
 

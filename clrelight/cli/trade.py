@@ -91,7 +91,7 @@ def trade(
         canvas.require_matplotlib()
         check_folder(report_to)
     with open_stack(stack) as source, progress_bar("trade") as bar:
-        name = source.name
+        name, notes = source.name, list(source.notes)
         trials = sweep_trade(
             source,
             stack,
@@ -102,7 +102,7 @@ def trade(
             progress=lambda step, done, total: bar(done, total, step),
             tell=lambda note: print_notes([note]),
         )
-    facts: dict[str, Any] = {"results": out, "rows": len(trials)}
+    facts: dict[str, Any] = {"results": out, "rows": len(trials), "notes": notes}
     if report_to is not None:
         facts["report"] = str(write_trade_report(trials, name, report_to)[0])
     if limits.are_set:
@@ -116,6 +116,7 @@ def trade(
         told = {**facts, "trials": [_facts(trial) for trial in trials]}
         print_json(told if not limits.are_set else {**told, "choice": _facts(chosen)})
         return
+    print_notes(facts.pop("notes"))
     for table in (step_table(trials), front_table(trials)):
         click.echo(f"{table.caption}:")
         print_table(*to_strings(table))

@@ -43,6 +43,16 @@ def check_names(experiment: Experiment) -> None:
         owners[name] = scene
 
 
+def read_notes(experiment: Experiment) -> list[str]:
+    """Return what the files of stacks left open, and how it is taken."""
+    notes = []
+    for scene in experiment.scenes:
+        if scene != RING:
+            with open_stack(scene) as stack:
+                notes += [f"{scene}: {note}" for note in stack.notes]
+    return notes
+
+
 def _ring_name(ring: Mapping[str, Any]) -> str:
     """Return "ring" for the paper's sampling and samples of 8 bits, else what differs and then ring."""
     unusual = [value for value in (ring.get("pattern"), ring.get("dtype")) if value not in (None, "uniform", "uint8")]

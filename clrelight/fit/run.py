@@ -165,7 +165,7 @@ def prepare_fit(
     methods, degrees = _check_model(method, degree, options or {})
     lighting = make_lighting(stack, weights, sampling)
     samples = Samples(stack)
-    report = FitReport()
+    report = FitReport(notes=list(stack.notes))
     start = time.perf_counter()
     choice = None
     if AUTO in (method, degree):

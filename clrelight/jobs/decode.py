@@ -133,7 +133,6 @@ def _write(
         with stage(progress, f"decoding {encoded.codec}") as room.progress, writing_behind(write) as put:
 
             def hand_on(first: int, coeffs_khwc: NDArray[np.float32]) -> None:
-                sink.sum_rows(first, coeffs_khwc, None, None)
                 put((first, coeffs_khwc))
 
             target = RowTarget(

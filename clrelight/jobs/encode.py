@@ -257,7 +257,7 @@ class _Encode:
         report.note(*check_memory(f"encoding to a quality by {codec}", needed, self.memory, advice))
         whole = self.coefficients.to_float32()
         since = report.add("read", since)
-        with lend_stack(stack) as source:
+        with lend_stack(stack, report) as source:
             encoded, trials, why = encode_to_quality(whole, source, target_psnr, codec=str(codec), device=self.device)
         report.add("encode", since)
         report.note(*(f"tried {t.byte_count} bytes: {t.psnr:.2f} dB" for t in trials))
@@ -281,7 +281,7 @@ class _Encode:
 
     def _measure(self, encoded: Encoded, noise: Noise | None, stack: StackLike) -> None:
         report, held = self.report, self.coefficients
-        with lend_stack(stack) as source:
+        with lend_stack(stack, report) as source:
             since = time.perf_counter()
             with stage(self.progress, "decoding") as self.room.progress:
                 decoded = decode_again(encoded, held, self.device, self.room)

@@ -160,7 +160,11 @@ def fit(
     every = None if holdout is None else whole(holdout, "holdout")
     count = None if lights is None else whole(lights, "lights")
     targets = [] if out is None else [out]
-    with claimed(targets, paths_among(source), kept), opened_on(device, kept) as opened, lend_stack(source) as stack:
+    with (
+        claimed(targets, paths_among(source), kept),
+        opened_on(device, kept) as opened,
+        lend_stack(source, kept) as stack,
+    ):
         split = split_chosen(stack.directions_i3, every, count)
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         with stage(progress, "choosing a model" if AUTO in (model, wanted) else "preparing"):
@@ -270,7 +274,6 @@ class _Fit:
             with writing_behind(write) as put:
                 for tile in tiles:
                     since = time.perf_counter()
-                    sink.sum_rows(tile.first, tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc)
                     put(tile)
                     since = self.report.add("write", since)
                     tell(tile.end, self.stack.image_shape[0])

@@ -69,12 +69,14 @@ def _is_path(source: object, record: type | tuple[type, ...], wanted: str) -> bo
 
 
 @contextmanager
-def lend_stack(source: StackLike) -> Iterator[LightStack]:
-    """Lend a stack, read from its file as it is needed."""
+def lend_stack(source: StackLike, report: Report) -> Iterator[LightStack]:
+    """Lend a stack, read from its file as it is needed; what is to be said of it is noted."""
     if _is_path(source, LightStack, "the path of a stack, or LightStack(images, directions, peak)"):
         with open_stack(source) as stack:  # type: ignore[arg-type]
+            report.note(*stack.notes)
             yield stack
     else:
+        report.note(*source.notes)  # type: ignore[union-attr]
         yield source  # type: ignore[misc]
 
 

@@ -50,7 +50,7 @@ def measure(
     kept = report_for(report)
     with (
         opened_on(device, kept) as opened,
-        lend_stack(stack) as source,
+        lend_stack(stack, kept) as source,
         lend_coefficients(fitted, opened, kept, progress) as coefficients,
     ):
         since = time.perf_counter()

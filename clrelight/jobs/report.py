@@ -58,8 +58,10 @@ class Report:
         return now
 
     def note(self, *notes: str) -> None:
-        """Keep notes and tell them."""
+        """Keep notes and tell them, each once."""
         for each in notes:
+            if each in self.notes:
+                continue
             self.notes.append(each)
             if self.tell is not None:
                 self.tell(each)

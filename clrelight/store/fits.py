@@ -39,15 +39,6 @@ class FitSink:
     lambda_hwc: Sink | None
     rank_hwc: Sink | None
 
-    def sum_rows(self, first: int, *rows: NDArray | None) -> None:
-        """Sum what `write_rows` is about to write, see `Sink.sum_rows`: coefficients, lambda and rank from `first` on.
-
-        In the thread that makes them, before kernels for others begin.
-        """
-        for sink, each in zip((self.coeffs_khwc, self.lambda_hwc, self.rank_hwc), rows, strict=True):
-            if sink is not None and each is not None:
-                sink.sum_rows(first, each)
-
     def write_rows(
         self,
         first: int,
@@ -64,11 +55,11 @@ class FitSink:
         for row in range(first - first % chunk_rows, end, chunk_rows):
             target = slice(max(row, first), min(row + chunk_rows, end))
             part = slice(target.start - first, target.stop - first)
-            self.coeffs_khwc.fill((slice(None), target), coeffs_khwc, (slice(None), part))
+            self.coeffs_khwc.fill((slice(None), target), coeffs_khwc[:, part])
             if self.lambda_hwc is not None and lambda_hwc is not None:
-                self.lambda_hwc.fill(target, lambda_hwc, part)
+                self.lambda_hwc.fill(target, lambda_hwc[part])
             if self.rank_hwc is not None and rank_hwc is not None:
-                self.rank_hwc.fill(target, rank_hwc, part)
+                self.rank_hwc.fill(target, rank_hwc[part])
 
 
 @contextmanager

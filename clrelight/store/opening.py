@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -14,37 +15,97 @@ import h5py
 import numpy as np
 
 from clrelight.errors import InputError, StoreFormatError
-from clrelight.store.schemas import SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, Field, Schema
+from clrelight.store.blocks import SUM_DTYPE, Blocks
+from clrelight.store.schemas import SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, STACK, Field, Schema
+from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, seal_of, type_text
 from clrelight.store.stored import StoredArray
 from clrelight.store.walk import walk
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 CACHE_BYTES = 1 << 20
-"""Chunk cache of each dataset: a chunk of several rows, for who reads row by row. Larger chunks are of one row and pass
-it by, which saves a third of the time of reading; that two tiles read a chunk of several rows twice costs less."""
+"""Chunk cache of each dataset of another program: a chunk of several rows, for who reads row by row."""
+
+_USER_BLOCK = 512
+"""HDF5 begins at byte 0, 512, 1024, 2048, ..."""
+
+_UNSEAL = (
+    f"so it is damaged, or another program changed it; to trust it as it is, delete its attribute {SEAL_ATTRIBUTE} and "
+    f"its group {TABLE.partition('/')[0]}"
+)
 
 MAX_ATTRIBUTE_BYTES = 1 << 20
 MAX_ATTRIBUTES = 256
 
 
 class Opened:
-    """An open file of ours: its schema is known and everything in it was looked at.
+    """An open file of ours: its schema is known and everything in it that will be read was looked at.
 
     Attributes
     ----------
     path : str
     schema : Schema
     arrays : dict of str to StoredArray
-        Every dataset by its path.
+        Every dataset that the schema knows, by its path.
+    sealed : bool
+        Whether this program wrote the file, with checksums of all that is read; then they were compared as far as they
+        are not of the arrays' values, which are checked when they are read.
     """
 
     def __init__(self, path: str, file: h5py.File, kinds: tuple[str, ...]) -> None:
         self.path = path
-        datasets = walk(file, os.stat(path).st_size)
         self._root = h5py.h5g.open(file.id, b"/")
         self.schema = self._check_schema(kinds)
-        self.arrays = {name: StoredArray(dataset, path) for name, dataset in datasets.items()}
-        self._check_arrays()
+        self.sealed = self.has(SEAL_ATTRIBUTE)
+        datasets = walk(file, os.stat(path).st_size, self._names())
+        table = datasets.pop(TABLE, None)
+        if self.sealed != (table is not None):
+            lost = TABLE if self.sealed else SEAL_ATTRIBUTE
+            raise StoreFormatError(f"it has lost its checksums ({lost}), {_UNSEAL}")
+        self.arrays: dict[str, StoredArray] = {}
+        if table is None:
+            self.arrays = {name: StoredArray(dataset, path) for name, dataset in datasets.items()}
+        else:
+            self._open_sealed(datasets, StoredArray(table, path))
+        if self.sealed or self.schema.kind != STACK.kind:  # stacks of other programs are looked at by `foreign`
+            self._check_arrays()
+            self._check_required()
+
+    def _names(self) -> set[str]:
+        """Return the names in the root to look at; another program's dataset may have the name of one of our scales."""
+        names = {name.partition("/")[0] for name in (*self.schema.fields, TABLE)}
+        return names.union(self.schema.scales) if self.sealed else names
+
+    def _open_sealed(self, datasets: dict[str, h5py.Dataset], table: StoredArray) -> None:
+        if table.dtype != SUM_DTYPE or table.ndim != 1:
+            raise StoreFormatError(f"{TABLE} is {table.dtype.str} {table.shape}, expected {SUM_DTYPE.str} with 1 axis")
+        for name in datasets.keys() & self.schema.scales:
+            self.arrays[name] = StoredArray(datasets.pop(name), self.path)
+        counts = [Blocks.of(datasets[name]).count for name in sorted(datasets)]
+        ends = list(itertools.accumulate(counts, initial=0))
+        if ends[-1] != table.size:
+            raise StoreFormatError(f"{TABLE} has {table.size} checksums, its arrays {ends[-1]} blocks, {_UNSEAL}")
+        table_b = table[...]
+        for name, (start, end) in zip(sorted(datasets), itertools.pairwise(ends), strict=True):
+            self.arrays[name] = StoredArray(datasets[name], self.path, table_b[start:end])
+        found = {
+            name: (
+                type_text(array.dtype),
+                array.shape,
+                Blocks.of(datasets[name]).extent,
+                self._array_attributes(name),
+            )
+            for name, array in self.arrays.items()
+            if name in datasets
+        }
+        expected = self._text(SEAL_ATTRIBUTE)
+        if seal_of(self.schema.name, self.attributes(), found, table_b) != expected:
+            raise StoreFormatError(f"its attributes, shapes or checksums are not as they were written, {_UNSEAL}")
+
+    def _array_attributes(self, name: str) -> dict[str, Any]:
+        field = self.schema.field_of(name)
+        if field is None or not field.attributes:
+            return {}
+        return self.floats(name) if field.attributes == "floats" else {"key": self.attribute("key", str, of=name)}
 
     def attribute(self, name: str, kind: type, of: str | None = None) -> Any:
         """Return a scalar attribute as int, float or str, of the root or of a dataset."""
@@ -52,6 +113,13 @@ class Opened:
         if not h5py.h5a.exists(holder, name.encode()):
             raise StoreFormatError(f"it has no attribute {name}")
         return _scalar(h5py.h5a.open(holder, name.encode()), name, kind)
+
+    def has(self, name: str) -> bool:
+        """Return whether the root has an attribute."""
+        return h5py.h5a.exists(self._root, name.encode())
+
+    def _text(self, name: str) -> str:
+        return _scalar(h5py.h5a.open(self._root, name.encode()), name, str)
 
     def attributes(self) -> dict[str, Any]:
         """Return every root attribute of the schema."""
@@ -76,9 +144,13 @@ class Opened:
         return self.arrays[name][...] if name in self.arrays else None
 
     def _check_schema(self, kinds: tuple[str, ...]) -> Schema:
-        if not h5py.h5a.exists(self._root, SCHEMA_ATTRIBUTE.encode()):
-            raise StoreFormatError(f"it is no clrelight file: it has no attribute {SCHEMA_ATTRIBUTE}")
-        text = _scalar(h5py.h5a.open(self._root, SCHEMA_ATTRIBUTE.encode()), SCHEMA_ATTRIBUTE, str)
+        if not self.has(SCHEMA_ATTRIBUTE):
+            raise StoreFormatError(
+                f"it is no clrelight file: it has no attribute {SCHEMA_ATTRIBUTE}. A stack (datasets images and "
+                f"directions) becomes one by two lines of Python: f = h5py.File({self.path!r}, 'a'); "
+                f"f.attrs['{SCHEMA_ATTRIBUTE}'] = '{STACK.name}'"
+            )
+        text = self._text(SCHEMA_ATTRIBUTE)
         match = re.fullmatch(r"([a-z]{1,32})/([1-9][0-9]{0,8})", text)
         wanted = " or ".join(SCHEMAS[kind].name for kind in kinds or SCHEMAS)
         if match is None or match[1] not in SCHEMAS:
@@ -95,12 +167,14 @@ class Opened:
         lengths: dict[str, int] = {}
         for name, array in self.arrays.items():
             self._check_array(name, array, lengths)
+
+    def _check_required(self) -> None:
         for name, each in self.schema.fields.items():
             if each.required and name not in self.arrays:
                 raise StoreFormatError(f"it has no dataset {name}, which {self.schema.name} needs")
 
     def _check_array(self, name: str, array: StoredArray, lengths: dict[str, int]) -> None:
-        field = self.schema.fields.get(name) or self.schema.fields.get(name.rpartition("/")[0] + "/")
+        field = self.schema.field_of(name)
         if name in self.schema.scales:
             field = Field((name,), (SCALE_DTYPE,))
         if field is None:
@@ -176,15 +250,20 @@ def _check_file(path: str) -> None:
     if "\0" in path:
         raise InputError(f"cannot read {path!r}: that is no file name")
     try:
-        if not stat.S_ISREG(os.lstat(path).st_mode):
-            raise StoreFormatError(f"{path} is no regular file (a folder, a link or a device)")
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise StoreFormatError(f"{path} is no regular file (a folder or a device)")
         with open(path, "rb") as stream:
             start = stream.read(len(MAGIC))
+            at, size = _USER_BLOCK, os.fstat(stream.fileno()).st_size
+            while start and start != MAGIC and at < size:  # behind what another program put before
+                stream.seek(at)
+                start = stream.read(len(MAGIC))
+                at *= 2
     except FileNotFoundError:
         raise InputError(f"there is no file {path}") from None
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
-    if not start:
+    if not size:
         raise StoreFormatError(f"{path} is empty, expected an HDF5 file")
     if start != MAGIC:
         raise StoreFormatError(f"{path} is not an HDF5 file")
@@ -197,18 +276,22 @@ def _forget_plugins() -> None:
 
 
 def _scalar(attribute: h5py.h5a.AttrID, name: str, kind: type) -> Any:
-    held = attribute.get_type()
+    """Return the value of an attribute of one element, whatever its shape; texts may have any length."""
+    held, space = attribute.get_type(), attribute.get_space()
     classes = {str: (h5py.h5t.STRING,), int: (h5py.h5t.INTEGER,), float: (h5py.h5t.FLOAT, h5py.h5t.INTEGER)}[kind]
     if (
-        attribute.get_space().get_simple_extent_type() != h5py.h5s.SCALAR
+        space.get_simple_extent_type() not in (h5py.h5s.SCALAR, h5py.h5s.SIMPLE)
+        or space.get_simple_extent_npoints() != 1
         or held.get_class() not in classes
         or held.get_size() > (MAX_ATTRIBUTE_BYTES if kind is str else 8)
-        or (kind is str and held.is_variable_str())
     ):
-        wanted = "string of fixed length" if kind is str else kind.__name__
-        raise StoreFormatError(f"attribute {name} must be one {wanted}")
-    value = np.empty((), dtype=attribute.dtype)
+        raise StoreFormatError(f"attribute {name} must be one {'text' if kind is str else kind.__name__}")
+    value = np.empty(attribute.shape, dtype=attribute.dtype)
     attribute.read(value)
     if kind is not str:
-        return kind(value[()])
-    return value.tobytes().rstrip(b"\0").decode("utf-8")
+        return kind(value.reshape(-1)[0])
+    if held.is_variable_str():
+        text = value.reshape(-1)[0]
+        return text if isinstance(text, str) else bytes(text).decode("utf-8")
+    padding = b" " if held.get_strpad() == h5py.h5t.STR_SPACEPAD else b"\0"
+    return value.tobytes().rstrip(padding).decode("utf-8")

@@ -20,11 +20,18 @@ SCALE_DTYPE = np.dtype("<i4")
 
 @dataclass(frozen=True)
 class Field:
-    """A dataset of a schema: its axes and the types it may have."""
+    """A dataset of a schema: its axes, the types it may have, and which of its attributes are read.
+
+    Attributes
+    ----------
+    attributes : str
+        ``key`` for one of that name, ``floats`` for all that are numbers with a fraction; else none.
+    """
 
     axes: tuple[str, ...]
     dtypes: tuple[np.dtype, ...]
     required: bool = True
+    attributes: str = ""
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,10 @@ class Schema:
         """Names of the dimension scales such a file may have."""
         used = {axis for each in self.fields.values() for axis in each.axes}
         return tuple(axis for axis in SCALED_AXES if axis in used)
+
+    def field_of(self, name: str) -> Field | None:
+        """Return what the schema says of a dataset, by its path; None if it does not know it."""
+        return self.fields.get(name) or self.fields.get(name.rpartition("/")[0] + "/")
 
 
 def _dtypes(*names: str) -> tuple[np.dtype, ...]:
@@ -93,7 +104,7 @@ ENCODED = Schema(
     1,
     {
         "header": Field(("header_byte",), _dtypes("uint8")),
-        "payload": Field(("payload_byte",), _dtypes("uint8")),
+        "payload": Field(("payload_byte",), _dtypes("uint8"), attributes="floats"),
         "directions": _DIRECTIONS,
     },
     {
@@ -111,8 +122,8 @@ RESULTS = Schema(
     {
         "table": Field(("row",), (ROW_DTYPE,)),
         # Sizes differ from picture to picture, so these axes bear no names that are compared.
-        "pictures/": Field(("", "", ""), _dtypes("uint8"), required=False),
-        "profiles/": Field(("",), _dtypes("float64"), required=False),
+        "pictures/": Field(("", "", ""), _dtypes("uint8"), required=False, attributes="key"),
+        "profiles/": Field(("",), _dtypes("float64"), required=False, attributes="key"),
     },
 )
 LIGHT = Schema(

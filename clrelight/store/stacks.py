@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import LightStack
-from clrelight.errors import StoreFormatError
+from clrelight.dataset import SAMPLE_DTYPES, LightStack
+from clrelight.errors import InputError
+from clrelight.store.foreign import stack_of_others
 from clrelight.store.opening import Opened, opening, refusing
 from clrelight.store.schemas import STACK
 from clrelight.store.writing import Sink, chunk_shape, drafting, padded_bytes
@@ -55,6 +56,8 @@ def create_stack(
         If the arguments make no stack, or the file cannot be written.
     """
     dtype = np.dtype(dtype)
+    if dtype not in SAMPLE_DTYPES:
+        raise InputError(f"images must be {', '.join(SAMPLE_DTYPES)}, got {dtype}")
     blank = np.broadcast_to(np.zeros((), dtype), shape_ihwc)  # takes no memory, carries shape and type to the checks
     stack = LightStack(blank, directions_i3, peak, transfer, weights_i, mask_hw, name)
     chunks = chunk_shape(shape_ihwc, dtype.itemsize, chunk_lights)
@@ -106,10 +109,10 @@ def open_stack(path: str | os.PathLike) -> Iterator[LightStack]:
 
 def stack_of(opened: Opened) -> LightStack:
     """Return the stack in an open file; StoreFormatError or InputError if it is not sound."""
+    if not opened.sealed:
+        return stack_of_others(opened)
     attributes = opened.attributes()
     mask = opened.optional("mask")
-    if mask is not None and mask.max(initial=0) > 1:
-        raise StoreFormatError(f"mask must be 0 or 1, got {mask.max()}")
     return LightStack(
         opened.arrays["images"],
         opened.arrays["directions"][...],

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
+import threading
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import h5py
@@ -13,12 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import StoreFormatError
-from clrelight.store.chunk_table import RowReader
+from clrelight.store.blocks import BlockReader, Blocks, Box, box_of
 from clrelight.store.walk import CHECKSUM_BYTES
 
 
 class StoredArray:
     """A dataset that is read when indexed, and says StoreFormatError when what is stored is damaged.
+
+    Parameters
+    ----------
+    dataset : h5py.Dataset
+    path : str
+        For messages.
+    sums_b : ndarray, uint64, optional
+        Checksums of its blocks: each is checked whenever it is read. Without, HDF5 checks what it can.
 
     Attributes
     ----------
@@ -28,11 +34,12 @@ class StoredArray:
         Shape of the pieces in which it is stored; tiles that are whole multiples of it read fastest.
     """
 
-    def __init__(self, dataset: h5py.Dataset, path: str) -> None:
+    def __init__(self, dataset: h5py.Dataset, path: str, sums_b: NDArray[np.uint64] | None = None) -> None:
         self.shape, self.dtype, self.chunks = tuple(dataset.shape), dataset.dtype, dataset.chunks
         self.ndim, self.size = len(self.shape), dataset.size
         self._dataset, self._path = dataset, path
-        self._rows = RowReader(dataset)
+        self._reader = None if sums_b is None else BlockReader(dataset, sums_b)
+        self._one_at_a_time = threading.Lock()
         self._deflated = dataset.compression == "gzip"
         self._inflatable: set[tuple[int, ...]] = set()
 
@@ -42,28 +49,50 @@ class StoredArray:
         return self._dataset.id
 
     def __getitem__(self, key: Any) -> NDArray:
-        """Read a selection: whatever h5py takes as an index."""
-        with self._reading(key):
-            return self._dataset[key]
+        """Read a selection: integers, slices, and lists of integers."""
+        box, rest = box_of(key, self.shape)
+        out = np.empty([part.stop - part.start for part in box], self.dtype)
+        self._read(box, out)
+        return out[rest]
 
     def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
-        """Read ``[:, first:end]`` into a C-contiguous array of that shape and this dtype."""
-        with self._reading(np.s_[:, first:end]):
-            self._rows.read_into(first, end, out)
+        """Read ``[:, first:end]`` into an array of that shape, whose type holds this one's values."""
+        self._check_rows(first, end, out, len(self))
+        self._read(box_of(np.s_[:, first:end], self.shape)[0], out)
 
     def read_some_into(self, picked_n: NDArray[np.intp], first: int, end: int, out: NDArray) -> None:
-        """Read ``[picked_n, first:end]`` into a C-contiguous array of that shape and this dtype."""
-        with self._reading(np.s_[:, first:end]):
-            self._rows.read_into(first, end, out, picked_n)
+        """Read ``[picked_n, first:end]`` into an array of that shape, whose type holds this one's values."""
+        self._check_rows(first, end, out, len(picked_n))
+        (images, *_), _ = box_of(picked_n, self.shape)
+        picked_n = np.where(picked_n < 0, picked_n + len(self), picked_n)
+        if self._reader is not None:
+            self._read(box_of(np.s_[images, first:end], self.shape)[0], out, picked_n)
+            return
+        # HDF5 reads scattered images slowly and rows of all images fast: pick after reading, a few rows at a time.
+        step = self.chunks[1] if self.chunks else end - first
+        for start in range(first, end, step):
+            stop = min(start + step, end)
+            out[:, start - first : stop - first] = self[images, start:stop][picked_n - images.start]
 
-    @contextmanager
-    def _reading(self, key: Any) -> Iterator[None]:
+    def _check_rows(self, first: int, end: int, out: NDArray, count: int) -> None:
+        height, *others = self.shape[1:]
+        expected = (count, end - first, *others)
+        if not 0 <= first <= end <= height or out.shape != expected:
+            raise ValueError(f"expected rows of {height} in an array {expected}, got {out.shape} at {first}")
+
+    def _read(self, box: Box, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
         if not self._dataset:
             raise ValueError(f"{self._path} is closed: read its arrays while it is open")
         try:
-            if self._deflated:
-                self._check_chunks(key)
-            yield
+            with self._one_at_a_time:
+                if self._deflated:
+                    self._check_chunks(box)
+                if self._reader is not None:
+                    self._reader.read_into(box, out, picked_n)
+                elif out.size and out.flags.c_contiguous and self.ndim:
+                    self._dataset.read_direct(out, box)
+                elif out.size:
+                    out[...] = self._dataset[box]
         except (OSError, RuntimeError, zlib.error) as error:
             first = (str(error).splitlines() or [type(error).__name__])[0]
             name = self._dataset.name.lstrip("/")
@@ -77,17 +106,12 @@ class StoredArray:
     def __len__(self) -> int:
         return self.shape[0]
 
-    def _check_chunks(self, key: Any) -> None:
+    def _check_chunks(self, box: Box) -> None:
         """Inflate the chunks of a selection within their proper size first: HDF5 sets no bound, and reads on behind
         a chunk that comes out short.
         """
-        pieces = key if isinstance(key, tuple) else (key,)
-        at = next((i for i, piece in enumerate(pieces) if piece is Ellipsis), None)
-        if at is not None:
-            pieces = (*pieces[:at], *[slice(None)] * (self.ndim - len(pieces) + 1), *pieces[at + 1 :])
-        pieces = (*pieces, *[slice(None)] * (self.ndim - len(pieces)))
-        ranges = [_chunk_starts(*each) for each in zip(pieces, self.shape, self.chunks, strict=False)]
-        for offset in itertools.product(*ranges):
+        for _, place in Blocks.of(self._dataset).touched(box):
+            offset = tuple(part.start for part in place)
             if offset not in self._inflatable:
                 self._check_chunk(offset)
                 self._inflatable.add(offset)
@@ -103,15 +127,3 @@ class StoredArray:
         stored = self.id.read_direct_chunk(offset)[1]
         if len(zlib.decompressobj().decompress(stored, inflated + 1)) != inflated:
             raise OSError(f"the chunk at {offset} does not inflate to {inflated} bytes")
-
-
-def _chunk_starts(piece: Any, n: int, chunk: int) -> range:
-    """Return the offsets of the chunks that an index along one axis may touch."""
-    if isinstance(piece, slice):
-        start, stop, _ = piece.indices(n)
-    elif isinstance(piece, int | np.integer):
-        start = int(piece) % n
-        stop = start + 1
-    else:
-        start, stop = 0, n
-    return range(start // chunk * chunk, stop, chunk)

@@ -10,6 +10,7 @@ from clrelight.store.encodings import StoredBody, encoded_of
 from clrelight.store.fits import fit_of
 from clrelight.store.lights import light_of
 from clrelight.store.opening import Opened, opening, parse_config, refusing
+from clrelight.store.schemas import STACK
 from clrelight.store.stacks import stack_of
 from clrelight.store.tables import results_of
 
@@ -27,7 +28,8 @@ def describe(path: str | os.PathLike) -> dict[str, Any]:
     -------
     dict
         JSON values: ``file``, ``schema``, ``bytes_on_disk``, ``attributes``, and ``datasets`` with ``shape``,
-        ``dtype``, ``axes`` and ``chunks`` of each; of results, numbers of rows and keys instead of each picture.
+        ``dtype``, ``axes`` and ``chunks`` of each; of results, numbers of rows and keys instead of each picture; of a
+        stack, ``notes`` on what another program left open.
 
     Raises
     ------
@@ -37,7 +39,7 @@ def describe(path: str | os.PathLike) -> dict[str, Any]:
         If it is not sound.
     """
     with opening(path) as opened, refusing(opened.path):
-        attributes = opened.attributes()
+        attributes = opened.attributes() if opened.sealed or opened.schema.kind != STACK.kind else {}
         for name in ("config", "fit_config"):
             if name in attributes:
                 attributes[name] = parse_config(attributes[name], name)
@@ -56,7 +58,7 @@ def _checked(opened: Opened) -> dict[str, Any]:
     """Run the checks of the file's own kind; return what only that kind has to tell."""
     match opened.schema.kind:
         case "stack":
-            stack_of(opened)
+            return _stack_facts(opened)
         case "fit":
             fit_of(opened, opened.arrays.get)
         case "encoded":
@@ -69,6 +71,15 @@ def _checked(opened: Opened) -> dict[str, Any]:
             results = results_of(opened)
             return {"rows": len(results.table), "pictures": [*results.pictures], "profiles": [*results.profiles]}
     return {}
+
+
+def _stack_facts(opened: Opened) -> dict[str, Any]:
+    """Return what a stack is taken for, which may be more than another program wrote."""
+    stack, datasets = stack_of(opened), _datasets(opened)
+    datasets["images"]["shape"] = list(stack.images_ihwc.shape)
+    facts = {"peak": stack.peak, "transfer": stack.transfer, "name": stack.name}
+    notes = {"notes": list(stack.notes)} if stack.notes else {}
+    return {"attributes": facts, "datasets": datasets, **notes}
 
 
 def _datasets(opened: Opened) -> dict[str, Any]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Container
 
 import h5py
+import numpy as np
 
 from clrelight.errors import StoreFormatError
 
@@ -27,11 +29,19 @@ FILTERS = {
 _NAME = re.compile(rb"[A-Za-z0-9_]{1,64}")
 
 
-def walk(file: h5py.File, file_bytes: int) -> dict[str, h5py.Dataset]:
-    """Return every dataset by its path, having refused whatever could lead out of the file or out of memory.
+def walk(file: h5py.File, file_bytes: int, known: Container[str]) -> dict[str, h5py.Dataset]:
+    """Return datasets by their paths, having refused whatever could lead out of the file or out of memory.
 
     Groups are listed by name, one at a time, because a look-up by path follows links of every kind on its way. Only
     hard links to groups and datasets are taken, and no object twice, so that there is no cycle.
+
+    Parameters
+    ----------
+    file : h5py.File
+    file_bytes : int
+        Its size.
+    known : container of str
+        Names in the root that are looked at; what others stand for is never opened.
 
     Raises
     ------
@@ -49,7 +59,12 @@ def walk(file: h5py.File, file_bytes: int) -> dict[str, h5py.Dataset]:
         if len(seen) + group.get_num_objs() > MAX_OBJECTS:
             raise StoreFormatError(f"it holds more than {MAX_OBJECTS} objects")
         for raw in list(group):
-            name = _hard_name(group, raw, prefix)
+            if group.links.get_info(raw).type != h5py.h5l.TYPE_HARD:
+                shown = prefix + raw[:80].decode("utf-8", "backslashreplace")
+                raise StoreFormatError(f"{shown} is a soft or external link, which are not followed")
+            if not prefix and raw.decode("utf-8", "replace") not in known:
+                continue
+            name = _checked_name(raw, prefix)
             entry = h5py.h5o.open(group, raw)
             address = h5py.h5o.get_info(entry).addr
             if address in seen:
@@ -65,13 +80,10 @@ def walk(file: h5py.File, file_bytes: int) -> dict[str, h5py.Dataset]:
     return found
 
 
-def _hard_name(group: h5py.h5g.GroupID, raw: bytes, prefix: str) -> str:
+def _checked_name(raw: bytes, prefix: str) -> str:
     if not _NAME.fullmatch(raw):
         raise StoreFormatError(f"it has an object of the name {prefix.encode() + raw[:80]!r}, which is none of ours")
-    name = prefix + raw.decode()
-    if group.links.get_info(raw).type != h5py.h5l.TYPE_HARD:
-        raise StoreFormatError(f"{name} is a soft or external link, which are not followed")
-    return name
+    return prefix + raw.decode()
 
 
 def _check_dataset(dataset: h5py.h5d.DatasetID, name: str, file_bytes: int) -> None:
@@ -86,7 +98,10 @@ def _check_dataset(dataset: h5py.h5d.DatasetID, name: str, file_bytes: int) -> N
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     for code in filters:
         if code not in FILTERS or filters.count(code) > 1:
-            raise StoreFormatError(f"{name} has filter {code}; read are {', '.join(FILTERS.values())}, once each")
+            raise StoreFormatError(
+                f"{name} has filter {code}; read are {', '.join(FILTERS.values())}, once each: store it with gzip or "
+                f"without compression"
+            )
     _check_size(dataset, plan, name, file_bytes, filters)
 
 
@@ -139,5 +154,7 @@ def _check_type(held: h5py.h5t.TypeID, name: str) -> None:
 
 
 def _check_number(held: h5py.h5t.TypeID, name: str) -> None:
+    if held.get_class() == h5py.h5t.ENUM and held.get_size() == 1 and held.dtype == np.bool_:
+        return  # which h5py writes as an enumeration of FALSE and TRUE
     if held.get_class() not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT) or held.get_size() > 8:
         raise StoreFormatError(f"{name} holds something else than integers and floats")

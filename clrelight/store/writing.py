@@ -1,4 +1,4 @@
-"""Writing HDF5 so that a file is whole, checked by sums, and the same bytes for the same input."""
+"""Writing HDF5 so that a file is whole, covered by checksums, and the same bytes for the same input."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clrelight.errors import InputError
-from clrelight.store.chunk_table import RowReader
-from clrelight.store.chunk_writer import ChunkWriter
+from clrelight.store.blocks import SUM_DTYPE, BlockReader, BlockWriter, box_of
 from clrelight.store.durable import Part, naming, replacing, syncing
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
+from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, seal_of, type_text
 
 IN_MEMORY_BYTES = 64 << 20
 """Files of fewer bytes are built in memory, which holds them three times, and where a full disk cannot reach HDF5."""
 
 CHUNK_BYTES = 1 << 20
+_TABLE_CHUNK = 1 << 17  # checksums
 FAR_OVER_BYTES = 8 << 20
 """A chunk of one row that is larger than this is split along its first axis."""
 
@@ -44,51 +45,42 @@ class Sink:
         As of an HDF5 dataset. Filling whole chunks at a time is fast when the file is too large for memory.
     """
 
-    def __init__(self, target: Any, chunks: tuple[int, ...], wrote: Callable[[int], None]) -> None:
-        self.shape, self.dtype, self.chunks = tuple(target.shape), target.dtype, chunks
-        self._target, self._wrote = target, wrote
-        in_file = isinstance(target, h5py.Dataset)
-        self._writer = ChunkWriter(target) if in_file else None
-        self._reader = RowReader(target) if in_file else None
+    def __init__(self, target: BlockWriter | NDArray, dataset: h5py.Dataset, wrote: Callable[[int], None]) -> None:
+        self.shape, self.dtype, self.chunks = tuple(dataset.shape), dataset.dtype, dataset.chunks
+        self._target, self._dataset, self._wrote = target, dataset, wrote
+        self._reader: BlockReader | None = None
         self._extent = np.broadcast_to(np.False_, self.shape)  # takes no memory, says what a key selects
         self._missing = self._extent.size
 
     def __setitem__(self, key: Any, values: ArrayLike) -> None:
         """Write values of exactly the selected shape and this dtype; nothing is converted or broadcast."""
-        self.fill(key, np.asarray(values), ...)
+        self.fill(key, np.asarray(values))
 
-    def fill(self, key: Any, source: NDArray, part: Any) -> None:
-        """Write ``source[part]`` as ``self[key] = source[part]`` does, without copying it together first."""
-        values, selected = source[part], self._extent[key].shape
+    def fill(self, key: Any, values: NDArray) -> None:
+        """Write ``self[key] = values``; the key selects a contiguous part."""
+        selected = self._extent[key].shape
         if values.dtype != self.dtype or values.shape != selected:
             raise TypeError(f"expected {self.dtype} {selected}, got {values.dtype} {values.shape}")
-        if self._writer is None or not self._writer.write(key, values):
-            if self._writer is not None and source.flags.c_contiguous and part is not ...:
-                self._target.write_direct(source, part, key)
-            else:
-                self._target[key] = values
+        if isinstance(self._target, BlockWriter):
+            box, _ = box_of(key, self.shape)
+            self._target.write(box, values.reshape([part.stop - part.start for part in box]))
+        else:
+            self._target[key] = values
         self._missing -= values.size
         self._wrote(values.nbytes)
 
-    def sum_rows(self, first: int, rows: NDArray) -> None:
-        """Sum rows from `first` on that are about to be filled, so that filling them, chunk by chunk, is fast.
-
-        Sums are taken on a CPU device, after the kernels that it has to run already. The rows must not change until
-        they are filled.
-        """
-        if self._writer is not None:
-            self._writer.sum_rows(first, rows)
-
     def __getitem__(self, key: Any) -> NDArray:
         """Read back what was filled, before the file is finished."""
-        return self._target[key]
+        return self._dataset[key] if isinstance(self._target, BlockWriter) else self._target[key]
 
     def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
-        """Read back ``[:, first:end]`` into a C-contiguous array of that shape and this dtype."""
-        if self._reader is not None and not self._missing:
-            self._reader.read_into(first, end, out)
-        else:
-            out[...] = self._target[:, first:end]
+        """Read back ``[:, first:end]`` into an array of that shape and this dtype."""
+        if not isinstance(self._target, BlockWriter) or self._missing:
+            out[...] = self[:, first:end]
+            return
+        if self._reader is None:
+            self._reader = BlockReader(self._dataset, self._target.sums())
+        self._reader.read_into(box_of(np.s_[:, first:end], self.shape)[0], out)
 
     def check_filled(self) -> None:
         """Raise ValueError if fewer elements were written than there are."""
@@ -97,12 +89,16 @@ class Sink:
 
 
 class Draft:
-    """An HDF5 file being written: attributes, datasets with named axes, sinks."""
+    """An HDF5 file being written: attributes, datasets with named axes, sinks, and the seal over them all."""
 
-    def __init__(self, file: h5py.File, wrote: Callable[[int], None] | None = None) -> None:
-        self._file, self._in_memory, self._wrote = file, wrote is None, wrote or (lambda n_bytes: None)
+    def __init__(self, file: h5py.File, schema: Schema, wrote: Callable[[int], None] | None = None) -> None:
+        self._file, self._schema = file, schema
+        self._in_memory, self._wrote = wrote is None, wrote or (lambda n_bytes: None)
         self._sinks: list[Sink] = []
-        self._pending: list[tuple[h5py.Dataset, NDArray]] = []
+        self._pending: list[tuple[BlockWriter, NDArray]] = []
+        self._writers: dict[str, BlockWriter] = {}
+        self._attributes: dict[str, dict[str, int | float | str]] = {}
+        self.attributes({SCHEMA_ATTRIBUTE: schema.name})
 
     def attributes(self, values: Mapping[str, int | float | str], of: str = "/") -> None:
         """Write scalar attributes of the root or of the object named `of`."""
@@ -113,45 +109,63 @@ class Draft:
             else:
                 data = np.array(value, dtype="<i8" if isinstance(value, int) else "<f8")
             self._file[of].attrs.create(name, data)
+            self._attributes.setdefault(of, {})[name] = value
 
     def dataset(self, name: str, data: NDArray, axes: Sequence[str] = (), chunks: tuple[int, ...] | None = None) -> str:
         """Write a whole array; return its name."""
-        self._create(name, data.shape, data.dtype, axes, chunks)[...] = data
+        writer = self._create(name, data.shape, data.dtype, axes, chunks)[1]
+        writer.write(writer.blocks.everything, data)
         return name
 
     def sink(self, name: str, shape: tuple[int, ...], dtype: Any, axes: Sequence[str], chunks: tuple[int, ...]) -> Sink:
         """Make an array to be filled by slices until the file is finished."""
-        dataset = self._create(name, shape, np.dtype(dtype), axes, chunks)
-        # In memory a chunk that fills bit by bit would be summed anew each time: fill an array, write it once.
-        target = np.zeros(shape, dataset.dtype) if self._in_memory else dataset
-        if self._in_memory:
-            self._pending.append((dataset, target))
-        self._sinks.append(Sink(target, chunks, self._wrote))
+        dataset, writer = self._create(name, shape, np.dtype(dtype), axes, chunks)
+        target: BlockWriter | NDArray = writer
+        if self._in_memory:  # fill an array, write its blocks once
+            target = np.zeros(shape, dataset.dtype)
+            self._pending.append((writer, target))
+        self._sinks.append(Sink(target, dataset, self._wrote))
         return self._sinks[-1]
 
     def finish(self) -> None:
-        """Write what is still in memory; ValueError if a sink was not filled."""
+        """Write what is still in memory, and the seal; ValueError if a sink was not filled."""
         for sink in self._sinks:
             sink.check_filled()
         while self._pending:
-            dataset, array = self._pending.pop(0)
-            dataset[...] = array
+            writer, array = self._pending.pop(0)
+            writer.write(writer.blocks.everything, array)
+        self._seal()
+
+    def _seal(self) -> None:
+        sealed = {name: self._writers[name] for name in sorted(self._writers) if self._schema.field_of(name)}
+        table_b = np.concatenate([np.empty(0, SUM_DTYPE), *(writer.sums() for writer in sealed.values())])
+        arrays = {
+            name: (
+                type_text(self._file[name].dtype),
+                writer.blocks.shape,
+                writer.blocks.extent,
+                self._attributes.get(name, {}),
+            )
+            for name, writer in sealed.items()
+        }
+        held = {name: self._attributes["/"][name] for name in self._schema.attributes}
+        self.dataset(TABLE, table_b, chunks=(min(len(table_b), _TABLE_CHUNK),))
+        self.attributes({SEAL_ATTRIBUTE: seal_of(self._schema.name, held, arrays, table_b)})
 
     def _create(
         self, name: str, shape: tuple[int, ...], dtype: np.dtype, axes: Sequence[str], chunks: tuple[int, ...] | None
-    ) -> h5py.Dataset:
-        storage: dict[str, Any] = {}
-        if 0 not in shape:  # an empty dataset has no chunk, and nothing to sum
-            storage = {"chunks": chunks or shape, "fletcher32": True}
+    ) -> tuple[h5py.Dataset, BlockWriter]:
+        chunking = None if 0 in shape else chunks or shape  # an empty dataset has no chunk
         dtype = dtype.newbyteorder("<")
-        dataset = self._file.create_dataset(name, shape=shape, dtype=dtype, track_times=False, **storage)
+        dataset = self._file.create_dataset(name, shape=shape, dtype=dtype, chunks=chunking, track_times=False)
         for i, axis in enumerate(axes):
             if axis in SCALED_AXES:
                 if axis not in self._file:
                     self.dataset(axis, np.arange(shape[i], dtype=SCALE_DTYPE))
                     self._file[axis].make_scale(axis)
                 dataset.dims[i].attach_scale(self._file[axis])
-        return dataset
+        self._writers[name] = BlockWriter(dataset)
+        return dataset, self._writers[name]
 
 
 @contextmanager
@@ -173,17 +187,16 @@ def drafting(path: str | os.PathLike, schema: Schema, n_bytes: int) -> Iterator[
         As `durable.replacing` does, and if the disk is full.
     """
     build = _built_in_memory if n_bytes < IN_MEMORY_BYTES else _streamed
-    with replacing(path) as part, build(path, part, n_bytes) as draft:
-        draft.attributes({SCHEMA_ATTRIBUTE: schema.name})
+    with replacing(path) as part, build(path, part, n_bytes, schema) as draft:
         yield draft
 
 
 @contextmanager
-def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int) -> Iterator[Draft]:
+def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int, schema: Schema) -> Iterator[Draft]:
     # HDF5 takes two files of one name for the same, also in memory: a name that nobody has. It is not stored.
     name, block = uuid.uuid4().hex, max(1 << 16, n_bytes // 8)
     with h5py.File(name, "w", driver="core", backing_store=False, block_size=block, libver="latest") as file:
-        draft = Draft(file)
+        draft = Draft(file, schema)
         yield draft
         draft.finish()
         file.flush()
@@ -193,14 +206,14 @@ def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int) -> Itera
 
 
 @contextmanager
-def _streamed(path: str | os.PathLike, part: Part, n_bytes: int) -> Iterator[Draft]:
+def _streamed(path: str | os.PathLike, part: Part, n_bytes: int, schema: Schema) -> Iterator[Draft]:
     # Without a cache every chunk goes to the file when it is written, and a chunk costs one copy less.
     with h5py.File(part.path, "w", libver="latest", locking=False, rdcc_nbytes=0) as file:
         # HDF5 crashes the process when it closes a file on a full disk: every byte is reserved before the first.
         with naming(path):
             part.reserve(n_bytes + n_bytes // RESERVE_SHARE + RESERVE_BYTES)
         with syncing(path, part.descriptor) as wrote:
-            draft = Draft(file, wrote)
+            draft = Draft(file, schema, wrote)
             yield draft
             draft.finish()
     with naming(path):

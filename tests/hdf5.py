@@ -1,0 +1,33 @@
+"""HDF5 files of ours: all that a reader sees of one, and how other programs change them."""
+
+from clrelight import store
+from clrelight.store.seal import SEAL_ATTRIBUTE
+
+
+def unseal(file):
+    """Take away the checksums of a file of ours, as the refusal of a changed one says to."""
+    if SEAL_ATTRIBUTE in file.attrs:
+        del file.attrs[SEAL_ATTRIBUTE], file["clrelight"]
+
+
+def content(kind, path):
+    """Return all that a reader can see of a file, comparable with ==."""
+    match kind:
+        case "stack":
+            with store.open_stack(path) as s:
+                arrays = (s.images_ihwc[...], s.directions_i3, s.weights_i, s.mask_hw)
+                return (*(a.tobytes() for a in arrays), s.peak, s.transfer, s.name, s.images_ihwc.shape)
+        case "fit":
+            f = store.read_fit(path)
+            arrays = (f.coeffs_khwc, f.lambda_hwc, f.rank_hwc, f.directions_i3)
+            return (*(a.tobytes() for a in arrays), f.method, f.degree, f.peak, f.transfer, f.name, str(f.config))
+        case "encoded":
+            e, r = store.read_encoded(path)
+            return (e.to_bytes(), str(e.config), str(e.info), r.directions_i3.tobytes(), str(r.config), r.name, r.peak)
+        case "light":
+            light = store.read_light(path)
+            return (light.coeffs_kc.tobytes(), light.degree, light.source, light.axes, str(light.config))
+        case _:
+            r = store.read_results(path)
+            items = {**r.pictures, **r.profiles}
+            return (r.table.tobytes(), *((k, v.tobytes()) for k, v in items.items()))
