@@ -10,7 +10,7 @@ import time
 import pytest
 
 from clrelight.errors import InputError
-from clrelight.experiment import Experiment, run_experiment
+from clrelight.experiment import paper_experiment, run_experiment
 from clrelight.store import durable
 from tests.commands import call, contents, environment, succeed
 
@@ -70,7 +70,7 @@ def test_a_killed_program_holds_nothing(holder, tmp_path):
 
 def test_the_library_refuses_too(holder, tmp_path):
     with pytest.raises(InputError, match="another program is writing it"):
-        run_experiment(Experiment(), tmp_path / "out.h5")
+        run_experiment(paper_experiment("ring"), tmp_path / "out.h5")
 
 
 def test_without_locks_it_goes_on_and_says_so(tmp_path, monkeypatch):

@@ -1,11 +1,14 @@
 """Standard streams as shells leave them: closed, full, or without a reader."""
 
+import errno
 import os
 import subprocess
 
 import pytest
 
-from tests.commands import command_line, environment, succeed
+from clrelight.cli.app import cli
+from clrelight.errors import InputError, StoreFormatError
+from tests.commands import call, command_line, environment, succeed
 
 
 @pytest.fixture(scope="module")
@@ -56,16 +59,23 @@ def test_a_result_stands_although_nothing_can_be_printed(stack, tmp_path):
     assert os.listdir(tmp_path) == ["o.h5"]
 
 
-def test_too_few_descriptors_are_named(stack, tmp_path):
-    done = subprocess.run(
-        ["sh", "-c", 'ulimit -n 6 && "$@"', "sh", *command_line("fit", stack, "o.h5", "--degree", 1)],
-        cwd=tmp_path,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("clrelight: too few files may be open at once (ulimit -n)")
-    assert done.stderr.count("\n") == 1
-    assert os.listdir(tmp_path) == []
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.EMFILE, "Too many open files", "some.h5"),
+        OSError(errno.ENFILE, "Too many open files in system"),
+        ImportError("some.so: cannot open shared object file: Too many open files"),
+        StoreFormatError("some.h5 is damaged or not ours: errno = 24, error message = 'Too many open files'"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_too_few_descriptors_are_named(monkeypatch, error):
+    """Whatever a library made of it, also as the cause of another error."""
+
+    def fail(**options):
+        raise InputError("nothing can be read") from error
+
+    monkeypatch.setattr(cli.commands["info"], "callback", fail)
+    line = "clrelight: too few files may be open at once (ulimit -n): allow more, such as ulimit -n 256\n"
+    ended = call("info", "some.h5")
+    assert (ended.code, ended.out, ended.err) == (2, "", line)
