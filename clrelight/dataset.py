@@ -174,8 +174,8 @@ class CoefficientMap:
     Attributes
     ----------
     coeffs_khwc : array_like, shape (n_coeff, height, width, channel), one of `COEFFICIENT_DTYPES`
-        Lists, float64 and other byte orders become float32. Coefficients of linear radiance in units of the peak; ``k = l (l + 1) + m``. May be an HDF5 dataset.
-        `read_rows` and `to_float32` give float32 of either type.
+        Coefficients of linear radiance in units of the peak; ``k = l (l + 1) + m``. May be an HDF5 dataset.
+        `read_rows` and `to_float32` give float32 of either type. Lists and other numbers become float32.
     degree : int
         Largest degree; ``n_coeff = (degree + 1)**2``.
     method : str
@@ -323,7 +323,7 @@ def sample_dtype(dtype: np.dtype) -> np.dtype:
 
 def to_samples(values: NDArray, dtype: np.dtype) -> NDArray:
     """Return samples in the type that `sample_dtype` gave for theirs; InputError where an integer does not fit."""
-    if values.dtype.kind == "i" or (values.dtype.itemsize > dtype.itemsize > 0 and dtype.kind == "u"):
+    if values.dtype.kind == "i" or (dtype.kind == "u" and values.dtype.itemsize > dtype.itemsize):
         low, high = values.min(initial=0), values.max(initial=0)
         if low < 0 or high > np.iinfo(dtype).max:
             raise InputError(

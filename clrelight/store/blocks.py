@@ -26,7 +26,7 @@ Box = tuple[slice, ...]
 
 def checksum(values: NDArray) -> int:
     """Return XXH3-64 of an array's bytes in C order."""
-    return xxhash.xxh3_64_intdigest(np.ascontiguousarray(values).reshape(-1).view(np.uint8))
+    return xxhash.xxh3_64_intdigest(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
 
 
 @dataclass(frozen=True)
@@ -59,18 +59,17 @@ class Blocks:
 
     def touched(self, box: Box) -> Iterator[tuple[int, Box]]:
         """Yield the number and the place of each block that has a part in `box`, in C order."""
-        if any(part.start >= part.stop for part in box):
-            return
-        axes = list(zip(box, self.shape, self.extent, self.counts, strict=True))
-        places = [
-            [(i, slice(i * e, min((i + 1) * e, n))) for i in range(part.start // e, -(-part.stop // e))]
-            for part, n, e, _ in axes
-        ]
-        for found in itertools.product(*places):
+        axes = []
+        for part, n, extent in zip(box, self.shape, self.extent, strict=True):
+            if part.start >= part.stop:
+                return
+            first, end = part.start // extent, -(-part.stop // extent)
+            axes.append([(i, slice(i * extent, min((i + 1) * extent, n))) for i in range(first, end)])
+        for found in itertools.product(*axes):
             number = 0
             for (i, _), count in zip(found, self.counts, strict=True):
                 number = number * count + i
-            yield number, tuple(place for _, place in found)
+            yield number, tuple([place for _, place in found])
 
     @property
     def everything(self) -> Box:
@@ -111,6 +110,22 @@ def _range_of(piece: Any, n: int) -> tuple[slice, Any]:
     return slice(start, stop), (index - start if index.ndim else int(index - start))
 
 
+def _overlap(a: Box, b: Box) -> Box:
+    return tuple(slice(max(p.start, q.start), min(p.stop, q.stop)) for p, q in zip(a, b, strict=True))
+
+
+def _within(inner: Box, outer: Box) -> Box:
+    """Return where `inner` lies, counted from where `outer` begins."""
+    return tuple(slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
+
+
+def _runs(rows_n: NDArray[np.intp], images_n: NDArray[np.intp]) -> Iterator[tuple[int, int, int]]:
+    """Yield row, image and number where both go on one by one: NumPy copies slices once, and lists twice."""
+    starts_r = np.flatnonzero(np.append(True, (np.diff(rows_n) != 1) | (np.diff(images_n) != 1)))
+    for start, stop in itertools.pairwise([*starts_r.tolist(), len(rows_n)]):
+        yield int(rows_n[start]), int(images_n[start]), stop - start
+
+
 class BlockReader:
     """Reads a dataset block by block; nothing of a block is handed on before its checksum was found right."""
 
@@ -127,18 +142,21 @@ class BlockReader:
 
         Raises OSError for a damaged block.
         """
+        runs: dict[int, list[tuple[int, int, int]]] = {}  # by a block's first image
         for number, place in self._blocks.touched(box):
-            inner = [slice(max(b.start, p.start), min(b.stop, p.stop)) for b, p in zip(box, place, strict=True)]
-            source = tuple(slice(i.start - p.start, i.stop - p.start) for i, p in zip(inner, place, strict=True))
-            target = tuple(slice(i.start - b.start, i.stop - b.start) for i, b in zip(inner, box, strict=True))
+            inner = _overlap(box, place)
+            source, target = _within(inner, place), _within(inner, box)
             if picked_n is None:
                 out[target] = self._read_block(number, place)[source]
                 continue
-            rows_n = np.flatnonzero((picked_n >= place[0].start) & (picked_n < place[0].stop))
-            if rows_n.size:
-                out[(rows_n, *target[1:])] = self._read_block(number, place)[
-                    (picked_n[rows_n] - place[0].start, *source[1:])
-                ]
+            start = place[0].start
+            if start not in runs:
+                rows_n = np.flatnonzero((picked_n >= start) & (picked_n < place[0].stop))
+                runs[start] = list(_runs(rows_n, picked_n[rows_n] - start)) if rows_n.size else []
+            if runs[start]:
+                block = self._read_block(number, place)
+                for row, image, count in runs[start]:
+                    out[(slice(row, row + count), *target[1:])] = block[(slice(image, image + count), *source[1:])]
 
     def _read_block(self, number: int, place: Box) -> NDArray:
         if number != self._number:
@@ -168,6 +186,7 @@ class BlockWriter:
 
     def __init__(self, dataset: h5py.Dataset) -> None:
         self._dataset, self.blocks = dataset, Blocks.of(dataset)
+        self._is_chunked = dataset.chunks is not None
         self._sums = np.zeros(self.blocks.count, SUM_DTYPE)
         self._is_summed = np.zeros(self.blocks.count, np.bool_)
         self._buffer = np.empty(0, dataset.dtype)
@@ -175,15 +194,12 @@ class BlockWriter:
     def write(self, box: Box, values: NDArray) -> None:
         """Write an array of the shape of `box` and the dataset's type."""
         for number, place in self.blocks.touched(box):
-            if all(b.start <= p.start and p.stop <= b.stop for b, p in zip(box, place, strict=True)):
-                part = tuple(slice(p.start - b.start, p.stop - b.start) for b, p in zip(box, place, strict=True))
-                self._write_block(number, place, values[part])
+            inner = _overlap(box, place)
+            part = values[_within(inner, box)]
+            if inner == place:
+                self._write_block(number, place, part)
             else:
-                inner = tuple(
-                    slice(max(b.start, p.start), min(b.stop, p.stop)) for b, p in zip(box, place, strict=True)
-                )
-                part = tuple(slice(i.start - b.start, i.stop - b.start) for i, b in zip(inner, box, strict=True))
-                self._dataset[inner] = values[part]
+                self._dataset[inner] = part
                 self._is_summed[number] = False
 
     def sums(self) -> NDArray[np.uint64]:
@@ -198,16 +214,17 @@ class BlockWriter:
         return self._sums
 
     def _write_block(self, number: int, place: Box, values: NDArray) -> None:
-        if self._dataset.chunks is None:
+        self._is_summed[number] = True
+        if not self._is_chunked:
             self._dataset[place] = values
             self._sums[number] = checksum(values)
-        else:
-            if not self._buffer.size:
-                self._buffer = np.zeros(self.blocks.extent, self._dataset.dtype)
-            block = self._buffer[tuple(slice(0, part.stop - part.start) for part in place)]
-            if block.size < self._buffer.size:
-                self._buffer.view(np.uint8)[...] = 0  # what the array's edge cuts off
-            block[...] = values
-            self._sums[number] = checksum(block)
-            self._dataset.id.write_direct_chunk(tuple(part.start for part in place), self._buffer)
-        self._is_summed[number] = True
+            return
+        if not self._buffer.size:
+            self._buffer = np.zeros(self.blocks.extent, self._dataset.dtype)
+        block = self._buffer
+        if values.shape != block.shape:
+            block.view(np.uint8)[...] = 0  # what the array's edge cuts off
+            block = block[tuple(slice(0, n) for n in values.shape)]
+        block[...] = values
+        self._sums[number] = checksum(block)
+        self._dataset.id.write_direct_chunk(tuple([part.start for part in place]), self._buffer)

@@ -101,9 +101,10 @@ def stack_of_others(opened: Opened) -> LightStack:
     directions_i3, are_rows = _read_directions(opened.arrays["directions"], stored.shape)
     axes = _find_axes(stored.shape, len(directions_i3), are_rows)
     if axes != tuple(range(stored.ndim)):
+        read = _times(tuple(stored.shape[axis] for axis in axes))
+        named = ", ".join(("light", "height", "width", "channel")[: len(axes)])
         notes.append(
-            f"images {_times(stored.shape)} have their axes in reverse, as MATLAB writes them: "
-            f"read as {_times(tuple(stored.shape[a] for a in axes))} (light, height, width{', channel' * (len(axes) > 3)})"
+            f"images {_times(stored.shape)} have their axes in reverse, as MATLAB writes them: read as {read} ({named})"
         )
     peak = _read_peak(opened, stored.dtype, notes)
     dtype = sample_dtype(stored.dtype)

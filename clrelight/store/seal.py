@@ -37,7 +37,7 @@ def seal_of(
     """
     manifest = json.dumps([schema, attributes, arrays], sort_keys=True, separators=(",", ":"))
     summed = xxhash.xxh3_64(manifest.encode("ascii"))
-    summed.update(np.ascontiguousarray(table_b, "<u8").view(np.uint8))
+    summed.update(np.ascontiguousarray(table_b, "<u8").view(np.uint8).data)
     return f"xxh3-64 {summed.intdigest():016x}"
 
 
