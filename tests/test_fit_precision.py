@@ -215,7 +215,7 @@ def test_single_keeps_image_and_bound(device, options):
         assert np.abs(basis_ik @ (columns_of(fitted) - exact_kp)).max() < 2e-6
         assert (np.sum(columns_of(fitted) ** 2, axis=0) <= energy_p * (1 + 1e-5)).all()
     # What is solved again in mixed precision is what single precision leaves in doubt.
-    bent = lambda_p > 0
+    bent = lambda_p > 1e-12  # rounding of the reference leaves constant columns a little above 0
     off_single, off_mixed = (np.abs(f.lambda_hwc.ravel()[bent] / lambda_p[bent] - 1).max() for f in (single, mixed))
     assert off_mixed < 3e-5 < 1e-4 < off_single
 

@@ -30,6 +30,7 @@ _DIGEST = hashlib.sha256
 _STALE_SECONDS = 7 * 86400.0
 _building = threading.RLock()
 _said: set[str] = set()
+_unpacked: dict[str, dict[str, set[str]]] = {}
 
 
 @contextmanager
@@ -95,7 +96,8 @@ class KernelCache:
         place = cache_folder()
         keeps = place is not None and _run_folder is not None
         self._folder = place / "kernels" / _DIGEST(identity.encode()).hexdigest()[:32] if place and keeps else None
-        self._programs: dict[str, set[str]] = {}
+        # Shared by all devices of one driver in this process: what is unpacked again may be mapped already.
+        self._programs = _unpacked.setdefault(str(self._folder), {})
 
     @contextmanager
     def building(self, source: str, options: list[str]) -> Iterator[str]:

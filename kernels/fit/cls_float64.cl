@@ -9,8 +9,7 @@
  *   singular_r   (R) double           sigma, descending
  *   weight_i     (n_light) double     E = sum_i weight_i source_i^2
  */
-#pragma OPENCL EXTENSION cl_khr_fp64 : enable
-
+#include "common/calls_double.clh"
 #include "common/load_sample.clh"
 
 #ifndef N_COMPONENT
