@@ -50,6 +50,13 @@ class Case:
         whole = np.ones(self.stack.image_shape[:2], bool)
         return whole if self.stack.mask_hw is None else self.stack.mask_hw
 
+    @property
+    def example_light(self) -> int:
+        """The unseen light that pictures are of: of median distance to the nearest light that was fitted."""
+        cosine_ui = self.stack.directions_i3[self.unseen_i] @ self.stack.directions_i3[self.fitted_i].T
+        order = np.argsort(cosine_ui.max(axis=1), kind="stable")
+        return int(self.unseen_i[order[len(order) // 2]])
+
 
 def find_stacks(patterns: Sequence[str] = ()) -> list[Source]:
     """Return the stacks in the folder that CLRELIGHT_DATA names whose names fit one of the patterns; all without any.
@@ -97,7 +104,7 @@ def read_case(source: Source, transfer: str = "linear", pixels: int | None = Non
         )
         fitted_i, unseen_i = np.arange(dome.n_light), np.arange(dome.n_light, stack.n_light)
     stack = replace(stack, name=source.name)
-    return Case(source, stack if pixels is None else _crop(stack, pixels), fitted_i, unseen_i)
+    return Case(source, stack if pixels is None else crop(stack, pixels), fitted_i, unseen_i)
 
 
 def _read(folder: Path, transfer: str) -> LightStack:
@@ -108,9 +115,12 @@ def _read(folder: Path, transfer: str) -> LightStack:
     return replace(stack, notes=())
 
 
-def _crop(stack: LightStack, pixels: int) -> LightStack:
+def crop(stack: LightStack, pixels: int) -> LightStack:
+    """Return the middle so many pixels of each side; no mask where it would be empty."""
     rows, columns = (
         slice(max(0, (side - pixels) // 2), max(0, (side - pixels) // 2) + pixels) for side in stack.image_shape[:2]
     )
     mask_hw = None if stack.mask_hw is None else stack.mask_hw[rows, columns]
+    if mask_hw is not None and not mask_hw.any():
+        mask_hw = None
     return replace(stack, images_ihwc=np.ascontiguousarray(stack.images_ihwc[:, rows, columns]), mask_hw=mask_hw)
