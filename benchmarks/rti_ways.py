@@ -25,7 +25,7 @@ from clrelight.relight import relight
 
 BITS_PER_PIXEL = (1.0, 4.0, 16.0)
 """Sizes that klt is asked for."""
-JPEG_QUALITIES = (70, 90, 98)
+JPEG_QUALITIES = (30, 75, 95)
 
 _RTI = {
     "ptm": "PTM",

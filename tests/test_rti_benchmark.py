@@ -74,11 +74,25 @@ def test_lights_between_the_rings_are_not_fitted(data):
     assert case.stack.image_shape == (7, 7, 3)
 
 
-def test_every_figure_is_kept_and_the_page_filled(data):
+def test_every_figure_is_kept_and_the_page_filled(data, monkeypatch):
+    monkeypatch.setattr("benchmarks.rti_ways.BITS_PER_PIXEL", (16.0,))
     page, figures, pictures = data / "page.md", data / "out.json", data / "pictures"
     page.write_text(PAGE)
     ways = [word for way in FEW for word in ("--way", way)]
-    output = run("--quick", *ways, "--stacks", "[MR]*", "--json", figures, "--markdown", page, "--pictures", pictures)
+    output = run(
+        "--quick",
+        *ways,
+        "--code",
+        "cls:2",
+        "--stacks",
+        "[MR]*",
+        "--json",
+        figures,
+        "--markdown",
+        page,
+        "--pictures",
+        pictures,
+    )
     rows = json.loads(figures.read_text())["rows"]
     assert [(row["stack"], row["way"]) for row in rows[: len(FEW)]] == [("Multi/Object2/material3", way) for way in FEW]
     assert len(rows) == 2 * len(FEW)
@@ -88,10 +102,7 @@ def test_every_figure_is_kept_and_the_page_filled(data):
         assert 0.3 < score["ssim"] <= 1
         assert score["psnr_mean"] == pytest.approx(np.mean(score["psnr_i"]))
         sizes = [coded["byte_count"] for coded in row["coded"]]
-        if row["way"].startswith("spline"):
-            assert 1 <= len(sizes) <= 3  # 1 bit a pixel of so small a picture is less than klt's tables
-        else:
-            assert len(sizes) == (0 if row["way"] == "cls:2" else 3)  # of ours the first is coded
+        assert len(sizes) == {"cls:2": 1, "spline:3:lam=1e-3": 0}.get(row["way"], 3)
         assert sizes == sorted(sizes)
         assert row["seconds"] > 0
     values = {row["way"]: row["values"] for row in rows if row["group"] == "Multi"}
@@ -100,10 +111,17 @@ def test_every_figure_is_kept_and_the_page_filled(data):
     assert text.startswith("before\n<!-- rti -->\n- measured: ")
     assert text.endswith("\n<!-- /rti -->\nafter\n")
     assert "old" not in text
-    assert text.count("| spline 3, λ 0.001 ") >= 3
+    assert text.count("| cls 2 |") >= 3
     for name in ("rti_median.png", "rti_worst.png"):
         assert Image.open(pictures / name).size[0] > 300
     assert "the middle 64 pixels only" in output
+
+
+def test_a_size_that_cannot_be_had_is_left_out(data, monkeypatch):
+    monkeypatch.setattr("benchmarks.rti_ways.BITS_PER_PIXEL", (0.01, 16.0))
+    output = run("--stacks", "Real/*", "--way", "cls:1")
+    assert "klt 16" in output
+    assert "klt 0.01" not in output
 
 
 def test_a_way_that_cannot_do_a_stack_says_why_and_the_others_go_on(data):
