@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -92,15 +93,18 @@ def main(
         print_table(headers, rows)
     click.echo()
     print_facts(facts)
-    captions = []
+    drawn: dict[Path, str] = {}
     if pictures is not None:
         pictures.mkdir(parents=True, exist_ok=True)
-        captions = draw_pictures(pictures, results, ways)
-        click.echo("\n".join(captions))
+        drawn = draw_pictures(pictures, results, ways)
+        for path, caption in drawn.items():
+            click.echo(f"{path}: {caption}")
     if markdown is not None:
         lines = [f"- {name}: {facts[name]}" for name in ("measured", "commit", "machine", "device", "work")]
         parts = ["\n".join(lines), *(markdown_table(*table) for table in tables)]
-        replace_block(markdown, "\n\n".join([*parts, *captions]), BEGIN, END)
+        for path, caption in drawn.items():
+            parts.append(f"![{caption}]({Path(os.path.relpath(path, markdown.parent)).as_posix()})\n\n{caption}")
+        replace_block(markdown, "\n\n".join(parts), BEGIN, END)
 
 
 def _warm_up(case: Case, ways: list[Way], device: Device) -> None:

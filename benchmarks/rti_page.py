@@ -103,25 +103,24 @@ def markdown_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
 
 
-def draw_pictures(folder: Path, results: Sequence[StackResult], ways: Sequence[Way]) -> list[str]:
-    """Draw the stacks on which the first way is at its median and at its worst; return a line about each.
+def draw_pictures(folder: Path, results: Sequence[StackResult], ways: Sequence[Way]) -> dict[Path, str]:
+    """Draw the stacks on which the first way is at its median and at its worst; return the files and a line about each.
 
     Worst and median are of how far it lies above the best of the other ways.
     """
     first, others = ways[0], ways[1:]
     done = [r for r in results if np.isfinite(r.psnr(first)) and any(np.isfinite(r.psnr(way)) for way in others)]
     if not done:
-        return []
+        return {}
     margin = [r.psnr(first) - np.nanmax([r.psnr(way) for way in others]) for r in done]
     order = np.argsort(margin, kind="stable")
-    lines = []
+    drawn = {}
     for what, place in (("median", order[len(order) // 2]), ("worst", order[0])):
         path = folder / f"rti_{what}.png"
         _draw(path, done[place], ways)
-        lines.append(
-            f"{done[place].name}, where {first.label} is {margin[place]:+.2f} dB beside the best other ({what})"
-        )
-    return lines
+        beside = f"{abs(margin[place]):.2f} dB {'above' if margin[place] >= 0 else 'below'} the best other way"
+        drawn[path] = f"{done[place].name}, the {what} stack: {first.label} is {beside} over all unseen lights"
+    return drawn
 
 
 def _with_setting(found: Found, setting: str) -> Coded | None:
