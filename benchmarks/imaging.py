@@ -12,6 +12,8 @@ from benchmarks.coding import KLT_RATE
 from benchmarks.workload import Workload
 from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, decode_view, encode
+from clrelight.conventions import linear_to_srgb
+from clrelight.fit import fit
 from clrelight.metrics import measure_errors, psnr_of
 from clrelight.relight import relight
 from clrelight.speed.peers import squared_errors
@@ -20,6 +22,7 @@ from clrelight.speed.stage import Stage
 RELIGHT_GOAL = 0.6
 KLT_RELIGHT_GOAL = 1.0
 PSNR_GOAL = 2.0
+PSNR_OF_FIT_GOAL = 1.0
 MANY_LIGHTS = 16
 MANY_COPIES = 16
 
@@ -36,6 +39,7 @@ def imaging_stages(work: Workload) -> Iterator[Stage]:
     yield _relight_view(work, "klt", {"rate": KLT_RATE}, KLT_RELIGHT_GOAL)
     yield _relight_view(work, "whitened", {"codec": "half"}, None)
     yield _measure_psnr(work)
+    yield _measure_psnr_of_photographs(work)
 
 
 def _relight(work: Workload, lights: int) -> Stage:
@@ -145,4 +149,29 @@ def _measure_psnr(work: Workload) -> Stage:
         errors,
         "largest error in dB",
         goal=PSNR_GOAL,
+    )
+
+
+def _measure_psnr_of_photographs(work: Workload) -> Stage:
+    """Return measuring in sRGB code values beside fitting the same stack: quality is printed after every fit."""
+    stack = replace(work.stack, transfer="srgb")
+    fitted = fit(stack, "cls", work.degree, device=work.device)
+    coeffs_kp = fitted.coeffs_khwc.reshape(fitted.n_coeff, -1)
+    some_i = np.arange(_CHECKED_LIGHTS) * stack.n_light // _CHECKED_LIGHTS
+
+    def errors() -> tuple[float, None]:
+        relit_ip = np.clip(work.basis_ik[some_i] @ coeffs_kp.astype(np.float64), 0.0, 1.0)
+        given_ip = stack.images_ihwc[some_i].reshape(len(some_i), -1) / stack.peak
+        exact_i = psnr_of(np.square(linear_to_srgb(relit_ip) - given_ip).mean(axis=1))
+        ours_i = psnr_of(measure_errors(fitted, stack, device=work.device))[some_i]
+        return float(np.abs(ours_i - exact_i).max()), None
+
+    return Stage(
+        f"PSNR at {stack.n_light} lights, sRGB",
+        "ours, the CLS fit of the same stack",
+        lambda: measure_errors(fitted, stack, device=work.device),
+        lambda: fit(stack, "cls", work.degree, device=work.device),
+        errors,
+        "largest error in dB",
+        goal=PSNR_OF_FIT_GOAL,
     )

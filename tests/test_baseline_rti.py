@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from clrelight.baseline import BASES, measure_rti
+from clrelight.baseline import BASES, fit_rti, measure_rti
 from clrelight.baseline.rti import compress_planes, hsh_basis, ptm_basis
 from clrelight.dataset import LightStack, split_lights
 from clrelight.errors import InputError
@@ -86,6 +86,45 @@ def test_only_pixels_of_the_mask_count():
     assert measure_rti(masked, *split_lights(40, 5), "hsh4", (None,))[0].psnr_pooled > 100
     whole = LightStack(images, directions, peak=1.0)
     assert measure_rti(whole, *split_lights(40, 5), "hsh4", (None,))[0].psnr_pooled < 20
+
+
+@pytest.mark.parametrize("basis", ["ptm", "pca9", "rbf"])
+def test_pixels_outside_the_mask_are_free_and_do_not_matter(basis):
+    directions = lights(40)
+    stack = stack_of(ptm_basis(directions), directions)  # blocks of JPEG are 8 x 8
+    images = stack.images_ihwc.copy()
+    images[:, :8] = np.random.default_rng(0).random(images[:, :8].shape)
+    mask = np.zeros((20, 24), bool)
+    mask[8:] = True
+    split = split_lights(40, 5)
+    below = LightStack(images[:, 8:], directions, peak=1.0)
+    masked = LightStack(images, directions, peak=1.0, mask_hw=mask)
+    alone, beside = (measure_rti(s, *split, basis, (None, 90)) for s in (below, masked))
+    assert [found.psnr_pooled for found in beside] == pytest.approx([found.psnr_pooled for found in alone], abs=0.3)
+    assert beside[0].encoded_bytes == alone[0].encoded_bytes
+    assert beside[1].encoded_bytes < 1.15 * alone[1].encoded_bytes
+    assert not any(plane[:8].any() for plane in fit_rti(masked, split[0], basis).planes)
+
+
+def test_all_photographs_are_met_at_their_lights_and_interpolated_between():
+    directions = lights(60)
+    stack = stack_of(directions, directions)
+    fitted, held = split_lights(60, 5)
+    found = fit_rti(stack, fitted, "rbf")
+    for i in fitted[:5]:
+        np.testing.assert_allclose(found.relight(found.planes, int(i)), stack.images_ihwc[i], atol=1e-5)
+    exact, coded = measure_rti(stack, fitted, held, "rbf", (None, 95))
+    assert exact.psnr_pooled > 30
+    assert coded.psnr_pooled > 30
+    assert exact.encoded_bytes == 48 * 20 * 24 * 3 * 4
+
+
+def test_photographs_of_one_light_are_averaged():
+    directions = np.repeat(lights(20), 2, axis=0)
+    stack = stack_of(directions, directions, noise=0.02)
+    found = fit_rti(stack, np.arange(40), "rbf")
+    image = found.relight(found.planes, 6)
+    np.testing.assert_allclose(image, stack.images_ihwc[6:8].mean(axis=0), atol=1e-4)
 
 
 def test_psnr_is_that_of_the_decoded_values():

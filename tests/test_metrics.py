@@ -10,7 +10,7 @@ from clrelight.metrics import domain_note, measure_errors, psnr_of, summarize_er
 from clrelight.relight import relight
 from clrelight.sampling import make_pattern
 from tests.reference import basis, psnr
-from tests.styles import both_styles
+from tests.styles import both_styles, every_width
 
 
 def make_case(dtype, shape_hwc, *, n_light=9, degree=2, transfer="linear", peak=None, seed=0):
@@ -44,6 +44,31 @@ def reference_errors(fitted, stack, mask_hw=None):
 def test_every_sample_type_and_curve(device, dtype, transfer):
     fitted, stack = make_case(dtype, (13, 37, 3), transfer=transfer)
     np.testing.assert_allclose(measure_errors(fitted, stack), reference_errors(fitted, stack), rtol=2e-6)
+
+
+@every_width
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])
+def test_whole_tiles_through_the_curve_at_every_width(device, dtype):
+    fitted, stack = make_case(dtype, (5, 257, 3), transfer="srgb")
+    np.testing.assert_allclose(measure_errors(fitted, stack), reference_errors(fitted, stack), rtol=2e-6)
+
+
+@both_styles
+@pytest.mark.parametrize("transfer", ["linear", "srgb"])
+def test_black_and_white_have_no_error(device, transfer):
+    fitted, stack = make_case("uint8", (3, 700, 1), n_light=1, degree=0, transfer=transfer, peak=255.0)
+    fitted.coeffs_khwc[:] = stack.images_ihwc[:] = np.arange(2100).reshape(stack.image_shape) % 2
+    fitted.coeffs_khwc[:] *= 9
+    stack.images_ihwc[:] *= 255
+    assert measure_errors(fitted, stack)[0] == 0
+
+
+@both_styles
+@pytest.mark.parametrize("transfer", ["linear", "srgb"])
+def test_what_is_no_number_is_not_counted_as_right(device, transfer):
+    fitted, stack = make_case("uint8", (3, 700, 1), transfer=transfer)
+    fitted.coeffs_khwc[0, 0, 5, 0] = np.nan
+    assert np.isnan(measure_errors(fitted, stack)).all()
 
 
 @both_styles

@@ -21,6 +21,8 @@ from clrelight.metrics import psnr_of, summarize_errors
 
 RANGE_PERCENT = 99.5
 _PCA_SAMPLES = 16384
+_TIES = 1e-9
+"""Smoothing of what goes through all lights, so that photographs of one and the same light are averaged."""
 
 
 def ptm_basis(directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -55,9 +57,42 @@ _FIXED: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
     "hsh16": lambda directions_i3: hsh_basis(directions_i3, 3),
 }
 _PCA = {"pca9": 9, "pca18": 18, "pca27": 27}
+_PHOTOGRAPHS = "rbf"
 
-BASES = (*_FIXED, *_PCA)
-"""Names of the bases; pcaN are N principal components over lights and colours, interpolated between the lights."""
+BASES = (*_FIXED, *_PCA, _PHOTOGRAPHS)
+"""Names of the bases; pcaN are N principal components over lights and colours, interpolated between the lights; rbf
+keeps all photographs and interpolates them by linear radial basis functions of the direction in space."""
+
+
+@dataclass(frozen=True)
+class RtiFit:
+    """Planes fitted to some lights, and how images come from them.
+
+    Attributes
+    ----------
+    planes : list of ndarray, shape (height, width, 1 or 3), float32
+        0 outside the mask.
+    relight : callable
+        Takes planes and the index of one of the stack's lights, returns the image (height, width, channel) in units of
+        the peak, not clipped.
+    table_bytes : int
+        What is stored beside the planes.
+    mask_hw : ndarray, bool
+        The pixels that count.
+    span : tuple of float, optional
+        Range of all planes where it is known beforehand.
+    """
+
+    planes: list[NDArray[np.float32]]
+    relight: Callable[[list[NDArray[np.float32]], int], NDArray[np.float32]]
+    table_bytes: int
+    mask_hw: NDArray[np.bool_]
+    span: tuple[float, float] | None = None
+
+    def compress(self, quality: int | None) -> tuple[int, list[NDArray[np.float32]]]:
+        """Return all bytes at a JPEG quality (None: float32), and the planes that come back."""
+        size, decoded = compress_planes(self.planes, quality, self.mask_hw, self.span)
+        return size + self.table_bytes, decoded
 
 
 @dataclass(frozen=True)
@@ -84,6 +119,37 @@ class RtiQuality:
     psnr_pooled: float
     psnr_mean: float
     psnr_pooled_fitted: float
+
+
+def fit_rti(stack: LightStack, fitted_i: NDArray[np.intp], basis: str) -> RtiFit:
+    """Fit some lights of a stack, which is read whole into memory as float32.
+
+    Raises
+    ------
+    InputError
+        If the basis is unknown, there are fewer lights than functions, or the mask is empty.
+    """
+    if basis not in BASES:
+        raise InputError(f"the basis must be one of {', '.join(BASES)}, got {basis!r}")
+    height, width, channel = stack.image_shape
+    values_ip = (stack.read_rows(0, height).reshape(stack.n_light, -1) / np.float32(stack.peak)).astype(np.float32)
+    mask_hw = np.ones((height, width), bool) if stack.mask_hw is None else stack.mask_hw
+    if not mask_hw.any():
+        raise InputError("the mask leaves no pixel to measure")
+    fit = _fit_pca if basis in _PCA else _fit_photographs if basis == _PHOTOGRAPHS else _fit_fixed
+    counted_ip = values_ip if mask_hw.all() else values_ip[:, np.repeat(mask_hw.ravel(), channel)]
+    planes_kp, relight, table_bytes = fit(counted_ip, stack.directions_i3, fitted_i, channel, basis)
+    planes = []
+    for plane_p in planes_kp:
+        plane_hwc = np.zeros((height, width, plane_p.size // int(mask_hw.sum())), np.float32)
+        plane_hwc[mask_hw] = plane_p.reshape(-1, plane_hwc.shape[2])
+        planes.append(plane_hwc)
+
+    def relight_planes(decoded: list[NDArray[np.float32]], light: int) -> NDArray[np.float32]:
+        image_p = relight(np.stack([plane.ravel() for plane in decoded]), light)
+        return image_p.reshape(height, width, channel)
+
+    return RtiFit(planes, relight_planes, table_bytes, mask_hw, (0.0, 1.0) if basis == _PHOTOGRAPHS else None)
 
 
 def measure_rti(
@@ -116,58 +182,61 @@ def measure_rti(
     InputError
         If the basis is unknown, there are fewer lights than functions, a quality is impossible, or Pillow is absent.
     """
-    if basis not in BASES:
-        raise InputError(f"the basis must be one of {', '.join(BASES)}, got {basis!r}")
     for quality in qualities:
         if quality is not None and not (isinstance(quality, int) and 1 <= quality <= 100):
             raise InputError(f"a JPEG quality must be 1 to 100, got {quality!r}")
     if not (len(fitted_i) and len(held_out_i)):
         raise InputError("there must be lights to fit and lights held out")
-    height, width, channel = stack.image_shape
-    values_ip = (stack.read_rows(0, height).reshape(stack.n_light, -1) / np.float32(stack.peak)).astype(np.float32)
-    mask_hw = np.ones((height, width), bool) if stack.mask_hw is None else stack.mask_hw
-    if not mask_hw.any():
-        raise InputError("the mask leaves no pixel to measure")
-    fit = _fit_pca if basis in _PCA else _fit_fixed
-    planes_kp, relight, table_bytes = fit(values_ip, stack.directions_i3, fitted_i, channel, basis)
-    planes = [plane.reshape(height, width, -1) for plane in planes_kp]
+    fitted = fit_rti(stack, fitted_i, basis)
+    given_ihwc = stack.read_rows(0, stack.image_shape[0])
 
     def errors(decoded: list[NDArray[np.float32]], lights_i: NDArray[np.intp]) -> NDArray[np.float64]:
-        decoded_kp = np.stack([plane.ravel() for plane in decoded])
         mse = []
         for i in lights_i:
-            difference_p = np.clip(relight(decoded_kp, int(i)), 0, 1) - np.clip(values_ip[i], 0, 1)
-            mse.append(np.square(difference_p.reshape(height, width, channel)[mask_hw], dtype=np.float64).mean())
+            given_hwc = np.clip(given_ihwc[i] / np.float32(stack.peak), 0, 1)
+            difference_hwc = np.clip(fitted.relight(decoded, int(i)), 0, 1) - given_hwc
+            mse.append(np.square(difference_hwc[fitted.mask_hw], dtype=np.float64).mean())
         return np.array(mse)
 
     found = []
     for quality in qualities:
-        size, decoded = compress_planes(planes, quality)
+        size, decoded = fitted.compress(quality)
         held_out = summarize_errors(errors(decoded, held_out_i))
-        fitted = float(psnr_of(float(errors(decoded, fitted_i).mean())))
-        found.append(RtiQuality(basis, quality, size + table_bytes, held_out.psnr_pooled, held_out.psnr_mean, fitted))
+        seen = float(psnr_of(float(errors(decoded, fitted_i).mean())))
+        found.append(RtiQuality(basis, quality, size, held_out.psnr_pooled, held_out.psnr_mean, seen))
     return found
 
 
-def compress_planes(planes: list[NDArray[np.float32]], quality: int | None) -> tuple[int, list[NDArray[np.float32]]]:
+def compress_planes(
+    planes: list[NDArray[np.float32]],
+    quality: int | None,
+    mask_hw: NDArray[np.bool_] | None = None,
+    span: tuple[float, float] | None = None,
+) -> tuple[int, list[NDArray[np.float32]]]:
     """Return the bytes of planes (h, w, 1 or 3) as scaled JPEG files, and the planes that come back from them.
 
-    Colours are stored without subsampling. Scales are two float32 for each channel of each plane.
+    Colours are stored without subsampling. Scales are two float32 for each channel of each plane, unless all have the
+    same `span`. Pixels outside the mask do not count: they are black in the files, and cost next to nothing.
     """
+    mask_hw = np.ones(planes[0].shape[:2], bool) if mask_hw is None else mask_hw
     if quality is None:
-        return sum(plane.nbytes for plane in planes), planes
+        return sum(int(mask_hw.sum()) * plane.shape[2] * plane.itemsize for plane in planes), planes
     image_module = _pillow()
     size, decoded = 0, []
     for plane_hwc in planes:
-        outside = (100.0 - RANGE_PERCENT) / 2.0
-        low_c, high_c = np.percentile(plane_hwc, [outside, 100.0 - outside], axis=(0, 1)).astype(np.float32)
+        if span is None:
+            outside = (100.0 - RANGE_PERCENT) / 2.0
+            low_c, high_c = np.percentile(plane_hwc[mask_hw], [outside, 100.0 - outside], axis=0).astype(np.float32)
+        else:
+            low_c, high_c = (np.full(plane_hwc.shape[2], end, np.float32) for end in span)
         step_c = np.where(high_c > low_c, high_c - low_c, np.float32(1)) / np.float32(255)
         codes_hwc = np.clip(np.rint((plane_hwc - low_c) / step_c), 0, 255).astype(np.uint8)
+        codes_hwc[~mask_hw] = 0
         file = io.BytesIO()
         single = codes_hwc.shape[2] == 1
         image = image_module.fromarray(codes_hwc[:, :, 0] if single else codes_hwc)
         image.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)
-        size += len(file.getvalue()) + low_c.nbytes + step_c.nbytes
+        size += len(file.getvalue()) + (low_c.nbytes + step_c.nbytes if span is None else 0)
         with image_module.open(io.BytesIO(file.getvalue())) as read:
             back_hwc = np.array(read).reshape(codes_hwc.shape)
         decoded.append((low_c + back_hwc * step_c).astype(np.float32))
@@ -183,6 +252,21 @@ def _fit_fixed(
         raise InputError(f"basis {basis} needs at least {basis_ik.shape[1]} lights, got {len(fitted_i)}")
     planes_kp = np.linalg.pinv(basis_ik[fitted_i]).astype(np.float32) @ values_ip[fitted_i]
     return planes_kp, lambda decoded_kp, i: basis_ik[i].astype(np.float32) @ decoded_kp, 0
+
+
+def _fit_photographs(
+    values_ip: NDArray[np.float32], directions_i3: NDArray[np.float64], fitted_i: NDArray, channel: int, basis: str
+) -> tuple[NDArray[np.float32], Callable[[NDArray[np.float32], int], NDArray[np.float32]], int]:
+    """Return the photographs themselves, how to relight, and 0 bytes of tables.
+
+    Linear radial basis functions and a constant: a weight for every photograph, which directions alone decide.
+    """
+    from scipy.interpolate import RBFInterpolator
+
+    n_light = len(fitted_i)
+    weights = RBFInterpolator(directions_i3[fitted_i], np.eye(n_light), kernel="linear", smoothing=_TIES)
+    weights_ii = weights(directions_i3).astype(np.float32)
+    return values_ip[fitted_i], lambda decoded_kp, i: weights_ii[i] @ decoded_kp, 0
 
 
 def _fit_pca(
@@ -204,7 +288,8 @@ def _fit_pca(
     axes_kd = np.linalg.eigh(some_pd.T @ some_pd)[1].T[::-1][:n_plane]
     tables_kd = np.stack([_to_8_bits(row) for row in (mean_d, *axes_kd)])
     planes_kp = (np.linalg.pinv(tables_kd[1:]).T @ (samples_pd - tables_kd[0]).T).astype(np.float32)
-    at_lights = RBFInterpolator(directions_i3[fitted_i, :2], tables_kd.T.reshape(n_light, -1))(directions_i3[:, :2])
+    interpolate = RBFInterpolator(directions_i3[fitted_i, :2], tables_kd.T.reshape(n_light, -1), smoothing=_TIES)
+    at_lights = interpolate(directions_i3[:, :2])
     tables_ick = at_lights.reshape(len(directions_i3), channel, 1 + n_plane).astype(np.float32)
 
     def relight(decoded_kp: NDArray[np.float32], i: int) -> NDArray[np.float32]:

@@ -47,15 +47,12 @@
 /* NaN stays NaN. */
 #define CLIP(x) ((x) < 0.0f ? 0.0f : (x) > 1.0f ? 1.0f : (x))
 
-static float display_value(const float radiance)
-{
-    const float v = CLIP(radiance);
+/* What is shown of radiance, a float or a vector. */
 #if ENCODE
-    return encode_srgb(v);
+#define SHOWN(x) encode_srgb(CLIP(x))
 #else
-    return v;
+#define SHOWN(x) CLIP(x)
 #endif
-}
 
 /* Sum of weight (a - b)^2 over count columns of one light. */
 INLINE float sum_errors(__local const vecf *relit, __global const SAMPLE_T *source, __global const float *weight,
@@ -63,7 +60,6 @@ INLINE float sum_errors(__local const vecf *relit, __global const SAMPLE_T *sour
 {
     int c = 0;
     float sum = 0.0f;
-#if !ENCODE
     if (count == TILE) {
         vecf given[TILE_VECTORS];
         vecf sums = 0.0f;
@@ -74,14 +70,13 @@ INLINE float sum_errors(__local const vecf *relit, __global const SAMPLE_T *sour
         for (; c < TILE; c++) ((float *)given)[c] = scale * LOAD_SAMPLE(source, c);
 #endif
         for (int v = 0; v < TILE_VECTORS; v++) {
-            const vecf d = CLIP(relit[v]) - CLIP(given[v]);
+            const vecf d = SHOWN(relit[v]) - CLIP(given[v]);
             sums += LOAD_WEIGHTS(weight + v * VECTOR) * d * d;
         }
         for (int lane = 0; lane < VECTOR; lane++) sum += ((const float *)&sums)[lane];
     }
-#endif
     for (; c < count; c++) {
-        const float d = display_value(((__local const float *)relit)[c]) - CLIP(scale * LOAD_SAMPLE(source, c));
+        const float d = SHOWN(((__local const float *)relit)[c]) - CLIP(scale * LOAD_SAMPLE(source, c));
         sum += weight[c] * d * d;
     }
     return sum;

@@ -1,0 +1,157 @@
+"""The tables and pictures of the RTI benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.rti_ways import Coded, Found, Way
+
+GROUPS = ("Single", "Multi", "Real")
+_PANEL_PIXELS = 220
+_PANELS = 5
+
+
+@dataclass(frozen=True)
+class StackResult:
+    """What all ways gave on one stack, and the photograph that pictures are beside."""
+
+    name: str
+    group: str
+    pixels: int
+    photograph: NDArray
+    mask_hw: NDArray[np.bool_]
+    found: Mapping[Way, Found]
+
+    def psnr(self, way: Way) -> float:
+        """Mean PSNR of a way; NaN where it cannot do this stack."""
+        score = self.found[way].score
+        return np.nan if score is None else score.psnr_mean
+
+    @property
+    def best(self) -> float:
+        """The mean PSNR of the best way."""
+        return float(np.nanmax([self.psnr(way) for way in self.found]))
+
+
+def quality_table(results: Sequence[StackResult], ways: Sequence[Way]) -> tuple[list[str], list[list[str]]]:
+    """Return headers and rows: each group's means, and how far every way is behind the best of its stack."""
+    groups = [g for g in GROUPS if any(result.group == g for result in results)]
+    counts = {g: sum(result.group == g for result in results) for g in groups}
+    headers = ["way", "values a pixel", *(f"{g} ({counts[g]})" for g in groups)]
+    headers += ["behind the best, median", "at worst", "on", "seconds"]
+    rows = []
+    for way in ways:
+        done = [result for result in results if result.found[way].score is not None]
+        values = sorted({result.found[way].values for result in done})
+        row = [way.label, "–" if not values else f"{values[0]}" if len(values) == 1 else f"{values[0]}–{values[-1]}"]
+        for group in groups:
+            scores = [score for r in done if r.group == group and (score := r.found[way].score) is not None]
+            whole = len(scores) == counts[group]
+            row.append(
+                f"{np.mean([s.psnr_mean for s in scores]):.2f} / {np.mean([s.psnr_pooled for s in scores]):.2f}"
+                f" / {np.mean([s.ssim for s in scores]):.3f}{'' if whole else f' ({len(scores)} stacks)'}"
+                if scores
+                else "–"
+            )
+        behind = [result.best - result.psnr(way) for result in done]
+        if done:
+            worst = int(np.argmax(behind))
+            seconds = np.median([result.found[way].seconds for result in done])
+            row += [f"{np.median(behind):.2f}", f"{behind[worst]:.2f}", done[worst].name, f"{seconds:.2f}"]
+        else:
+            row += ["–"] * 4
+        rows.append(row)
+    return headers, rows
+
+
+def size_table(results: Sequence[StackResult], ways: Sequence[Way]) -> tuple[list[str], list[list[str]]]:
+    """Return headers and rows of each way's compressed sizes, in bits a pixel that counts, and PSNR over all stacks."""
+    headers = ["way", "coded", "bits a pixel", "PSNR, mean over stacks (dB)", "median", "least", "on"]
+    rows = []
+    for way in ways:
+        settings = {coded.setting: None for result in results for coded in result.found[way].coded}
+        for setting in settings:
+            pairs = [(r, coded) for r in results if (coded := _with_setting(r.found[way], setting)) is not None]
+            quality = [coded.score.psnr_mean for _, coded in pairs]
+            bits = np.mean([8.0 * coded.byte_count / result.pixels for result, coded in pairs])
+            least = int(np.argmin(quality))
+            figures = [f"{np.mean(quality):.2f}", f"{np.median(quality):.2f}", f"{quality[least]:.2f}"]
+            rows.append([way.label, setting, f"{bits:.2f}", *figures, pairs[least][0].name])
+    return headers, rows
+
+
+def stack_table(results: Sequence[StackResult], ways: Sequence[Way]) -> tuple[list[str], list[list[str]]]:
+    """Return headers and rows: the mean PSNR of each way on each stack, the best in bold type."""
+    rows = []
+    for result in results:
+        figures = [result.psnr(way) for way in ways]
+        texts = ["–" if np.isnan(figure) else f"{figure:.2f}" for figure in figures]
+        best = int(np.nanargmax(figures))
+        texts[best] = f"**{texts[best]}**"
+        rows.append([result.name, *texts])
+    return ["stack", *(way.label for way in ways)], rows
+
+
+def markdown_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table as Markdown has it."""
+    lines = ["| " + " | ".join(headers) + " |", "|---" * len(headers) + "|"]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
+
+
+def draw_pictures(folder: Path, results: Sequence[StackResult], ways: Sequence[Way]) -> dict[Path, str]:
+    """Draw the stacks on which the first way is at its median and at its worst; return the files and a line about each.
+
+    Worst and median are of how far it lies above the best of the other ways.
+    """
+    first, others = ways[0], ways[1:]
+    done = [r for r in results if np.isfinite(r.psnr(first)) and any(np.isfinite(r.psnr(way)) for way in others)]
+    if not done:
+        return {}
+    margin = [r.psnr(first) - np.nanmax([r.psnr(way) for way in others]) for r in done]
+    order = np.argsort(margin, kind="stable")
+    drawn = {}
+    for what, place in (("median", order[len(order) // 2]), ("worst", order[0])):
+        path = folder / f"rti_{what}.png"
+        _draw(path, done[place], ways)
+        beside = f"{abs(margin[place]):.2f} dB {'above' if margin[place] >= 0 else 'below'} the best other way"
+        drawn[path] = f"{done[place].name}, the {what} stack: {first.label} is {beside} over all unseen lights"
+    return drawn
+
+
+def _with_setting(found: Found, setting: str) -> Coded | None:
+    return next((coded for coded in found.coded if coded.setting == setting), None)
+
+
+def _draw(path: Path, result: StackResult, ways: Sequence[Way]) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    able = [way for way in ways if result.found[way].example is not None]
+    ranked = sorted(able[1:], key=lambda way: -result.psnr(way))
+    # The first way, the two best of ours and theirs that are left, and the most usual one.
+    theirs = [way for way in ranked if not way.is_fit]
+    shown = [able[0], *(way for way in ranked if way.is_fit)][:2] + theirs[:1] + theirs[-1:]
+    panels = [("photograph, not fitted", result.photograph)]
+    for way in dict.fromkeys(shown):
+        image = result.found[way].example
+        if image is not None:
+            error = np.square((image - result.photograph)[result.mask_hw]).mean()
+            panels.append((f"{way.label}\n{-10 * np.log10(max(error, 1e-12)):.1f} dB", image))
+    panels = panels[:_PANELS]
+    height, width = result.photograph.shape[:2]
+    rows, columns = (slice(max(0, (n - _PANEL_PIXELS) // 2), (n + _PANEL_PIXELS + 1) // 2) for n in (height, width))
+    figure = Figure(figsize=(2.3 * len(panels), 2.75), dpi=100)
+    FigureCanvasAgg(figure)
+    for place, (title, image) in enumerate(panels):
+        axes = figure.add_subplot(1, len(panels), place + 1)
+        part = image[rows, columns]
+        axes.imshow(np.repeat(part, 3, axis=2) if part.shape[2] == 1 else part, interpolation="nearest")
+        axes.set_title(title, fontsize=8)
+        axes.axis("off")
+    figure.tight_layout()
+    figure.savefig(path, metadata={"Software": None})
