@@ -70,6 +70,25 @@ def test_solid_angle_weights(device, solver):
     assert fitted.config["weights"] == "solid-angle"
 
 
+@gpu_style
+@pytest.mark.parametrize("precision", ["mixed", "double"])
+@pytest.mark.parametrize("steps", [12, 20])
+def test_the_search_as_the_paper_prints_it(device, steps, precision):
+    stack = make_stack(40)
+    fitted = fit(stack, "cls", 4, options={"solver": "paper", "iterations": steps}, precision=precision)
+    basis_ik, sample_ip = basis.real_harmonics(stack.directions_i3, 4), samples_of(stack)
+    exact_kp, lambda_p = reference.constrained_as_printed(basis_ik, sample_ip, np.ones(40), steps)
+    found_p = fitted.lambda_hwc.ravel()
+    # Lambda is a number of halves of halves, exactly; where the norm meets the bound to a rounding error, the next one.
+    same = np.abs(found_p - lambda_p) <= 1e-6 * lambda_p
+    assert same.mean() > 0.999 - 4e-8 * 2**steps
+    assert (np.abs(found_p - lambda_p) <= 2.0 ** -(steps - 4)).all()
+    assert np.abs(basis_ik @ (columns_of(fitted) - exact_kp))[:, same].max() < 1e-5
+    assert (np.sum(columns_of(fitted) ** 2, axis=0) <= reference.bound(sample_ip, np.ones(40)) * (1 + 1e-5)).all()
+    assert (lambda_p > 1.0).any()
+    assert (lambda_p < 0.5).any()
+
+
 def test_a_few_heavy_lights(device):
     # Which columns float32 cannot settle depends on the mean weight; by the largest, lambda was off by 6e-5 here.
     weights = np.where(np.arange(400) < 4, 1.0, 0.003)
@@ -228,7 +247,7 @@ def test_more_halvings_are_closer(device):
         ({"energy": -1.0}, "positive factor"),
         ({"energy": float("nan")}, "positive factor"),
         ({"energy": float("inf")}, "positive factor"),
-        ({"solver": "secant"}, "solver must be bisection or newton, got 'secant'"),
+        ({"solver": "secant"}, "solver must be bisection, newton, paper, got 'secant'"),
         ({"iterations": 0}, "iterations must be 1 to 1000, got 0"),
         ({"iterations": 1001}, "iterations must be 1 to 1000, got 1001"),
         ({"rounds": 3}, "method cls has no option 'rounds'; it has: energy, iterations, solver"),
