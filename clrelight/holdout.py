@@ -19,7 +19,6 @@ HOLDOUTS = ("index", "place")
 SAME_DIRECTION = math.radians(0.05)
 """Photographs whose lights are no farther apart, in radians, are of one direction."""
 
-_GOLDEN_RATIO = (math.sqrt(5.0) - 1.0) / 2.0
 _ROUNDING = 1e-9
 _NOISE_ROWS = 16
 
@@ -94,12 +93,14 @@ def _split_blocks(sites_g3: NDArray[np.float64], holdout: int) -> tuple[NDArray[
     gap = typical_gap(sites_g3)
     chord = 2.0 * math.sin(min(gap, math.pi) / 2.0) * (1.0 - _ROUNDING)
     tree = cKDTree(sites_g3)
-    # Centres of blocks: from all of the order, and so from everywhere, however few there are.
-    order = np.argsort(((np.arange(len(sites_g3)) + 0.5) * _GOLDEN_RATIO) % 1.0)
+    # Centres of blocks: those that the index would choose, all of them where blocks are of one light; mixed, so that a
+    # few come from everywhere. Patterns have strides of their own, which a stride through them could meet.
+    mixed_g = np.random.default_rng(0).random(len(sites_g3))
+    order = np.argsort(mixed_g + ~np.isin(np.arange(len(sites_g3)), split_lights(len(sites_g3), holdout)[1]))
     out_g = np.zeros(len(sites_g3), bool)
     for centre in order:
         out_g[tree.query_ball_point(sites_g3[centre], chord)] = True
-        if out_g.sum() * holdout >= len(sites_g3):
+        if out_g.sum() >= len(sites_g3) // holdout:
             break
     fitted = np.flatnonzero(~out_g)
     if not len(fitted):

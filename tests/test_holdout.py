@@ -98,6 +98,12 @@ def test_by_place_all_held_out_lights_are_a_gap_away(directions):
     assert angles_between(directions[held], directions[fitted]).min(axis=1).min() >= gap * (1 - 1e-6)
 
 
+def test_where_lights_are_even_both_ways_are_one():
+    directions = make_pattern("uniform", 128)
+    for by_index, by_place in zip(*(split_chosen(directions, 5, by=by) for by in ("index", "place")), strict=True):
+        np.testing.assert_array_equal(by_index, by_place)
+
+
 def test_the_gap_of_dense_rings_is_half_their_distance():
     directions = rings([20, 40, 60], 90)
     assert 9.5 < np.degrees(typical_gap(directions)) < 12.0
