@@ -66,6 +66,8 @@ def split_chosen(
     """
     if by not in HOLDOUTS:
         raise InputError(f"lights are held out by {' or '.join(HOLDOUTS)}, got {by!r}")
+    if holdout is None and by != "index":
+        raise InputError(f"holding out by {by} needs holdout, one direction in how many: such as 5")
     fitted, held = np.arange(len(directions_i3)), np.arange(0)
     if holdout is not None:
         group_i = group_directions(directions_i3)

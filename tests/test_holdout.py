@@ -191,6 +191,7 @@ def test_the_commands_print_the_distance(tmp_path):
         (make_pattern("uniform", 4), {"holdout": 5}, "holdout 5 keeps no light out of 4; use at most 4"),
         (make_pattern("uniform", 9), {"holdout": 3, "by": "time"}, "held out by index or place, got 'time'"),
         (make_pattern("uniform", 9), {"holdout": 1}, "holdout must be at least 2"),
+        (make_pattern("uniform", 9), {"holdout": None, "by": "place"}, "holding out by place needs holdout"),
     ],
 )
 def test_refusals(directions, options, message):
