@@ -83,6 +83,7 @@ def trade(
     from clrelight.experiment.front import Limits
     from clrelight.experiment.toml import experiment_text
     from clrelight.experiment.trade import Axes, sweep_trade
+    from clrelight.holdout import describe_distance, split_chosen
     from clrelight.report import canvas
     from clrelight.report.folder import check_folder
     from clrelight.report.markup import to_strings
@@ -112,7 +113,9 @@ def trade(
             progress=lambda step, done, total: bar(done, total, step),
             tell=notes.append,
         )
-    facts: dict[str, Any] = {"results": out, "rows": len(trials), "notes": notes}
+        split = split_chosen(source.directions_i3, varied.holdout, by=varied.holdout_by)
+        distance = describe_distance(source.directions_i3, *split)
+    facts: dict[str, Any] = {"results": out, "rows": len(trials), "held_out": distance, "notes": notes}
     if report_to is not None:
         facts["report"] = str(write_trade_report(trials, name, report_to)[0])
     if limits.are_set:
@@ -127,6 +130,7 @@ def trade(
         print_json(told if not limits.are_set else {**told, "choice": _facts(chosen)})
         return
     print_notes(facts.pop("notes"))
+    facts["unseen"] = facts.pop("held_out")
     for table in (step_table(trials), front_table(trials)):
         click.echo(f"{table.caption}:")
         print_table(*to_strings(table))

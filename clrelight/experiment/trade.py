@@ -20,7 +20,7 @@ from clrelight.experiment.scenes import survey_stack
 from clrelight.fit import method_class
 from clrelight.fit.cls import CONVERGED_AFTER, ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED, check_precision, differing_precisions
-from clrelight.holdout import describe_distance, split_chosen
+from clrelight.holdout import split_chosen
 from clrelight.results import NO_CODEC
 from clrelight.store import write_results
 from clrelight.store.durable import claiming, no_locks
@@ -167,11 +167,7 @@ def sweep_trade(
     with claiming(out) as is_claimed:
         if tell is not None and not is_claimed:
             tell(no_locks(out))
-        sweep = _Sweep(stack, scene, out, axes, device or open_device(), progress, force)
-        if tell is not None:
-            split = split_chosen(stack.directions_i3, axes.holdout, by=axes.holdout_by)
-            tell(describe_distance(stack.directions_i3, *split))
-        return sweep.run()
+        return _Sweep(stack, scene, out, axes, device or open_device(), progress, force).run()
 
 
 class _Sweep:
