@@ -11,10 +11,11 @@ import time
 
 import numpy as np
 
-from clrelight.dataset import LightStack, split_lights
+from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import PreparedFit, collect_fit, prepare_fit
 from clrelight.fit.selection import DEGREES, METHODS
+from clrelight.holdout import split_chosen
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.store import open_stack
 
@@ -33,7 +34,7 @@ def measure_cell(seen: LightStack, held: LightStack, method: str, degree: int) -
 
 
 def compare(stack: LightStack) -> None:
-    fitted, held_out = split_lights(stack.n_light, HOLDOUT)
+    fitted, held_out = split_chosen(stack.directions_i3, HOLDOUT)
     seen, held = stack.select(fitted), stack.select(held_out)
     start = time.perf_counter()
     prepared = prepare_fit(seen, "auto", "auto")

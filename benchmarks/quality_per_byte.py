@@ -19,9 +19,10 @@ from clrelight.baseline import measure_rti
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.codec import codec_class, decode, encode
-from clrelight.dataset import CoefficientMap, LightStack, split_lights
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import open_device
 from clrelight.fit.run import fit
+from clrelight.holdout import split_chosen
 from clrelight.jobs.target import encode_to_quality
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.relight import relight, to_display
@@ -67,7 +68,7 @@ def main() -> None:
 
 def _rows(stack: LightStack, picture: str | None) -> list[list[str]]:
     device = open_device()
-    fitted, held = split_lights(stack.n_light, HOLDOUT)
+    fitted, held = split_chosen(stack.directions_i3, HOLDOUT)
     unseen = stack.select(held)
     ours = fit(stack, "auto", "auto", holdout=HOLDOUT, device=device)
     plain = fit(stack, "cls", 6, holdout=HOLDOUT, device=device)

@@ -3,7 +3,7 @@
 import argparse
 
 from clrelight.baseline import BASES, measure_rti
-from clrelight.dataset import split_lights
+from clrelight.holdout import split_chosen
 from clrelight.store import open_stack
 
 QUALITIES = (None, 100, 98, 95, 90, 80)
@@ -17,7 +17,7 @@ def main():
     print(f"{'stack':16} {'basis':6} {'jpeg':>5} {'kB':>9} {'held out dB':>12} {'mean dB':>8} {'fitted dB':>10}")
     for path in arguments.stacks:
         with open_stack(path) as stack:
-            fitted, held_out = split_lights(stack.n_light, arguments.holdout)
+            fitted, held_out = split_chosen(stack.directions_i3, arguments.holdout)
             for basis in BASES:
                 for found in measure_rti(stack, fitted, held_out, basis, QUALITIES):
                     quality = "float" if found.quality is None else found.quality

@@ -23,7 +23,6 @@ _LEAST_PEAK = 1e-37
 _UNIT_TOLERANCE = 1e-6
 _WIDENED_BYTES = 1 << 24
 """Halves that are held at a time while they become float32."""
-_SAME_LIGHT = 1.0 - 1e-12  # of the cosine between two directions
 
 
 @dataclass(frozen=True)
@@ -421,7 +420,7 @@ def is_radiance(values: NDArray) -> bool:
 
 
 def split_lights(n_light: int, holdout: int | None) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the indices of the lights to fit and of those held out, every K-th (``index % K == K - 1``)."""
+    """Return every index but each K-th, and each K-th (``index % K == K - 1``); `clrelight.holdout` splits lights."""
     index = np.arange(n_light)
     if holdout is None:
         return index, index[:0]
@@ -431,9 +430,3 @@ def split_lights(n_light: int, holdout: int | None) -> tuple[NDArray[np.intp], N
     if not held.any():
         raise InputError(f"holdout {holdout} keeps no light out of {n_light}; use at most {n_light}")
     return index[~held], index[held]
-
-
-def split_by_fit(stack: LightStack, coefficients: CoefficientMap) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the lights of a stack that a fit has seen, and those it has not."""
-    seen = np.max(stack.directions_i3 @ coefficients.directions_i3.T, axis=1) > _SAME_LIGHT
-    return np.flatnonzero(seen), np.flatnonzero(~seen)

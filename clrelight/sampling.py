@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import check_directions, split_lights
+from clrelight.dataset import check_directions
 from clrelight.errors import InputError
 
 PATTERNS = ("uniform", "grid", "scattered")
@@ -251,21 +251,3 @@ def farthest_point_subset(directions_i3: NDArray[np.float64], count: int) -> NDA
         gap_i[chosen[step - 1]] = -1.0
         chosen[step] = np.argmax(gap_i)
     return chosen
-
-
-def split_chosen(
-    directions_i3: NDArray[np.float64], holdout: int | None, lights: int | None
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the lights to fit and those held out; of the former only `lights` well-spread ones, in their order.
-
-    Raises
-    ------
-    InputError
-        As `split_lights`, and where fewer than `lights` are left to fit.
-    """
-    fitted, held = split_lights(len(directions_i3), holdout)
-    if lights is None:
-        return fitted, held
-    if not 1 <= lights <= len(fitted):
-        raise InputError(f"{len(fitted)} of {len(directions_i3)} lights are there to be fitted, got lights {lights}")
-    return fitted[np.sort(farthest_point_subset(directions_i3[fitted], lights))], held

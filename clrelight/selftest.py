@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from clrelight.fit.precision import DOUBLE, MIXED, SINGLE
 from clrelight.metrics import measure_errors
 from clrelight.relight import relight
 from clrelight.sampling import make_pattern
+from clrelight.selftest_photographs import check_photographs
+from clrelight.statements import Statement
 
 IMAGE_LIMIT = 2e-5
 """Error of a fitted image as a part of the brightest sample."""
@@ -37,34 +39,6 @@ FACTORS = (1e-12, 1e-6, 1e-2, 10.0, 1e3)
 
 _PIXELS = 32
 _HALVINGS = 100
-
-
-@dataclass(frozen=True)
-class Statement:
-    """One line of the table.
-
-    Attributes
-    ----------
-    part : str
-        What is tested: a method, a codec, a stage.
-    case : str
-        At what: a degree, a scale, a set of lights.
-    what : str
-        What the figure is.
-    figure, limit : float
-        It holds where the figure is at most the limit.
-    """
-
-    part: str
-    case: str
-    what: str
-    figure: float
-    limit: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether the figure is within the limit; NaN is not."""
-        return bool(self.figure <= self.limit)
 
 
 def run_selftest(device: Device) -> Iterator[Statement]:
@@ -91,7 +65,9 @@ def run_selftest(device: Device) -> Iterator[Statement]:
             yield from _fits(device, _dome(degree), degree, case, bounded, precision=DOUBLE)
     yield from _powers_of_two(device, lights)
     yield from _codecs(device)
+    yield from _codes(device)
     yield from _images(device, (2, 6, 10))
+    yield from check_photographs(device)
 
 
 def run_quick_selftest(device: Device) -> Iterator[Statement]:

@@ -86,7 +86,7 @@ FITS = [
     ("stack.h5 @o.h5 --energy nan", "positive factor on E_c, got nan"),
     ("stack.h5 @o.h5 --energy -1", "positive factor on E_c, got -1"),
     ("stack.h5 @o.h5 --iterations 0", "got 0"),
-    ("stack.h5 @o.h5 --solver magic", "bisection or newton, got 'magic'"),
+    ("stack.h5 @o.h5 --solver magic", "bisection, newton, paper, got 'magic'"),
     ("stack.h5 @o.h5 --method project --fill ones", "zero or mirror, got 'ones'"),
     ("stack.h5 @o.h5 --weights heavy", "uniform, solid-angle, got 'heavy'"),
     ("stack.h5 @o.h5 --sampling poor", "hemisphere, scattered, got 'poor'"),

@@ -4,6 +4,7 @@ import pytest
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import fit, prepare_fit
+from clrelight.fit.ceb import step_ends
 from clrelight.sampling import make_pattern
 from tests.reference import basis
 from tests.reference import fit as reference
@@ -139,6 +140,42 @@ def test_constant_pixels_are_kept_whole(device, n_light, degree, method):
         assert (np.sum(columns_of(fitted) ** 2, axis=0) <= 4 * np.pi * values.ravel() ** 2 * (1 + 1e-5)).all()
     image_ip = basis.real_harmonics(directions, degree) @ columns_of(fitted)
     np.testing.assert_allclose(image_ip, np.broadcast_to(values.reshape(1, -1), image_ip.shape), atol=1e-5)
+
+
+def make_rings(heights, count):
+    z, azimuth = np.repeat(heights, count), np.tile(np.arange(count) * (2 * np.pi / count), len(heights))
+    radius = np.sqrt(1 - z**2)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+
+
+def turn(directions, angle):
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return directions @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+@gpu_style
+@pytest.mark.parametrize(("method", "digits"), [("ceb", 16), ("ceb", 6), ("ceb-crossing", 16)])
+@pytest.mark.parametrize(
+    ("heights", "count", "degree"), [((0.5,), 24, 4), ((0.1, 0.4, 0.7, 0.95), 24, 6), ((0.2, 0.6, 0.9), 11, 3)]
+)
+def test_lights_turned_around_their_axis_give_the_same_image(device, heights, count, degree, method, digits):
+    # Of two eigenvectors to one eigenvalue, which a decomposition turns at will, neither may be kept alone.
+    lights = make_rings(heights, count)
+    stack = make_stack(len(lights), directions_i3=lights)
+    images = []
+    for angle in (0.0, 1.0, *np.random.default_rng(degree).uniform(0, 2 * np.pi, 4)):
+        turned = turn(lights, angle).round(digits)
+        turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+        fitted = fit(LightStack(stack.images_ihwc, turned, stack.peak), method, degree, options={"energy": 0.3})
+        images.append(basis.real_harmonics(turned, degree) @ columns_of(fitted))
+    assert np.abs(np.array(images[1:]) - images[0]).max() <= 1e-4 * np.max(samples_of(stack))
+    ranks = fitted.rank_hwc.ravel()[VARYING]
+    assert len(heights) == 1 or ranks.min() < ranks.max()
+
+
+def test_a_step_is_all_components_of_equal_singular_value():
+    found = step_ends(np.array([9.0, 5.0, 5.0 - 1e-9, 4.0, 4.0 * (1 - 6e-5), 4.0 * (1 - 1.2e-4), 1.0]))
+    np.testing.assert_array_equal(found, [1, 3, 3, 5, 5, 6, 7])
 
 
 @pytest.mark.parametrize("method", METHODS)

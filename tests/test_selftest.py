@@ -1,8 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from clrelight import selftest
-from clrelight.selftest import Statement, run_selftest
+from clrelight import selftest, selftest_photographs
+from clrelight.selftest import run_selftest
+from clrelight.selftest_photographs import check_photographs
+from clrelight.statements import Statement
 from tests.commands import call
 
 
@@ -10,6 +14,7 @@ from tests.commands import call
 def short(monkeypatch):
     """A selftest of few cases."""
     monkeypatch.setattr(selftest, "PRECISION_DEGREES", (4,))
+    monkeypatch.setattr(selftest_photographs, "KINDS", (("uint8", 255, "srgb"),))
     for name, values in {"DEGREES": (2,), "CAPS": (10,), "SCALES": (1e30,), "FACTORS": (1e-12,)}.items():
         monkeypatch.setattr(selftest, name, values)
 
@@ -20,10 +25,45 @@ def test_everything_holds(device, short):
     assert {s.part for s in statements} == {
         *("basis", "cls", "ceb", "uls", "spline", "half", "uniform", "wavelet", "relight", "psnr"),
         *("cls single", "cls double", "ceb double", "spline double"),
+        *("cls newton", "cls bisection", "cls paper", "s3tc", "bc6h", "vq", "projection", "irradiance"),
     }
     limits = {s.limit for s in statements if s.part == "cls double" and s.what.startswith("image error")}
     assert limits == {2e-7}
     assert len({(s.part, s.case, s.what) for s in statements}) == len(statements)
+
+
+def test_photographs_of_every_kind_hold(device):
+    statements = list(check_photographs(device))
+    assert [s for s in statements if not s.holds] == []
+    cases = {s.case for s in statements if s.part == "cls paper"}
+    kinds = ("uint8 linear", "uint8 srgb", "uint16 linear", "uint16 srgb", "float16 linear", "float32 srgb")
+    assert cases == {f"degree 4, {kind}" for kind in kinds}
+
+
+@pytest.mark.parametrize(
+    ("name", "off", "part"),
+    [
+        ("decode", 1.01, "bc6h"),
+        ("decode", 1.01, "s3tc"),
+        ("decode", 1.01, "vq"),
+        ("decode", 1.2, "wavelet"),
+        ("integrate_irradiance", 1.0001, "irradiance"),
+        ("_fit", 1.0001, "cls bisection"),
+        ("_fit", 1.0001, "cls paper"),
+        ("measure_errors", 1.001, "psnr"),
+    ],
+)
+def test_photographs_that_are_off_are_found(device, short, monkeypatch, name, off, part):
+    real = getattr(selftest_photographs, name)
+
+    def wrong(*arguments, **options):
+        found = real(*arguments, **options)
+        if name == "_fit":
+            return replace(found, coeffs_khwc=found.coeffs_khwc * np.float32(off))
+        return found * off
+
+    monkeypatch.setattr(selftest_photographs, name, wrong)
+    assert any(s.part == part and not s.holds for s in check_photographs(device))
 
 
 def test_a_statement_is_no_more_than_its_limit():

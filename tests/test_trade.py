@@ -18,8 +18,9 @@ from clrelight.experiment.grid import CodecSetting, Experiment
 from clrelight.experiment.toml import experiment_text
 from clrelight.experiment.trade import Axes
 from clrelight.fit import method_class
+from clrelight.holdout import split_chosen
 from clrelight.results import ROW_DTYPE, TIME_FIELDS
-from clrelight.sampling import farthest_point_subset, make_pattern, split_chosen
+from clrelight.sampling import farthest_point_subset, make_pattern
 from clrelight.store import read_results, write_results
 from tests.commands import arrays, call, contents, succeed
 

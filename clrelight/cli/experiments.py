@@ -14,6 +14,7 @@ from clrelight.cli.options import (
     Numbers,
     device_option,
     given,
+    holdout_by_option,
     holdout_option,
     json_option,
     whole_number,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 @click.option("--codecs", type=Names(), help="Codecs; default none,half,s3tc,uniform,wavelet.")
 @click.option("--rates", type=Numbers(float, "0.5,1,2"), help="Bits per coefficient of codecs that take a rate.")
 @holdout_option("the fits")
+@holdout_by_option
 @click.option("--precision", help="Of the fits' kernels: mixed (default), single or double.")
 @click.option("--size", type=whole_number(8, 1 << 16), help="Ring: width and height; default 256.")
 @click.option(
@@ -64,6 +66,7 @@ def bench(
     codecs: tuple[str, ...] | None,
     rates: tuple[float, ...] | None,
     holdout: int | None,
+    holdout_by: str | None,
     precision: str | None,
     size: int | None,
     lights: tuple[int, ...] | None,
@@ -96,7 +99,9 @@ def bench(
       clrelight bench --speed --sizes 64,256,1024 --report speed
     """
     of_experiments = given(methods=methods, codecs=codecs, rates=rates, holdout=holdout, size=size)
-    of_experiments.update(given(precision=precision, pattern=pattern, seed=seed, force=force or None))
+    of_experiments.update(
+        given(holdout_by=holdout_by, precision=precision, pattern=pattern, seed=seed, force=force or None)
+    )
     of_speed = given(sizes=sizes, threads=threads, rounds=rounds, quick=quick or None, memory=memory, report=report_to)
     _check_kind(speed, what, of_experiments, of_speed)
     if speed:
@@ -118,6 +123,7 @@ def bench(
     elif what is not None:
         ring = given(size=size, lights=_only_number("--lights", lights), pattern=pattern, seed=seed)
         grid = given(methods=methods, degrees=degrees, codecs=codecs, rates=rates, holdout=holdout, precision=precision)
+        grid.update(given(holdout_by=holdout_by))
         _bench_grid(what, out or "results.h5", grid, ring, force=force, device=device, as_json=as_json)
 
 
@@ -128,7 +134,9 @@ def _check_kind(speed: bool, what: str | None, of_experiments: dict, of_speed: d
     if not speed and what is None:
         raise click.UsageError("Missing argument: ring, STACK.h5 or EXPERIMENT.toml, or the option --speed")
     if speed and of_experiments:
-        raise InputError(f"--{next(iter(of_experiments))} is an option of experiments, not of --speed")
+        raise InputError(
+            f"--{next(iter(of_experiments)).replace('_', '-')} is an option of experiments, not of --speed"
+        )
     if not speed and of_speed:
         raise InputError(f"--{next(iter(of_speed))} is an option of --speed")
 
@@ -149,6 +157,7 @@ def _bench_grid(what: str, out: str, grid: dict, ring: dict, *, force: bool, dev
     experiment = _experiment(what, grid, ring)
     check_output(out, [what])
     taken = read_notes(experiment)
+    told: list[str] = []
     with progress_bar("bench") as bar:
         results = run_experiment(
             experiment,
@@ -156,12 +165,12 @@ def _bench_grid(what: str, out: str, grid: dict, ring: dict, *, force: bool, dev
             device=open_device(device),
             force=force,
             progress=lambda step, done, total: bar(done, total, step),
-            tell=lambda note: print_notes([note]),
+            tell=told.append,
         )
     if as_json:
-        print_json({"file": out, "rows": _rows(results), "notes": taken})
+        print_json({"file": out, "rows": _rows(results), "notes": taken + told})
         return
-    print_notes(taken + _notes(results))
+    print_notes(taken + told + _notes(results))
     print_table(
         *summary_rows(results), expendable=("encode (s)", "fit (s)", "noise, predicted (dB)", "noise (dB)", "kB")
     )

@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.options import DegreeType, device_option, holdout_option, json_option, memory_option
+from clrelight.cli.options import (
+    DegreeType,
+    device_option,
+    holdout_by_option,
+    holdout_option,
+    json_option,
+    memory_option,
+)
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import psnr_lines
@@ -25,9 +32,13 @@ if TYPE_CHECKING:
 )
 @click.option("--degree", type=DegreeType(), default=6, show_default=True, help="Largest SH degree, or auto.")
 @holdout_option("the fit")
+@holdout_by_option
 @click.option("--energy", type=float, help="Factor on the bound E_c of cls and ceb; 1 is the paper's.")
 @click.option("--iterations", type=int, help="Steps of the search for lambda (cls); default 32.")
-@click.option("--solver", help="Search for lambda (cls): newton (default), or bisection, the paper's.")
+@click.option(
+    "--solver",
+    help="Search for lambda (cls): newton (default), bisection of its logarithm, or the paper's.",
+)
 @click.option("--fill", help="Lower hemisphere (project): zero or mirror.")
 @click.option("--lam", type=float, help="Smoothing of spline; default: by generalised cross-validation.")
 @click.option("--per", help="What shares one lambda (spline): stack or channel.")
@@ -59,6 +70,7 @@ def fit(
     method: str,
     degree: int | str,
     holdout: int | None,
+    holdout_by: str | None,
     weights: str,
     sampling: str,
     precision: str,
@@ -88,10 +100,11 @@ def fit(
     model: str | FitMethod = method
     lights = None
     if config is not None:
-        settled = [*options, "method", "degree", "holdout", "weights", "sampling", "precision"]
+        settled = [*options, "method", "degree", "holdout", "holdout_by", "weights", "sampling", "precision"]
         asked = _read_config(context, config, settled)
         model, degree, holdout, lights = asked.methods[0], asked.degrees[0], asked.holdout, asked.lights
         weights, sampling, precision = asked.weights, asked.sampling, asked.precision
+        holdout_by = asked.holdout_by
     report = Report()
     with progress_bar("preparing") as bar:
         run_fit(
@@ -100,6 +113,7 @@ def fit(
             degree,
             out=out,
             holdout=holdout,
+            holdout_by=holdout_by or "index",
             lights=lights,
             weights=weights,
             sampling=sampling,
@@ -136,7 +150,7 @@ def _read_config(context: click.Context, config: str, settled: list[str]) -> Exp
 
     for name in settled:
         if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            raise InputError(f"--{name}: {config} says itself what to fit")
+            raise InputError(f"--{name.replace('_', '-')}: {config} says itself what to fit")
     asked = load_experiment(config)
     for what, values in (("method", asked.methods), ("degree", asked.degrees)):
         if len(values) != 1:

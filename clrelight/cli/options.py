@@ -120,6 +120,16 @@ def holdout_option(what: str) -> Callable[[Command], Command]:
     )
 
 
+def holdout_by_option(command: Command) -> Command:
+    """Add ``--holdout-by``."""
+    return click.option(
+        "--holdout-by",
+        type=click.Choice(["index", "place"]),
+        help="Which lights --holdout keeps out: every K-th as photographed (index, default), or blocks as large as the "
+        "gaps between lights (place).",
+    )(command)
+
+
 def device_option(command: Command) -> Command:
     """Add ``--device``."""
     return click.option(

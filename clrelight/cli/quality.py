@@ -50,6 +50,9 @@ def psnr_lines(quality: dict[str, Any] | None) -> dict[str, str]:
                 mean = quality[f"mean_others_{name}"]
                 over = f"the lights whose images are not identical ({quality[f'identical_{name}']} are)"
             lines[title] = f"{decibel(mean)} mean over {over}, {decibel(pooled)} pooled"
+    if quality and "distance_median_holdout" in quality:
+        median, largest = quality["distance_median_holdout"], quality["distance_largest_holdout"]
+        lines["held out"] = f"{median:.1f}° from the nearest fitted light (median), {largest:.1f}° at most"
     return lines
 
 

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.options import ByteCount, Names, Numbers, device_option, given, json_option, whole_number
+from clrelight.cli.options import (
+    ByteCount,
+    Names,
+    Numbers,
+    device_option,
+    given,
+    holdout_by_option,
+    json_option,
+    whole_number,
+)
 from clrelight.cli.output import decibel, print_facts, print_json, print_notes
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
@@ -41,6 +50,7 @@ _MARK = "# The setting that clrelight trade chose:"
 @click.option("--rates", type=Numbers(float, "0.1,1"), help="Bits per coefficient; default 1,0.5,0.25,0.1.")
 @click.option("--holdout", type=whole_number(2), metavar="K", default=5, show_default=True,
               help="Every K-th light is in no fit, and measures all.")  # fmt: skip
+@holdout_by_option
 @click.option("--force", is_flag=True, help="Start anew although the results file exists.")
 @device_option
 @json_option
@@ -73,6 +83,7 @@ def trade(
     from clrelight.experiment.front import Limits
     from clrelight.experiment.toml import experiment_text
     from clrelight.experiment.trade import Axes, sweep_trade
+    from clrelight.holdout import describe_distance, split_chosen
     from clrelight.report import canvas
     from clrelight.report.folder import check_folder
     from clrelight.report.markup import to_strings
@@ -100,16 +111,18 @@ def trade(
             device=open_device(device),
             force=force,
             progress=lambda step, done, total: bar(done, total, step),
-            tell=lambda note: print_notes([note]),
+            tell=notes.append,
         )
-    facts: dict[str, Any] = {"results": out, "rows": len(trials), "notes": notes}
+        split = split_chosen(source.directions_i3, varied.holdout, by=varied.holdout_by)
+        distance = describe_distance(source.directions_i3, *split)
+    facts: dict[str, Any] = {"results": out, "rows": len(trials), "held_out": distance, "notes": notes}
     if report_to is not None:
         facts["report"] = str(write_trade_report(trials, name, report_to)[0])
     if limits.are_set:
         chosen = limits.choose(trials)
         with replacing(target) as part:
             about = f"{_MARK[2:]}\n{_summary(chosen)}"
-            text = experiment_text(chosen.to_experiment(stack, varied.holdout), target.parent, about)
+            text = experiment_text(chosen.to_experiment(stack, varied.holdout, varied.holdout_by), target.parent, about)
             part.write(text.encode("utf-8"))
         facts.update({"choice": chosen.label, "config": str(target)})
     if as_json:
@@ -117,6 +130,7 @@ def trade(
         print_json(told if not limits.are_set else {**told, "choice": _facts(chosen)})
         return
     print_notes(facts.pop("notes"))
+    facts["unseen"] = facts.pop("held_out")
     for table in (step_table(trials), front_table(trials)):
         click.echo(f"{table.caption}:")
         print_table(*to_strings(table))

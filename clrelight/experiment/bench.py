@@ -26,11 +26,11 @@ from clrelight.fit import FitMethod
 from clrelight.fit.precision import MIXED, check_precision
 from clrelight.fit.run import FitReport, collect_fit, prepare_fit
 from clrelight.fit.selection import AUTO
+from clrelight.holdout import split_chosen
 from clrelight.jobs.coding_noise import coding_psnr
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.relight import relight, to_display
 from clrelight.results import ROW_DTYPE, Results
-from clrelight.sampling import split_chosen
 
 _CORNER = 32
 """Width and height of the maps on which kernels are built before they are timed."""
@@ -60,7 +60,7 @@ _IDENTITY = (
 )
 
 
-_ASKED_ALWAYS = ("auto", "weights", "sampling", "precision", "lights", "stack")
+_ASKED_ALWAYS = ("auto", "weights", "sampling", "precision", "lights", "holdout_by", "stack")
 """What `fit_config` holds beside a method's own options."""
 
 
@@ -110,7 +110,8 @@ class Bench:
         check_precision(experiment.precision, device)
         self.seed, self.repeats, self.illustrated = seed, repeats, illustrated
         self.stack, self.experiment, self.device = stack, experiment, device
-        self.fitted, self.held = split_chosen(stack.directions_i3, experiment.holdout, experiment.lights)
+        directions_i3, by = stack.directions_i3, experiment.holdout_by
+        self.fitted, self.held = split_chosen(directions_i3, experiment.holdout, experiment.lights, by)
         self.fit_stack = stack if len(self.fitted) == stack.n_light else stack.select(self.fitted)
         self.survey = survey or survey_stack(stack)
         self._fit: tuple[tuple, CoefficientMap, FitMethod, float] | None = None
@@ -173,6 +174,7 @@ class Bench:
             **({} if self.experiment.precision == MIXED else {"precision": self.experiment.precision}),
             # Their number is a field of its own.
             **({} if self.experiment.lights is None else {"lights": "farthest"}),
+            **({} if self.experiment.holdout_by == "index" else {"holdout_by": self.experiment.holdout_by}),
             "stack": self.survey.fingerprint,
         }
         known = -1 if isinstance(degree, str) else degree

@@ -64,7 +64,7 @@ class Trial:
         """The setting for people, such as ``cls newton degree 4, 96 lights, klt 0.5 bit``."""
         return ", ".join([self.model.label, f"{int(self.row['n_light'])} lights", storage_label(self.setting)])
 
-    def to_experiment(self, scene: str, holdout: int) -> Experiment:
+    def to_experiment(self, scene: str, holdout: int, holdout_by: str = "index") -> Experiment:
         """Return the experiment of this one row."""
         model = self.model
         return Experiment(
@@ -75,6 +75,7 @@ class Trial:
             holdout,
             lights=model.lights,
             precision=model.precision,
+            holdout_by=holdout_by,
         )
 
 

@@ -16,6 +16,7 @@ from clrelight.fit import FitMethod, method_class
 from clrelight.fit.plan import SAMPLINGS, WEIGHTINGS
 from clrelight.fit.precision import MIXED, PRECISIONS
 from clrelight.fit.selection import AUTO
+from clrelight.holdout import HOLDOUTS
 from clrelight.results import NO_CODEC
 
 RING = "ring"
@@ -93,6 +94,8 @@ class Experiment:
         Fit so many well-spread lights only (`clrelight.sampling.split_chosen`).
     precision : str
         As in `clrelight.fit.fit`.
+    holdout_by : str
+        Which lights `holdout` keeps out, one of `clrelight.holdout.HOLDOUTS`.
     """
 
     scenes: tuple[str, ...] = (RING,)
@@ -105,6 +108,7 @@ class Experiment:
     ring: Mapping[str, Any] = field(default_factory=dict)
     lights: int | None = None
     precision: str = MIXED
+    holdout_by: str = "index"
 
     def __post_init__(self) -> None:
         for name in ("scenes", "methods", "degrees", "codecs"):
@@ -121,7 +125,12 @@ class Experiment:
             raise InputError(f"holdout must be at least 2 (every K-th light is kept out), got {self.holdout}")
         if self.lights is not None and self.lights < 1:
             raise InputError(f"lights must be at least 1 (so many are fitted), got {self.lights}")
-        for name, known in (("weights", WEIGHTINGS), ("sampling", SAMPLINGS), ("precision", PRECISIONS)):
+        for name, known in (
+            ("weights", WEIGHTINGS),
+            ("sampling", SAMPLINGS),
+            ("precision", PRECISIONS),
+            ("holdout_by", HOLDOUTS),
+        ):
             if getattr(self, name) not in known:
                 raise InputError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
 
@@ -146,6 +155,7 @@ def paper_experiment(
     codecs: tuple[str, ...] = (NO_CODEC, "half", "s3tc", "uniform", "wavelet"),
     rates: tuple[float, ...] | None = None,
     holdout: int | None = None,
+    holdout_by: str = "index",
     precision: str = MIXED,
     ring: Mapping[str, Any] | None = None,
 ) -> Experiment:
@@ -162,7 +172,14 @@ def paper_experiment(
         settings += make_settings(name, {"rate": list(chosen)} if chosen and name in rated else {})
     made = [method for name in methods for method in make_methods(name, {})]
     return Experiment(
-        (scene,), tuple(made), degrees, tuple(settings), holdout, ring=dict(ring or {}), precision=precision
+        (scene,),
+        tuple(made),
+        degrees,
+        tuple(settings),
+        holdout,
+        ring=dict(ring or {}),
+        precision=precision,
+        holdout_by=holdout_by,
     )
 
 

@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from clrelight.dataset import LightStack, split_lights
+from clrelight.dataset import LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import is_sphere
 from clrelight.fit.run import fit
+from clrelight.holdout import split_chosen
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.plan_lights import LightQuality, assess_lights, choose_lights
 
@@ -62,7 +63,7 @@ def measure_choices(
         If a count is more than the lights left beside the held-out ones, or a method or choice is unknown.
     """
     device = device or open_device()
-    rest, held = split_lights(stack.n_light, holdout)
+    rest, held = split_chosen(stack.directions_i3, holdout)
     sphere = is_sphere(stack.directions_i3)
     counts = counts or sorted({max(1, len(rest) // 4), max(1, len(rest) // 2), len(rest)})
     if max(counts) > len(rest):

@@ -14,6 +14,7 @@ from clrelight.device import Device, open_device
 from clrelight.experiment.bench import Bench, row_key
 from clrelight.experiment.grid import RING, Experiment
 from clrelight.experiment.scenes import check_names, open_scene, scene_name
+from clrelight.holdout import describe_distance
 from clrelight.results import ROW_DTYPE, Results
 from clrelight.store import check_output, read_results, write_results
 from clrelight.store.durable import claiming, no_locks
@@ -63,7 +64,7 @@ def run_experiment(
     with claiming(out) as is_claimed:
         if tell is not None and not is_claimed:
             tell(no_locks(out))
-        return _measure_rows(experiment, out, device or open_device(), earlier_results(out, force), progress)
+        return _measure_rows(experiment, out, device or open_device(), earlier_results(out, force), progress, tell)
 
 
 def _measure_rows(
@@ -72,6 +73,7 @@ def _measure_rows(
     device: Device,
     results: Results,
     progress: Progress | None,
+    tell: Callable[[str], None] | None,
 ) -> Results:
     done = {row_key(row) for row in results.table}
     report = progress or (lambda what, count, total: None)
@@ -83,6 +85,8 @@ def _measure_rows(
         with open_scene(scene, experiment, progress=rendering) as stack:
             bench = Bench(stack, experiment, device, experiment.ring.get("seed", 0) if scene == RING else 0)
             bench.check_earlier(results, out)
+            if tell is not None and len(bench.held):
+                tell(f"{stack.name}: {describe_distance(stack.directions_i3, bench.fitted, bench.held)}")
             for method, degree, setting in planned:
                 identity = bench.identity(method, degree, setting)
                 if row_key(identity) not in done:

@@ -25,7 +25,7 @@ from clrelight.fit.selection import AUTO
 from clrelight.results import NO_CODEC
 
 _RING_KEYS = {"size": int, "lights": int, "pattern": str, "seed": int, "dtype": str}
-_MODEL_KEYS = ("methods", "degrees", "holdout", "weights", "sampling", "precision", "lights")
+_MODEL_KEYS = ("methods", "degrees", "holdout", "holdout_by", "weights", "sampling", "precision", "lights")
 _TOML_KEYS = ("scenes", *_MODEL_KEYS, "ring", "method", "codec")
 
 
@@ -55,6 +55,7 @@ def experiment_text(experiment: Experiment, folder: Path, comment: str = "") -> 
         "methods": [method if isinstance(method, str) else method.id],
         "degrees": list(experiment.degrees),
         "holdout": experiment.holdout,
+        "holdout_by": None if experiment.holdout_by == "index" else experiment.holdout_by,
         "lights": experiment.lights,
         "weights": experiment.weights,
         "sampling": experiment.sampling,
@@ -115,6 +116,7 @@ def _experiment_of(given: Mapping[str, Any], file: Path) -> Experiment:
         ring,
         _typed(int, given, "lights", None),
         _typed(str, given, "precision", MIXED),
+        _typed(str, given, "holdout_by", "index"),
     )
 
 

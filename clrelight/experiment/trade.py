@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from clrelight.basis import decompose, evaluate_basis
 from clrelight.conventions import coefficient_count
-from clrelight.dataset import LightStack, split_lights
+from clrelight.dataset import LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.experiment.bench import Bench, row_key
@@ -20,6 +20,7 @@ from clrelight.experiment.scenes import survey_stack
 from clrelight.fit import method_class
 from clrelight.fit.cls import CONVERGED_AFTER, ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED, check_precision, differing_precisions
+from clrelight.holdout import split_chosen
 from clrelight.results import NO_CODEC
 from clrelight.store import write_results
 from clrelight.store.durable import claiming, no_locks
@@ -66,6 +67,8 @@ class Axes:
         Bits per coefficient of the codecs that take a rate, tried downwards.
     holdout : int
         Every `holdout`-th light is in no fit, and measures them all.
+    holdout_by : str
+        Which ones, one of `clrelight.holdout.HOLDOUTS`.
     """
 
     methods: tuple[str, ...] = ("uls", "cls", "ceb", "spline")
@@ -77,6 +80,7 @@ class Axes:
     codecs: tuple[str, ...] = (HALF, "klt", "wavelet", "s3tc")
     rates: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
     holdout: int = 5
+    holdout_by: str = "index"
 
     def __post_init__(self) -> None:
         # Makes every setting once, so that what is unknown is said before anything is measured.
@@ -90,6 +94,7 @@ class Axes:
                 degrees=self.degrees,
                 codecs=codecs or (CodecSetting(),),
                 holdout=self.holdout,
+                holdout_by=self.holdout_by,
                 precision=precision,
             )
         self.searches()
@@ -180,7 +185,7 @@ class _Sweep:
     ) -> None:
         self.stack, self.scene, self.out, self.axes, self.device = _in_memory(stack), scene, out, axes, device
         self.report = progress or (lambda what, count, total: None)
-        n_fit = len(split_lights(stack.n_light, axes.holdout)[0])
+        n_fit = len(split_chosen(stack.directions_i3, axes.holdout, by=axes.holdout_by)[0])
         if n_fit < LEAST_LIGHTS:
             raise InputError(
                 f"{stack.name} has {stack.n_light} lights, of which holdout {axes.holdout} leaves {n_fit} to fit: "
@@ -242,6 +247,7 @@ class _Sweep:
                 self.axes.holdout,
                 lights=lights,
                 precision=precision,
+                holdout_by=self.axes.holdout_by,
             )
             self.benches[key] = Bench(
                 self.stack, plain, self.device, repeats=REPEATS, survey=self.survey, illustrated=False

@@ -13,6 +13,10 @@ from clrelight.fit.columns import launch_columns
 from clrelight.fit.plan import FitPlan, Lighting
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 
+EQUAL = 1e-4
+"""Singular values that differ by less, as a part of the first of them, count as equal: of symmetric lights in files of
+few digits they do."""
+
 _SCATTERED_NOTE = (
     "ceb on scattered samples: the paper's form costs O(n^3) per column; this one truncates in the eigenbasis of the "
     "scaled matrix A* (eq. 29), where the bound stays a running sum and a column costs O(n^2)"
@@ -45,6 +49,7 @@ class _Truncation(FitMethod):
             maps.rank_q,
             columns.energy_q,
             columns.singular_r,
+            device.upload(step_ends(plan.singular_r)),
             *z_rq.shape,
             defines={"CROSSING": self.crossing},
         )
@@ -55,15 +60,36 @@ class _Truncation(FitMethod):
     ) -> NDArray[np.float64]:
         """Return ``1 / sigma`` for the components kept, else 0."""
         term_rp = (z_rp / plan.singular_r[:, None]) ** 2
-        sum_rp = np.cumsum(term_rp, axis=0) - (term_rp if self.crossing else 0.0)
-        kept_rp = sum_rp < energy_p if self.crossing else sum_rp <= energy_p
+        sum_rp = np.cumsum(term_rp, axis=0)
+        end_r = step_ends(plan.singular_r)
+        if self.crossing:
+            first_r = np.searchsorted(end_r, np.arange(len(end_r)), side="right")  # members of earlier steps
+            kept_rp = np.concatenate([np.zeros_like(sum_rp[:1]), sum_rp])[first_r] < energy_p
+        else:
+            kept_rp = sum_rp[end_r - 1] <= energy_p
         return kept_rp / plan.singular_r[:, None]
+
+
+def step_ends(singular_r: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Return, of each component, one past the last that is kept or dropped with it: those of equal singular values.
+
+    Equal ones share a space of eigenvectors, in which a decomposition picks some at will.
+    """
+    end_r = np.empty(len(singular_r), np.int32)
+    first = 0
+    for r in range(1, len(singular_r) + 1):
+        if r == len(singular_r) or singular_r[first] - singular_r[r] > EQUAL * singular_r[first]:
+            end_r[first:r] = r
+            first = r
+    return end_r
 
 
 @register
 @dataclass(frozen=True)
 class ConstrainedEigenbasis(_Truncation):
     """Keep leading eigenvectors of A while ``sum_r (z_r / sigma_r)^2 <= E_c`` (eq. 31-35).
+
+    Those of equal sigma are kept or dropped together.
 
     Attributes
     ----------

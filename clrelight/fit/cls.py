@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +20,10 @@ from clrelight.matmul import SampleCurve
 
 MAX_ITERATIONS = 1000
 
-CONVERGED_AFTER = {"bisection": 24, "newton": 16}
+CONVERGED_AFTER = {"bisection": 24, "newton": 16, "paper": math.inf}
 """Iterations from which the solver's own error is below the tolerance. Bisection with fewer ends above lambda, where
-the bound holds; Newton below, and its coefficients are scaled onto the bound."""
+the bound holds; Newton below, and its coefficients are scaled onto the bound. The paper's search is off by a part of 1,
+not of lambda, however small that is: what it finds stands as it is."""
 
 ENERGY_RANGE = 1e-12, 1e12
 """Factors on E_c. Outside, E_c or E_c / lambda^2 leaves float32's range, wherever samples are scaled to."""
@@ -46,9 +48,11 @@ class ConstrainedLeastSquares(FitMethod):
     energy : float
         Factor on E_c; 1 is the paper's bound, twice the function's energy over the hemisphere.
     solver : str
-        ``"newton"``, or ``"bisection"``, the paper's search. Both give the same coefficients (float32 rounding apart).
+        ``"newton"``, or ``"bisection"`` of the logarithm of lambda: both give the same coefficients (float32 rounding
+        apart). ``"paper"``, the paper's search: from lambda = 1, lower bound 0, doubled until bracketed, then halving
+        the interval; where lambda is far below 1, `iterations` decide how far above it the search ends.
     iterations : int
-        Steps of the bisection; 32 is the paper's. Newton ends by itself, and takes 16 or more as a cap. With fewer,
+        Steps of a bisection; 32 is the paper's. Newton ends by itself, and takes 16 or more as a cap. With fewer,
         coefficients beyond the bound are scaled onto it: they keep it, but are not the best that do. Lambda is then
         that of the last step.
     """
@@ -63,8 +67,8 @@ class ConstrainedLeastSquares(FitMethod):
 
     def __post_init__(self) -> None:
         check_energy_factor(self.energy)
-        if self.solver not in ("bisection", "newton"):
-            raise InputError(f"solver must be bisection or newton, got {self.solver!r}")
+        if self.solver not in CONVERGED_AFTER:
+            raise InputError(f"solver must be {', '.join(CONVERGED_AFTER)}, got {self.solver!r}")
         if not 1 <= self.iterations <= MAX_ITERATIONS:
             raise InputError(f"iterations must be 1 to {MAX_ITERATIONS}, got {self.iterations}")
 
@@ -99,7 +103,7 @@ class ConstrainedLeastSquares(FitMethod):
         launch_columns(
             device,
             "fit/cls.cl",
-            f"shrink_by_{self.solver}_rq",
+            f"shrink_by_{'newton' if self.solver == 'newton' else 'bisection'}_rq",
             z_rq,
             maps.lambda_q,
             doubt_q,
@@ -109,6 +113,7 @@ class ConstrainedLeastSquares(FitMethod):
             *z_rq.shape,
             defines={
                 "PAIRED": int(columns.precision == DOUBLE or plan.singular_r.min() ** 4 > _SMALLEST_PRODUCT),
+                "ARITHMETIC": int(self.solver == "paper"),
                 "ONTO_BOUND": int(self.solver == "newton" and not self.ends),
             },
         )

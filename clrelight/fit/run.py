@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clrelight.basis import MAX_DEGREE
-from clrelight.dataset import CoefficientMap, LightStack, split_lights
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, make_lighting
@@ -24,6 +24,7 @@ from clrelight.fit.registry import Columns, FitMethod, OnePass, method_class
 from clrelight.fit.samples import Samples
 from clrelight.fit.scaling import ScaledTile, TileScaling, round_coefficients
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, Choice, choose_model
+from clrelight.holdout import split_chosen
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
 from clrelight.streaming import Buffer, reading_ahead
 
@@ -132,7 +133,7 @@ def fit(
         If the method cannot fit this degree to these lights, samples are negative or not finite, or the device cannot
         compute in this precision.
     """
-    fitted, _ = split_lights(stack.n_light, holdout)
+    fitted, _ = split_chosen(stack.directions_i3, holdout)
     if holdout is not None:
         stack = stack.select(fitted)
     prepared = prepare_fit(

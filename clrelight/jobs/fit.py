@@ -28,12 +28,12 @@ from clrelight.fit.run import (
     prepare_fit,
 )
 from clrelight.fit.selection import AUTO
+from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
-from clrelight.sampling import split_chosen
 from clrelight.store import FitSink, create_fit
 from clrelight.store.fits import coefficient_dtype
 from clrelight.streaming import Buffer, writing_behind
@@ -50,6 +50,7 @@ def fit(
     *,
     out: None = None,
     holdout: int | None = None,
+    holdout_by: str = "index",
     lights: int | None = None,
     weights: str = "uniform",
     sampling: str = "hemisphere",
@@ -72,6 +73,7 @@ def fit(
     *,
     out: str | os.PathLike[str],
     holdout: int | None = None,
+    holdout_by: str = "index",
     lights: int | None = None,
     weights: str = "uniform",
     sampling: str = "hemisphere",
@@ -93,6 +95,7 @@ def fit(
     *,
     out: str | os.PathLike[str] | None = None,
     holdout: int | None = None,
+    holdout_by: str = "index",
     lights: int | None = None,
     weights: str = "uniform",
     sampling: str = "hemisphere",
@@ -119,6 +122,9 @@ def fit(
         A fit file to write, piece by piece; without it the map is returned.
     holdout : int, optional
         Keep every K-th light out of the fit, and measure there too.
+    holdout_by : str
+        Which ones: ``"index"``, every K-th direction in the order of the photographs, or ``"place"``, blocks as large
+        as the gaps between lights (`clrelight.holdout.split_chosen`).
     lights : int, optional
         Fit so many well-spread lights only.
     weights : str
@@ -165,7 +171,8 @@ def fit(
         opened_on(device, kept) as opened,
         lend_stack(source, kept) as stack,
     ):
-        split = split_chosen(stack.directions_i3, every, count)
+        rule = HoldoutRule(every, count, holdout_by)
+        split = rule.split(stack.directions_i3)
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         with stage(progress, "choosing a model" if AUTO in (model, wanted) else "preparing"):
             prepared = prepare_fit(
@@ -178,6 +185,7 @@ def fit(
                 precision=precision,
                 device=opened,
             )
+        prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
         job = _Fit(stack, split, prepared, dtype, budget, kept, progress)
         job.tell_facts()
         if out is not None:
@@ -215,6 +223,11 @@ class _Fit:
             facts["choice"] = prepared.choice.to_config()
         self.report.seconds = prepared.report.seconds
         self.report.note(*prepared.report.notes)
+        if (duplicates := describe_duplicates(self.stack)) is not None:
+            facts["duplicates"] = duplicates[0]
+            self.report.note(duplicates[1])
+        if (near := note_distance(self.stack.directions_i3, *self.split)) is not None:
+            self.report.note(near)
 
     def to_file(self, out: str | os.PathLike[str], measured: bool) -> None:
         """Write the fit tile by tile."""

@@ -7,8 +7,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import CoefficientMap, LightStack, split_by_fit
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
+from clrelight.holdout import distances_to, split_by_fit
 from clrelight.jobs.inputs import FittedLike, StackLike, lend_coefficients, lend_stack, opened_on
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.metrics import domain_note, measure_errors, summarize_errors
@@ -40,7 +41,8 @@ def measure(
     -------
     dict of str to float
         ``mean_fitted``, the mean over the lights that the fit has seen, and ``pooled_fitted``, of their pooled error;
-        ``mean_holdout`` and ``pooled_holdout`` of those that it has not, where there are any.
+        ``mean_holdout`` and ``pooled_holdout`` of those that it has not, where there are any, with the angle in degrees
+        from them to the nearest fitted one, ``distance_median_holdout`` and ``distance_largest_holdout``.
 
     Raises
     ------
@@ -69,7 +71,8 @@ def measure_split(
 ) -> dict[str, float]:
     """Return PSNRs at the fitted lights and, apart, at those held out; by default all that were not fitted.
 
-    Where some images are identical but not all, their number and the mean over the others are there too.
+    Of the latter with how far they lie from the former. Where some images are identical but not all, their number and
+    the mean over the others are there too.
     """
     fitted, held = split_by_fit(stack, coefficients) if split is None else split
     with stage(progress, "measuring") as tell:
@@ -82,4 +85,8 @@ def measure_split(
             if measured.note:
                 quality[f"identical_{name}"] = measured.n_identical
                 quality[f"mean_others_{name}"] = measured.psnr_others
+    if len(held):
+        away_i = distances_to(coefficients.directions_i3, stack.directions_i3[held])
+        quality["distance_median_holdout"] = float(np.median(away_i))
+        quality["distance_largest_holdout"] = float(away_i.max())
     return quality

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clrelight.codec import Codec, Encoded, codec_class, decode, encode
-from clrelight.dataset import CoefficientMap, LightStack, split_by_fit
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
+from clrelight.holdout import split_by_fit
 from clrelight.metrics import Quality, measure_errors, summarize_errors
 
 TOLERANCE = 0.3

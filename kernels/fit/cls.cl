@@ -13,13 +13,15 @@
  * Bisection. The paper starts at lambda = 1 with lower bound 0 and halves. Halving the interval leaves lambda off by
  * up to 0.3 of itself when sigma^2 spans nine decades, so we halve its logarithm: go down or up by 16 until lambda is
  * bracketed, then take geometric means. The upper end is returned: there the constraint holds. |z sigma| / sqrt(E)
- * is an upper end in any case.
+ * is an upper end in any case. ARITHMETIC searches as printed: from 1, doubled until lambda is bracketed, then
+ * arithmetic means; after k steps lambda is off by up to 2^-k, or its own size where that is less.
  *
  * Newton, safeguarded: lambda <- lambda + (f/r) (sqrt(f/E) - 1) with r = sum t^2/(s + lambda). 1/|c| is concave in
  * lambda, so the iteration comes from the left and never overshoots. It starts where no t_r alone exceeds sqrt(E):
  * below that, t^2/(s + lambda) overflows once s spans more than some twenty decades.
  *
  *   PAIRED      1 where the product of two sigma^2 is a normal number, else 0
+ *   ARITHMETIC  1 for the bisection as the paper has it, else 0
  *   ONTO_BOUND  1 where Newton gets too few steps to end: it is then below lambda, and t is scaled by sqrt(E/f) where f
  *               exceeds E. Else 0
  */
@@ -28,6 +30,9 @@
 
 #ifndef PAIRED
 #error "PAIRED must be defined: 1 where the product of two sigma^2 is a normal number, else 0"
+#endif
+#ifndef ARITHMETIC
+#error "ARITHMETIC must be defined: 1 for the paper's bisection, else 0"
 #endif
 #ifndef ONTO_BOUND
 #error "ONTO_BOUND must be defined: 1 to scale t onto the bound, else 0"
@@ -104,7 +109,7 @@ __kernel void shrink_by_bisection_rq(__global REAL *restrict z_rq, __global floa
     const lanes energy = LOAD_LANES(energy_q + q);
     const lanes_mask held = squared_norm(b, singular_r, 0.0f) <= energy;
 
-    lanes low = 0.0f, high = root(norm / energy), lambda = LESSER(high, (lanes)1.0f);
+    lanes low = 0.0f, high = root(norm / energy), lambda = ARITHMETIC ? (lanes)1.0f : LESSER(high, (lanes)1.0f);
     lanes_mask bracketed = 0;
     if (!all_lanes(held)) {
         for (int k = 0; k < iterations; k++) {
@@ -112,9 +117,14 @@ __kernel void shrink_by_bisection_rq(__global REAL *restrict z_rq, __global floa
             high = feasible ? lambda : high;
             low = feasible ? low : lambda;
             bracketed |= feasible;
+#if ARITHMETIC
+            const lanes up = LESSER(lambda * 2.0f, high), middle = 0.5f * (low + high);
+            lambda = bracketed ? middle : up;
+#else
             const lanes up = LESSER(lambda * STEP, high), down = high / STEP;
             const lanes middle = root(low) * root(high);
             lambda = low == 0.0f ? down : bracketed ? middle : up;
+#endif
         }
     }
     lambda = held ? (lanes)0.0f : high;

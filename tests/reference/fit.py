@@ -54,18 +54,50 @@ def constrained(basis_ik, sample_ip, weight_i, factor=1.0):
     return rotation @ shrunk(lambda_p), lambda_p, free
 
 
+def constrained_as_printed(basis_ik, sample_ip, weight_i, steps, factor=1.0):
+    """Return coefficients and lambda of eq. 25 by section V-C's search: from 1, lower bound 0, doubled, then halved."""
+    rotation, sigma, z = decomposed(basis_ik, sample_ip, weight_i)
+    energy = factor * bound(sample_ip, weight_i)
+    lambda_p = np.zeros(sample_ip.shape[1])
+    for p in range(sample_ip.shape[1]):
+
+        def within(value, column=z[:, p], limit=energy[p]):
+            return np.sum((sigma[:, 0] * column / (sigma[:, 0] ** 2 + value)) ** 2) <= limit
+
+        if within(0.0):
+            continue
+        low, high, tried = 0.0, None, 1.0
+        for _ in range(steps):
+            if within(tried):
+                high = tried
+            else:
+                low = tried
+            tried = 2.0 * tried if high is None else 0.5 * (low + high)
+        lambda_p[p] = high
+    return rotation @ (sigma * z / (sigma**2 + lambda_p)), lambda_p
+
+
 def truncated(basis_ik, sample_ip, weight_i, factor=1.0, crossing=False):
-    """Return coefficients and ranks of eq. 31-35, stopping before the bound (or after the term that crosses it)."""
+    """Return coefficients and ranks of eq. 31-35, stopping before the bound (or after the step that crosses it).
+
+    A step is all components whose sigma is within 1e-4 of that of the first.
+    """
     rotation, sigma, z = decomposed(basis_ik, sample_ip, weight_i)
     energy = factor * bound(sample_ip, weight_i)
     rank_p = np.zeros(sample_ip.shape[1], int)
+    steps = []
+    for r, value in enumerate(sigma[:, 0]):
+        if not steps or value < (1 - 1e-4) * sigma[steps[-1][0], 0]:
+            steps.append([])
+        steps[-1].append(r)
     for p, column in enumerate((z / sigma).T):
         total = 0.0
-        for term in column**2:
+        for step in steps:
+            term = np.sum(column[step] ** 2)
             if (total >= energy[p]) if crossing else (total + term > energy[p]):
                 break
             total += term
-            rank_p[p] += 1
+            rank_p[p] += len(step)
     kept = np.arange(len(sigma))[:, None] < rank_p
     return rotation @ np.where(kept, z / sigma, 0.0), rank_p
 

@@ -1,5 +1,5 @@
-/* Constrained least squares for GPUs: see fit/cls.cl for the equations, the two searches, the arrays and
- * ONTO_BOUND.
+/* Constrained least squares for GPUs: see fit/cls.cl for the equations, the searches, the arrays,
+ * ARITHMETIC and ONTO_BOUND.
  *
  *   N_COMPONENT   R
  *
@@ -10,6 +10,9 @@
 
 #ifndef N_COMPONENT
 #error "N_COMPONENT must be defined: the number of rows"
+#endif
+#ifndef ARITHMETIC
+#error "ARITHMETIC must be defined: 1 for the paper's bisection, else 0"
 #endif
 #ifndef ONTO_BOUND
 #error "ONTO_BOUND must be defined: 1 to scale t onto the bound, else 0"
@@ -110,7 +113,8 @@ __kernel void shrink_by_bisection_rq(__global REAL *z_rq, __global float *restri
     REAL unused;
     const int held = squared_norm(b, singular_r, size_q, 0.0f, &unused) <= energy;
 
-    REAL low = 0.0f, high = norm_of(b, singular_r, size_q, 1.0f, &unused) / sqrt(energy), lambda = fmin((REAL)1.0f, high);
+    REAL low = 0.0f, high = norm_of(b, singular_r, size_q, 1.0f, &unused) / sqrt(energy);
+    REAL lambda = ARITHMETIC ? (REAL)1.0f : fmin((REAL)1.0f, high);
     int bracketed = 0;
     for (int k = 0; k < iterations && !held; k++) {
         if (squared_norm(b, singular_r, size_q, lambda, &unused) <= energy) {
@@ -119,8 +123,12 @@ __kernel void shrink_by_bisection_rq(__global REAL *z_rq, __global float *restri
         } else {
             low = lambda;
         }
+#if ARITHMETIC
+        lambda = bracketed ? 0.5f * (low + high) : fmin(lambda * 2.0f, high);
+#else
         const REAL up = fmin(lambda * STEP, high), down = high / STEP, middle = sqrt(low) * sqrt(high);
         lambda = low == 0.0f ? down : bracketed ? middle : up;
+#endif
     }
     lambda = held ? 0.0f : high;
     lambda_q[q] = lambda;
