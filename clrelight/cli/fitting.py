@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.argument("stack", type=click.Path())
 @click.argument("out", type=click.Path())
 @click.option(
-    "--method", default="cls", show_default=True, help="project, uls, sloan, cls, ceb, ceb-crossing, spline or auto."
+    "--method", default="cls", show_default=True, help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum or auto."
 )
 @click.option("--degree", type=DegreeType(), default=6, show_default=True, help="Largest SH degree, or auto.")
 @holdout_option("the fit")
