@@ -63,7 +63,7 @@ def measure_left_out(
 ) -> tuple[float, NDArray[np.float64]]:
     """Return ``n / 2 sum_z w_z log(e_z + least)``, e_z the mean squared error, and its gradient in the covariance."""
     half = 0.5 * len(covariance_gg)
-    q = np.linalg.inv(covariance_gg)
+    q = np.asarray(np.linalg.inv(covariance_gg))
     a = q @ moment_gg @ q
     b, _ = solve_zones(q, judged.zones)
     ab = a @ b

@@ -106,7 +106,7 @@ def _order_components(map_ki: NDArray[np.float64], degree: int, sphere: bool) ->
     points = spread_points(4 * (kept + 1) ** 2 + 50, sphere)
     image_ti = evaluate_basis(points, kept) @ map_ki[: (kept + 1) ** 2]
     _, turn_ir = np.linalg.eigh(image_ti.T @ image_ti)
-    return turn_ir.T[::-1][: min(map_ki.shape)]
+    return np.ascontiguousarray(turn_ir.T[::-1][: min(map_ki.shape)])
 
 
 def _describe(model: ZonalModel, degree: int) -> tuple[str, ...]:

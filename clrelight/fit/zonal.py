@@ -1,4 +1,4 @@
-"""Functions on the sphere whose coefficients are Gaussian with a variance for each degree, and the map that fits them."""
+"""Functions on the sphere whose coefficients are Gaussian with a variance for each degree: the map that fits them."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class ZonalModel:
         covariance_gg = _kernel(variance_l, places.directions_g3, places.directions_g3) + np.diag(
             noise / places.count_g
         )
-        return cls(places, theta, variance_l, noise, covariance_gg, np.linalg.inv(covariance_gg))
+        return cls(places, theta, variance_l, noise, covariance_gg, np.asarray(np.linalg.inv(covariance_gg)))
 
     def weights_at(self, targets_t3: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the weight of each photograph in the value at each direction, shape (n_target, n_light)."""
@@ -163,7 +163,7 @@ class ZonalModel:
         relative_k = np.maximum(self.variance_l / self.variance_l.max(), _LEAST_VARIANCE)[_degrees(degree)]
         ridge = float(np.clip(1e-3 * self.theta.noise, *_RIDGE))
         normal_kk = basis_tk.T @ basis_tk / len(points) + np.diag(ridge / relative_k)
-        return np.linalg.solve(normal_kk, basis_tk.T @ self.weights_at(points) / len(points))
+        return np.asarray(np.linalg.solve(normal_kk, basis_tk.T @ self.weights_at(points) / len(points)))
 
 
 def _degrees(degree: int) -> NDArray[np.intp]:
@@ -171,4 +171,6 @@ def _degrees(degree: int) -> NDArray[np.intp]:
 
 
 def _kernel(variance_l: NDArray, first_t3: NDArray, second_g3: NDArray) -> NDArray[np.float64]:
-    return np.tensordot(variance_l, legendre_terms(np.clip(first_t3 @ second_g3.T, -1.0, 1.0)), 1)
+    return np.asarray(
+        np.tensordot(variance_l, legendre_terms(np.clip(first_t3 @ second_g3.T, -1.0, 1.0)), 1), np.float64
+    )
