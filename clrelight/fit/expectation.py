@@ -21,6 +21,8 @@ _FARTHEST = 0.25
 _UNSEEN = (1.0 / 255.0) ** 2
 """A squared error of one 8-bit code value."""
 _LEAST_ERROR = 1e-13
+_KINDER = 0.3
+"""Errors in the gaps of a few lights, in units of those at lights left out, at best."""
 _DB = 10.0 / np.log(10.0)
 _TARGETS = 150
 
@@ -38,7 +40,7 @@ class Expectation:
     why_unknown : str or None
         Why the figure cannot be relied on, where it cannot.
     error : float
-        Mean squared error by the better end of the figure; that of left-out lights without one.
+        Least mean squared error that it may be, against which fewer coefficients are weighed.
     """
 
     psnr: float | None
@@ -60,7 +62,8 @@ def expect_unseen(model: ZonalModel, trials: Trials) -> Expectation:
     count = len(directions_g3)
     typical = float(np.exp(np.mean(np.log(error_g))))
     if count < FEWEST_JUDGES:
-        return Expectation(None, 0.0, f"{count} lights are too few to leave any out", typical)
+        lights = f"{count} light is" if count == 1 else f"{count} lights are"
+        return Expectation(None, 0.0, f"{lights} too few to leave any out", _KINDER * typical)
     targets_t3 = list_unseen(directions_g3, trials.gap)
     weight_tg = _weigh_neighbours(targets_t3, directions_g3)
     step_t = np.log(model.variance_at(targets_t3)) - weight_tg @ np.log(judged_g)
@@ -73,7 +76,7 @@ def expect_unseen(model: ZonalModel, trials: Trials) -> Expectation:
         why = "unseen directions are farther from the lights than any light that can be left out"
     elif 10.0 ** (-psnr / 10.0) < _UNSEEN:
         why = "the error is below one 8-bit code value, where rounding decides"
-    return Expectation(psnr, spread, why, 10.0 ** (-(psnr + spread) / 10.0))
+    return Expectation(psnr, spread, why, 10.0 ** (-(psnr + max(spread, _WIDEST)) / 10.0))
 
 
 def _weigh_neighbours(targets_t3: NDArray[np.float64], directions_g3: NDArray[np.float64]) -> NDArray[np.float64]:

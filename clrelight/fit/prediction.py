@@ -18,8 +18,8 @@ from clrelight.fit.samples import Samples
 from clrelight.fit.zonal import ZonalModel
 
 LEAST_FREEDOM = 0.02
-"""Least singular value of ``I - H`` at the lights of a zone: below it a fit follows samples that it has not left out,
-and what it says of them tells nothing."""
+"""Least reciprocal norm of ``(I - H_ZZ)^-1``: below it a fit follows the samples of the zone whatever they are, and what
+is left of them tells nothing."""
 REFITS = 6
 """Zones in which methods are fitted anew that are not one linear map."""
 _REFIT_COLUMNS = 300
@@ -111,8 +111,8 @@ def try_method(method: FitMethod, degree: int, trials: Trials) -> NDArray[np.flo
     """Return the mean squared error of a fit at each place left out with its zone; NaN where it is not known.
 
     With the hat matrix H of a linear fit, ``(I - H_ZZ)^-1 (beta - H beta)_Z`` are the errors at a zone left out
-    exactly (Cook 1977 for zones of one), given lambda. Where a fit follows the samples of any zone, nothing is known. cls
-    and ceb are no linear map: they are fitted anew, without each of `Trials.refitted`.
+    exactly (Cook 1977 for zones of one), given lambda. Where a fit follows the samples of any zone, nothing is known.
+    cls and ceb are no linear map: they are fitted anew, without each of `Trials.refitted`.
     """
     settled = method.settle(trials.lighting, degree, trials.samples)
     plan = settled.plan(trials.lighting, degree)
@@ -129,10 +129,15 @@ def try_method(method: FitMethod, degree: int, trials: Trials) -> NDArray[np.flo
     predicted_gp = np.full_like(trials.mean_gp, np.nan)
     for place, zone in enumerate(trials.zones):
         out = trials.photographs(zone)
-        block = left_ii[np.ix_(out, out)]
-        if np.linalg.svd(block, compute_uv=False)[-1] < LEAST_FREEDOM or len(out) == len(left_ii):
+        if len(out) == len(left_ii):
             return np.full(len(trials.places), np.nan)
-        missed_ip = np.linalg.solve(block, residual_ip[out])
+        try:
+            inverse = np.linalg.inv(left_ii[np.ix_(out, out)])
+        except np.linalg.LinAlgError:
+            return np.full(len(trials.places), np.nan)
+        if not np.linalg.norm(inverse) < 1.0 / LEAST_FREEDOM:
+            return np.full(len(trials.places), np.nan)
+        missed_ip = inverse @ residual_ip[out]
         predicted_gp[place] = trials.mean_gp[place] - trials.places.mean_gi[place, out] @ missed_ip
     return trials.measure(predicted_gp, trials.mean_gp)
 

@@ -19,8 +19,10 @@ from clrelight.fit.spectrum import SpectrumFit
 AUTO = "auto"
 METHODS = ("spectrum", "uls", "sloan", "cls", "ceb", "spline")
 """The ids that ``method="auto"`` chooses from."""
-DEGREES = (*range(11), 12, 15, 20, 25)
+DEGREES = (*range(9), 10, 12, 15, 20, 25)
 """The degrees that ``degree="auto"`` chooses from; that of spectrum may be any up to the last."""
+_REFIT_DEGREES = (0, 1, 2, 3, 4, 6, 9)
+"""Those that ``method="auto"`` tries of what must be fitted anew for each zone."""
 
 WITHIN = 0.05
 """Decibels at unseen lights that fewer coefficients may cost."""
@@ -138,7 +140,12 @@ def choose_model(
     expected = expect_unseen(model, trials)
     predicted_gp, _ = krige_left_out(model, trials.mean_gp, trials.zones)
     base = _judge(settled, max(degrees), trials.measure(predicted_gp, trials.mean_gp))
-    others = [c for method in methods if method not in starts for c in _try_degrees(method, degrees, trials)]
+    others = [
+        candidate
+        for method in methods
+        if method not in starts
+        for candidate in _try_degrees(method, _list_degrees(method, degrees) if starts else degrees, trials)
+    ]
     if not starts and not others:
         for method in methods:  # say why not
             method.plan(trials.lighting, degrees[0])
@@ -163,6 +170,11 @@ def _judge(method: FitMethod, degree: int, error_g: NDArray[np.float64]) -> Cand
     known = error_g[np.isfinite(error_g)]
     folds = float(-10.0 * np.mean(np.log10(np.maximum(known, _LEAST_ERROR)))) if len(known) else None
     return Candidate(method, degree, None, folds, error_g)
+
+
+def _list_degrees(method: FitMethod, degrees: Sequence[int]) -> list[int]:
+    refitted = method.has_lambda or method.has_rank
+    return [degree for degree in degrees if not refitted or len(degrees) == 1 or degree in _REFIT_DEGREES]
 
 
 def _try_degrees(method: FitMethod, degrees: Sequence[int], trials: Trials) -> list[Candidate]:

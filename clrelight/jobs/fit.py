@@ -114,9 +114,8 @@ def fit(
     ----------
     source : path or LightStack
     method : str or FitMethod
-        ``"project"``, ``"uls"``, ``"sloan"``, ``"cls"``, ``"ceb"``, ``"ceb-crossing"``, ``"spline"``, ``"spectrum"``, or
-        ``"auto"``:
-        the one with the least error at unseen lights, as far as the lights to fit can tell.
+        ``"project"``, ``"uls"``, ``"sloan"``, ``"cls"``, ``"ceb"``, ``"ceb-crossing"``, ``"spline"``,
+        ``"spectrum"``, or ``"auto"``: the best at unseen lights, as far as the lights to fit can tell.
     degree : int or str
         Largest degree, or ``"auto"``.
     out : path, optional
