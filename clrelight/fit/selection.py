@@ -29,7 +29,7 @@ WITHIN = 0.05
 _DOUBT = 3.0
 """Standard errors by which another method must be better than spectrum: neighbouring lights err alike, and many
 models are tried."""
-_CLEAR = 0.25
+_CLEAR = 0.5
 """Decibels that it must be better by beside that."""
 _FEWEST = 6
 _LEAST_ERROR = 1e-13
@@ -147,8 +147,8 @@ def choose_model(
         for candidate in _try_degrees(method, _list_degrees(method, degrees) if starts else degrees, trials)
     ]
     if not starts and not others:
-        for method in methods:  # say why not
-            method.plan(trials.lighting, degrees[0])
+        for method in methods:  # it says why not; sloan has no degree 0
+            method.plan(trials.lighting, min(degrees[1:2] or degrees))
     if starts:
         winner = _find_winner(base, others, within)
         if winner is None:
