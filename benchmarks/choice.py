@@ -1,4 +1,4 @@
-"""What `auto` takes and reaches at unseen lights, beside fixed splines: ``CLRELIGHT_DATA=... python -m benchmarks.choice``.
+"""What `auto` takes and reaches at unseen lights: ``CLRELIGHT_DATA=... python -m benchmarks.choice``.
 
 Splits: loewenkopf fitted to n of its lights, evenly chosen, tested at the rest; SynthRTI, Dome fitted, Test tested;
 RealRTI, every fifth light held out. A sample of the pixels is fitted, the same for all.
@@ -85,7 +85,8 @@ def main() -> None:
         predicted = prepared.choice.chosen.predicted
         print(
             f"| {name} | {fitted_to.n_light} | {prepared.method.id} {prepared.degree} | {reached:.2f} | "
-            f"{'unknown' if predicted is None else format(predicted, '.2f')} | {' | '.join(splines)} | {seconds:.1f} s |",
+            f"{'unknown' if predicted is None else format(predicted, '.2f')} | {' | '.join(splines)} | "
+            f"{seconds:.1f} s |",
             flush=True,
         )
 

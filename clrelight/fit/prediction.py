@@ -18,8 +18,8 @@ from clrelight.fit.samples import Samples
 from clrelight.fit.zonal import ZonalModel
 
 LEAST_FREEDOM = 0.02
-"""Least reciprocal norm of ``(I - H_ZZ)^-1``: below it a fit follows the samples of the zone whatever they are, and what
-is left of them tells nothing."""
+"""Least reciprocal norm of ``(I - H_ZZ)^-1``: below it a fit follows the samples of the zone whatever they are, and
+what is left of them tells nothing."""
 REFITS = 6
 """Zones in which methods are fitted anew that are not one linear map."""
 _REFIT_COLUMNS = 300
