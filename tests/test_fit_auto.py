@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from clrelight.basis import evaluate_basis
 from clrelight.cli.app import cli
-from clrelight.dataset import LightStack, split_lights
+from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import collect_fit, fit, method_class, prepare_fit
 from clrelight.fit.places import spread_points

@@ -94,7 +94,7 @@ def least_degree(model: ZonalModel, trials: Trials, error: float, within: float)
     """
     targets_t3 = list_unseen(trials.places.directions_g3, trials.gap)
     targets_t3 = targets_t3[:: max(1, len(targets_t3) // _TARGETS)]
-    radiance_ip = trials.samples.radiance_ip[:, trials.few]
+    radiance_ip = trials.samples.radiance_ip
     whole_tp = trials.show(model.weights_at(targets_t3) @ radiance_ip)
 
     def cost(degree: int) -> float:

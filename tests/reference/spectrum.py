@@ -33,7 +33,7 @@ def predict(a_l, noise, lights_i3, sample_ip, targets_t3):
 
 
 def operator(a_l, noise, basis_ik):
-    """Return the posterior mean's matrix, in the space of coefficients: ``(Y'Y / n + diag(1 / a))^-1 Y' / n``."""
+    """Return the posterior mean's matrix, found in coefficients: ``(Y'Y / n + diag(1 / a))^-1 Y' / n``."""
     variance_k = np.repeat(a_l, 2 * np.arange(DEGREE + 1) + 1)
     n = noise_of(a_l, noise)
     root_k = np.sqrt(variance_k)
