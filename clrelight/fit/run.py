@@ -178,7 +178,7 @@ def prepare_fit(
     if AUTO in (method, degree):
         choice = choose_model(samples, methods, degrees, weights, sampling, within)
         report.notes.append(choice.note)
-        methods, degrees = [choice.chosen.method], [choice.chosen.degree]
+        methods, degrees = [choice.settled or choice.chosen.method], [choice.chosen.degree]
         start = report.add("choose", start)
     method, degree = methods[0].settle(lighting, degrees[0], samples), degrees[0]
     plan = method.plan(lighting, degree)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -73,13 +73,17 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Choice:
-    """The model taken, the next best, all that were tried, and why the prediction is unknown where it is."""
+    """The model taken, the next best, all that were tried, and why the prediction is unknown where it is.
+
+    `settled` is the method taken with what it has learnt, where it is known already.
+    """
 
     chosen: Candidate
     runner_up: Candidate | None
     tried: tuple[Candidate, ...]
     spread: float = 0.0
     why_unknown: str | None = None
+    settled: FitMethod | None = None
 
     @property
     def note(self) -> str:
@@ -139,7 +143,7 @@ def choose_model(
     model = settled.model(trials.lighting)
     expected = expect_unseen(model, trials)
     predicted_gp, _ = krige_left_out(model, trials.mean_gp, trials.zones)
-    base = _judge(settled, max(degrees), trials.measure(predicted_gp, trials.mean_gp))
+    base = _judge((starts or [settled])[0], max(degrees), trials.measure(predicted_gp, trials.mean_gp))
     others = [
         candidate
         for method in methods
@@ -156,8 +160,8 @@ def choose_model(
                 degree, cost = least_degree(model, trials, expected.error, within)
             else:
                 degree, cost = degrees[0], 0.0
-            chosen = Candidate(settled, degree, _foretell(expected, -cost), base.in_folds, base.error_g)
-            return _conclude(chosen, [chosen, *others], expected)
+            chosen = Candidate(starts[0], degree, _foretell(expected, -cost), base.in_folds, base.error_g)
+            return replace(_conclude(chosen, [chosen, *others], expected), settled=settled)
     else:
         winner = _pick_simplest(others, within)
     gain = _mean_gain(base, winner)

@@ -1,4 +1,4 @@
-"""Kriging on the sphere by the book: Gaussian coefficients with a variance for each degree, lights literally left out."""
+"""Kriging on the sphere by the book: Gaussian coefficients with a variance for each degree, dense matrices."""
 
 import numpy as np
 from scipy.special import eval_legendre
