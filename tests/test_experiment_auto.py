@@ -102,10 +102,10 @@ def test_an_interrupted_grid_goes_on(tmp_path, choices, monkeypatch):
 
 def test_a_choice_that_cannot_be_made_leaves_a_row(tmp_path, choices):
     write_stack(tmp_path / "one.h5", make_stack(1, (4, 5, 3), directions_i3=np.array([[0.0, 0.0, 1.0]])))
-    grid = paper_experiment(str(tmp_path / "one.h5"), methods=("auto",), degrees=("auto",), codecs=("none",))
+    grid = paper_experiment(str(tmp_path / "one.h5"), methods=("sloan",), degrees=("auto",), codecs=("none",))
     (row,) = run_experiment(grid, tmp_path / "r.h5").table
-    assert (row["method"], row["degree"], row["n_coeff"]) == (b"auto", -1, 0)
-    assert b"2 lights or more" in row["note"]
+    assert (row["method"], row["degree"], row["n_coeff"]) == (b"sloan", -1, 0)
+    assert b"there are 1 lights" in row["note"]
     run_experiment(grid, tmp_path / "r.h5")
     assert len(choices) == 1
     write_report(read_results(tmp_path / "r.h5"), tmp_path / "report")

@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 @click.argument("stack", type=click.Path())
 @click.argument("out", type=click.Path())
 @click.option(
-    "--method", default="cls", show_default=True, help="project, uls, sloan, cls, ceb, ceb-crossing, spline or auto."
+    "--method",
+    default="cls",
+    show_default=True,
+    help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum or auto.",
 )
 @click.option("--degree", type=DegreeType(), default=6, show_default=True, help="Largest SH degree, or auto.")
 @holdout_option("the fit")
@@ -42,6 +45,16 @@ if TYPE_CHECKING:
 @click.option("--fill", help="Lower hemisphere (project): zero or mirror.")
 @click.option("--lam", type=float, help="Smoothing of spline; default: by generalised cross-validation.")
 @click.option("--per", help="What shares one lambda (spline): stack or channel.")
+@click.option("--slope", type=float, help="Of the energy over degrees (spectrum); default: learnt.")
+@click.option("--noise", type=float, help="Its variance in units of the samples' (spectrum); default: learnt.")
+@click.option(
+    "--within",
+    type=float,
+    default=0.05,
+    show_default=True,
+    metavar="DB",
+    help="Decibels at unseen lights that auto may give for fewer coefficients.",
+)
 @click.option("--weights", default="uniform", show_default=True, help="uniform or solid-angle.")
 @click.option("--sampling", default="hemisphere", show_default=True, help="hemisphere or scattered (section V-D).")
 @click.option(
@@ -71,6 +84,7 @@ def fit(
     degree: int | str,
     holdout: int | None,
     holdout_by: str | None,
+    within: float,
     weights: str,
     sampling: str,
     precision: str,
@@ -114,6 +128,7 @@ def fit(
             out=out,
             holdout=holdout,
             holdout_by=holdout_by or "index",
+            within=within,
             lights=lights,
             weights=weights,
             sampling=sampling,

@@ -1,7 +1,7 @@
 """Fits: samples of every pixel to spherical-harmonic coefficients. Importing this package registers all methods."""
 
 from clrelight.fit import linear  # noqa: F401, I001 - the order of registration is the order of tables
-from clrelight.fit import cls, ceb, spline  # noqa: F401
+from clrelight.fit import cls, ceb, spline, spectrum  # noqa: F401
 from clrelight.fit.registry import FitMethod, method_class, method_ids, register
 from clrelight.fit.run import FitReport, FittedTile, PreparedFit, collect_fit, fit, fit_tiles, prepare_fit
 

@@ -1,78 +1,160 @@
-"""What a fit will reach at unseen lights, on a sample of the pixels: in closed form, and by leaving lights out."""
+"""What fits reach at lights that are left out together with their neighbours, on a sample of the pixels."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.basis import evaluate_basis
 from clrelight.conventions import linear_to_srgb
+from clrelight.fit.left_out import solve_zones
+from clrelight.fit.places import Places, find_gap_radii, find_places, find_zones, pick_spread
 from clrelight.fit.plan import Lighting, make_lighting
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
-from clrelight.metrics import psnr_of
+from clrelight.fit.zonal import ZonalModel
 
-FOLDS = 5
-_SEED = 0
-_LEAST_FREEDOM = 1e-9
-"""Least ``1 - H_ii``: a sample that its fit meets whatever it is tells nothing about unseen lights."""
+LEAST_FREEDOM = 0.02
+"""Least reciprocal norm of ``(I - H_ZZ)^-1``: below it a fit follows the samples of the zone whatever they are, and
+what is left of them tells nothing."""
+REFITS = 6
+"""Zones in which methods are fitted anew that are not one linear map."""
+_REFIT_COLUMNS = 300
+_MAX_VALUES = 1 << 19
+"""Samples, over all lights, that predictions are made for."""
+_COLUMNS = 2000
 
 
-def predict_left_out(method: FitMethod, degree: int, samples: Samples, lighting: Lighting) -> NDArray[np.float64]:
-    """Return each sample as a fit to all the other lights predicts it, from one fit to all.
+@dataclass
+class Trials:
+    """The lights of a fit, who is left out with whom, and a sample of pixels; the same for every model.
 
-    With the hat matrix H of a linear fit, ``beta_i - (beta_i - f_i) / (1 - H_ii)`` is that prediction exactly (Cook
-    1977), given lambda. For cls and ceb, H is that of each column's own lambda or rank.
-
-    Returns
-    -------
-    ndarray, shape (n_light, P), float64
-        Linear radiance in units of the peak.
+    Attributes
+    ----------
+    samples : Samples
+    weights, sampling : str
+        As in `clrelight.fit.fit`.
     """
-    basis_ir, analysis_ri, gain_rp, z_rp = _solve(method, degree, samples, lighting, lighting.directions_i3)
-    hat_ip = (basis_ir * analysis_ri.T) @ gain_rp
-    residual_ip = samples.radiance_ip - basis_ir @ (gain_rp * z_rp)
-    return samples.radiance_ip - residual_ip / np.maximum(1.0 - hat_ip, _LEAST_FREEDOM)
+
+    samples: Samples
+    weights: str
+    sampling: str
+
+    @classmethod
+    def make(cls, samples: Samples, weights: str, sampling: str) -> Trials:
+        """Return the trials of a sample, of which as many columns are taken as are quick to try."""
+        columns = max(1, min(_COLUMNS, _MAX_VALUES // samples.stack.n_light))
+        return cls(samples.thin(columns), weights, sampling)
+
+    @cached_property
+    def lighting(self) -> Lighting:
+        """The lights, and how much each counts."""
+        return make_lighting(self.samples.stack, self.weights, self.sampling)
+
+    @cached_property
+    def places(self) -> Places:
+        """The distinct lights."""
+        return find_places(self.lighting.directions_i3, self.lighting.row_weights_i)
+
+    @cached_property
+    def gap(self) -> float:
+        """Radius of a typical gap between lights in radians."""
+        return float(np.median(find_gap_radii(self.places.directions_g3)))
+
+    @cached_property
+    def zones(self) -> list[NDArray[np.intp]]:
+        """The places that are left out together with each, itself first."""
+        return find_zones(self.places.directions_g3, self.gap)
+
+    @cached_property
+    def mean_gp(self) -> NDArray[np.float64]:
+        """Radiance under each distinct light, the mean of its photographs."""
+        return self.places.mean_gi @ self.samples.radiance_ip
+
+    @cached_property
+    def few(self) -> NDArray[np.intp]:
+        """The columns that are fitted anew, evenly spread."""
+        count = self.samples.radiance_ip.shape[1]
+        return np.unique(np.linspace(0, count - 1, min(count, _REFIT_COLUMNS)).astype(np.intp))
+
+    def measure(self, predicted_gp: NDArray[np.float64], true_gp: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the mean squared error under each light, of values as `measure_errors` compares them."""
+        return np.asarray(np.mean((self.show(predicted_gp) - self.show(true_gp)) ** 2, axis=1))
+
+    def show(self, radiance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return clipped values in the stack's own transfer."""
+        shown = np.clip(radiance, 0.0, 1.0)
+        return linear_to_srgb(shown) if self.samples.stack.transfer == "srgb" else shown
+
+    def photographs(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the photographs of some places."""
+        return np.flatnonzero(self.places.mean_gi[places].any(axis=0))
+
+    @cached_property
+    def refitted(self) -> NDArray[np.intp]:
+        """The places at which methods are tried that must be fitted anew, far from each other."""
+        return pick_spread(self.places.directions_g3, REFITS)
 
 
-def predict_in_folds(
-    method: FitMethod, degree: int, samples: Samples, weights: str, sampling: str
-) -> NDArray[np.float64]:
-    """Return each sample as a fit without its fold of the lights predicts it; lambda is found anew for each fold.
+def krige_left_out(
+    model: ZonalModel, mean_gp: NDArray[np.float64], zones: list[NDArray[np.intp]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what a model says at each light without its zone, (n_place, P), and the variance it gives that."""
+    errors_gz, variance_z = solve_zones(model.inverse_gg, zones)
+    return mean_gp - errors_gz.T @ (model.inverse_gg @ mean_gp), variance_z
 
-    Folds are drawn by lot (the same each time), not every fifth light: lights often come in rows of a dome.
+
+def try_method(method: FitMethod, degree: int, trials: Trials) -> NDArray[np.float64]:
+    """Return the mean squared error of a fit at each place left out with its zone; NaN where it is not known.
+
+    With the hat matrix H of a linear fit, ``(I - H_ZZ)^-1 (beta - H beta)_Z`` are the errors at a zone left out
+    exactly (Cook 1977 for zones of one), given lambda. Where a fit follows the samples of any zone, nothing is known.
+    cls and ceb are no linear map: they are fitted anew, without each of `Trials.refitted`.
     """
-    n_light = samples.stack.n_light
-    # Only Generator.random is drawn, which NumPy versions have in common.
-    fold_i = np.argsort(np.random.default_rng(_SEED).random(n_light)) % FOLDS
-    predicted_ip = np.empty_like(samples.radiance_ip)
-    for fold in range(min(FOLDS, n_light)):
-        kept, left_out = np.flatnonzero(fold_i != fold), np.flatnonzero(fold_i == fold)
-        seen = samples.select(kept)
-        lighting = make_lighting(seen.stack, weights, sampling)
-        directions_i3 = samples.stack.directions_i3[left_out]
-        basis_ir, _, gain_rp, z_rp = _solve(method, degree, seen, lighting, directions_i3)
-        predicted_ip[left_out] = basis_ir @ (gain_rp * z_rp)
-    return predicted_ip
+    settled = method.settle(trials.lighting, degree, trials.samples)
+    plan = settled.plan(trials.lighting, degree)
+    basis_ir = evaluate_basis(trials.lighting.directions_i3, degree)
+    basis_ir = basis_ir if plan.synthesis_kr is None else basis_ir @ plan.synthesis_kr
+    radiance_ip = trials.samples.radiance_ip
+    z_rp = plan.analysis_ri @ radiance_ip[:, trials.few]
+    gain_rp = settled.find_gains(plan, z_rp, plan.energy_i @ radiance_ip[:, trials.few] ** 2)
+    if gain_rp.shape[1] > 1:
+        return _refit(settled, degree, trials)
+    hat_ii = (basis_ir * gain_rp[:, 0]) @ plan.analysis_ri
+    left_ii = np.eye(len(hat_ii)) - hat_ii
+    residual_ip = left_ii @ radiance_ip
+    predicted_gp = np.full_like(trials.mean_gp, np.nan)
+    for place, zone in enumerate(trials.zones):
+        out = trials.photographs(zone)
+        if len(out) == len(left_ii):
+            return np.full(len(trials.places), np.nan)
+        try:
+            inverse = np.linalg.inv(left_ii[np.ix_(out, out)])
+        except np.linalg.LinAlgError:
+            return np.full(len(trials.places), np.nan)
+        if not np.linalg.norm(inverse) < 1.0 / LEAST_FREEDOM:
+            return np.full(len(trials.places), np.nan)
+        missed_ip = inverse @ residual_ip[out]
+        predicted_gp[place] = trials.mean_gp[place] - trials.places.mean_gi[place, out] @ missed_ip
+    return trials.measure(predicted_gp, trials.mean_gp)
 
 
-def measure_prediction(predicted_ip: NDArray[np.float64], samples: Samples) -> float:
-    """Return the pooled PSNR in dB, of clipped values in the stack's own transfer as `measure_errors` compares them."""
-    shown_ip = np.clip(predicted_ip, 0.0, 1.0)
-    if samples.stack.transfer == "srgb":
-        shown_ip = linear_to_srgb(shown_ip)
-    return float(psnr_of(float(np.mean((shown_ip - samples.encoded_ip) ** 2))))
-
-
-def _solve(
-    method: FitMethod, degree: int, samples: Samples, lighting: Lighting, directions_i3: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return what maps components to radiance at these directions, the analysis, the gains, and the components."""
-    method = method.settle(lighting, degree, samples)
-    plan = method.plan(lighting, degree)
-    basis_ir = evaluate_basis(directions_i3, degree)
-    if plan.synthesis_kr is not None:
-        basis_ir = basis_ir @ plan.synthesis_kr
-    z_rp = plan.analysis_ri @ samples.radiance_ip
-    gain_rp = method.find_gains(plan, z_rp, plan.energy_i @ samples.radiance_ip**2)
-    return basis_ir, plan.analysis_ri, gain_rp, z_rp
+def _refit(method: FitMethod, degree: int, trials: Trials) -> NDArray[np.float64]:
+    radiance_ip = trials.samples.radiance_ip[:, trials.few]
+    error_g = np.full(len(trials.places), np.nan)
+    for place in trials.refitted:
+        kept = np.setdiff1d(np.arange(radiance_ip.shape[0]), trials.photographs(trials.zones[place]))
+        if not len(kept):
+            continue
+        lighting = make_lighting(trials.samples.stack.select(kept), trials.weights, trials.sampling)
+        plan = method.plan(lighting, degree)
+        z_rp = plan.analysis_ri @ radiance_ip[kept]
+        gain_rp = method.find_gains(plan, z_rp, plan.energy_i @ radiance_ip[kept] ** 2)
+        basis_1k = evaluate_basis(trials.places.directions_g3[[place]], degree)
+        basis_1r = basis_1k if plan.synthesis_kr is None else basis_1k @ plan.synthesis_kr
+        true_1p = trials.mean_gp[[place]][:, trials.few]
+        error_g[place] = trials.measure(basis_1r @ (gain_rp * z_rp), true_1p)[0]
+    return error_g

@@ -23,7 +23,7 @@ from clrelight.fit.precision import DOUBLE, MIXED, SINGLE, check_precision, comp
 from clrelight.fit.registry import Columns, FitMethod, OnePass, method_class
 from clrelight.fit.samples import Samples
 from clrelight.fit.scaling import ScaledTile, TileScaling, round_coefficients
-from clrelight.fit.selection import AUTO, DEGREES, METHODS, Choice, choose_model
+from clrelight.fit.selection import AUTO, DEGREES, METHODS, WITHIN, Choice, choose_model
 from clrelight.holdout import split_chosen
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
 from clrelight.streaming import Buffer, reading_ahead
@@ -92,6 +92,7 @@ def fit(
     weights: str = "uniform",
     sampling: str = "hemisphere",
     precision: str = MIXED,
+    within: float = WITHIN,
     holdout: int | None = None,
     device: Device | None = None,
     memory_bytes: int = DEFAULT_MEMORY,
@@ -115,6 +116,8 @@ def fit(
     precision : str
         ``"mixed"``: float32, and float64 where lambda would be in doubt; ``"single"``: no float64 on the device;
         ``"double"``: float64 on the device, coefficients rounded at the end.
+    within : float
+        Decibels at unseen lights that ``"auto"`` may give for fewer coefficients.
     holdout : int, optional
         Keep every K-th light out of the fit.
     device : Device, optional
@@ -144,6 +147,7 @@ def fit(
         weights=weights,
         sampling=sampling,
         precision=precision,
+        within=within,
         device=device,
     )
     return collect_fit(prepared, memory_bytes=memory_bytes)
@@ -158,11 +162,14 @@ def prepare_fit(
     weights: str = "uniform",
     sampling: str = "hemisphere",
     precision: str = MIXED,
+    within: float = WITHIN,
     device: Device | None = None,
 ) -> PreparedFit:
     """Check the request and make the matrices; see `fit` for the parameters."""
     device = device or open_device()
     check_precision(precision, device)
+    if not 0.0 <= within < math.inf:
+        raise InputError(f"within must be 0 or more decibels, got {within!r}")
     methods, degrees = _check_model(method, degree, options or {})
     lighting = make_lighting(stack, weights, sampling)
     samples = Samples(stack)
@@ -170,9 +177,9 @@ def prepare_fit(
     start = time.perf_counter()
     choice = None
     if AUTO in (method, degree):
-        choice = choose_model(samples, methods, degrees, weights, sampling)
+        choice = choose_model(samples, methods, degrees, weights, sampling, within)
         report.notes.append(choice.note)
-        methods, degrees = [choice.chosen.method], [choice.chosen.degree]
+        methods, degrees = [choice.settled or choice.chosen.method], [choice.chosen.degree]
         start = report.add("choose", start)
     method, degree = methods[0].settle(lighting, degrees[0], samples), degrees[0]
     plan = method.plan(lighting, degree)

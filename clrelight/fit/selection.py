@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from clrelight.errors import InputError
-from clrelight.fit.plan import make_lighting
-from clrelight.fit.prediction import measure_prediction, predict_in_folds, predict_left_out
+from clrelight.fit.expectation import Expectation, expect_unseen, least_degree
+from clrelight.fit.prediction import Trials, krige_left_out, try_method
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
+from clrelight.fit.spectrum import SpectrumFit
 
 AUTO = "auto"
-METHODS = ("uls", "sloan", "cls", "ceb", "spline")
+METHODS = ("spectrum", "uls", "sloan", "cls", "ceb", "spline")
 """The ids that ``method="auto"`` chooses from."""
-DEGREES = range(1, 16)
-"""The degrees that ``degree="auto"`` chooses from."""
+DEGREES = (*range(9), 10, 12, 15, 20, 25)
+"""The degrees that ``degree="auto"`` chooses from; that of spectrum may be any up to the last."""
+_REFIT_DEGREES = (0, 1, 2, 3, 4, 6, 9)
+"""Those that ``method="auto"`` tries of what must be fitted anew for each zone."""
 
-TOLERANCE = 0.05
-"""Decibels at unseen lights that a lower degree may cost."""
-_GAIN = 0.01
-"""Decibels by which a degree must improve on all before it; a method's search ends where two in a row do not."""
-_REACH = 1.0
-"""Decibels that a prediction may be below the best one for its model to be checked in folds."""
-_FINALISTS = 6
-_MAX_VALUES = 1 << 19
-"""Samples, over all lights, that predictions are made for."""
+WITHIN = 0.05
+"""Decibels at unseen lights that fewer coefficients may cost."""
+_DOUBT = 3.0
+"""Standard errors by which another method must be better than spectrum: neighbouring lights err alike, and many
+models are tried."""
+_CLEAR = 0.5
+"""Decibels that it must be better by beside that."""
+_FEWEST = 6
+_LEAST_ERROR = 1e-13
 
 
 @dataclass(frozen=True)
@@ -37,25 +43,23 @@ class Candidate:
     ----------
     method : FitMethod
     degree : int
-    predicted : float
-        Pooled PSNR in dB by the closed form of leaving one light out.
+    predicted : float or None
+        Mean PSNR in dB between the lights; None where that is unknown.
     in_folds : float or None
-        Pooled PSNR in dB at lights really left out, a fifth at a time; None where it was not checked.
+        Mean PSNR in dB at lights left out with their neighbours; None where nothing can be left out.
+    error_g : ndarray
+        Mean squared error at each of them, NaN where it was not tried.
     """
 
     method: FitMethod
     degree: int
-    predicted: float
+    predicted: float | None = None
     in_folds: float | None = None
-
-    @property
-    def expected(self) -> float:
-        """The PSNR in folds where it is known, else the predicted one."""
-        return self.predicted if self.in_folds is None else self.in_folds
+    error_g: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
 
     def __str__(self) -> str:
-        folds = "" if self.in_folds is None else f", {self.in_folds:.2f} dB in folds"
-        return f"{self.method.id} at degree {self.degree} ({self.predicted:.2f} dB predicted at unseen lights{folds})"
+        folds = "unknown" if self.in_folds is None else f"{self.in_folds:.2f} dB at lights left out with neighbours"
+        return f"{self.method.id} at degree {self.degree} ({folds})"
 
     def to_config(self) -> dict[str, Any]:
         """Return it as a JSON object."""
@@ -69,17 +73,28 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Choice:
-    """The model taken, the next best of those checked in folds, and all that were tried."""
+    """The model taken, the next best, all that were tried, and why the prediction is unknown where it is.
+
+    `settled` is the method taken with what it has learnt, where it is known already.
+    """
 
     chosen: Candidate
     runner_up: Candidate | None
     tried: tuple[Candidate, ...]
+    spread: float = 0.0
+    why_unknown: str | None = None
+    settled: FitMethod | None = None
 
     @property
     def note(self) -> str:
         """What the user should know."""
         after = f"; next {self.runner_up}" if self.runner_up else ""
-        return f"auto took {self.chosen} of {len(self.tried)} models{after}"
+        if self.chosen.predicted is None:
+            expected = f"PSNR at unseen lights unknown: {self.why_unknown}"
+        else:
+            expected = f"{self.chosen.predicted:.2f} dB (+- {self.spread:.2f}) predicted at unseen lights"
+        took = f"{self.chosen.method.id} at degree {self.chosen.degree}"
+        return f"auto took {took} of {len(self.tried)} models; {expected}{after}"
 
     def to_config(self) -> dict[str, Any]:
         """Return it as a JSON object."""
@@ -87,16 +102,23 @@ class Choice:
             "chosen": self.chosen.to_config(),
             "runner_up": None if self.runner_up is None else self.runner_up.to_config(),
             "tried": [candidate.to_config() for candidate in self.tried],
+            "spread": self.spread,
+            "why_unknown": self.why_unknown,
         }
 
 
 def choose_model(
-    samples: Samples, methods: Sequence[FitMethod], degrees: Sequence[int], weights: str, sampling: str
+    samples: Samples,
+    methods: Sequence[FitMethod],
+    degrees: Sequence[int],
+    weights: str,
+    sampling: str,
+    within: float = WITHIN,
 ) -> Choice:
-    """Return the model with the least error at unseen lights, or the lowest degree that is within `TOLERANCE` of it.
+    """Return the model that is best at lights left out with their neighbours, or a simpler one as good.
 
-    For each method, degrees are tried upwards until the predicted error stops falling. Its best degree, and the
-    lowest that is as good, go to the final, where lights are really left out, a fifth at a time.
+    `spectrum` is what others must clearly be better than. What follows its samples so closely that leaving them out
+    tells nothing is not taken. Of degrees that cost no more than `within`, the least is.
 
     Parameters
     ----------
@@ -106,69 +128,117 @@ def choose_model(
         What to choose from, in order.
     weights, sampling : str
         As in `clrelight.fit.fit`.
+    within : float
+        Decibels.
 
     Raises
     ------
     InputError
-        If there are fewer than 2 lights, or no model fits them.
+        If no model fits these lights.
     """
-    n_light = samples.stack.n_light
-    if n_light < 2:
-        raise InputError("auto judges by lights that are left out, so it needs 2 lights or more, got 1")
-    samples = samples.thin(_MAX_VALUES // n_light)
-    tried: list[Candidate] = []
-    finalists: list[Candidate] = []
-    for method in methods:
-        try:
-            ladder = list(_climb(method, degrees, samples, weights, sampling))
-        except InputError:
-            if len(methods) == 1:
-                raise
-            continue
-        tried += ladder
-        best = max(ladder, key=lambda c: c.predicted)
-        lowest = next(c for c in ladder if c.predicted >= best.predicted - TOLERANCE)
-        finalists += [lowest] if lowest is best else [lowest, best]
-    if not finalists:
-        names = ", ".join(method.id for method in methods)
-        raise InputError(f"none of {names} fits degree {degrees[0]} to {n_light} lights")
-    finalists.sort(key=lambda c: -c.predicted)
-    reach = finalists[0].predicted - _REACH
-    checked = []
-    for candidate in [c for c in finalists if c.predicted >= reach][:_FINALISTS]:
-        try:
-            predicted_ip = predict_in_folds(candidate.method, candidate.degree, samples, weights, sampling)
-        except InputError:  # with a fifth less, there are too few lights for it
-            continue
-        checked.append(replace(candidate, in_folds=measure_prediction(predicted_ip, samples)))
-    ranked = sorted(checked or finalists, key=lambda c: -c.expected)
-    close = [c for c in ranked if c.expected >= ranked[0].expected - TOLERANCE]
-    chosen = min(close, key=lambda c: c.degree)  # the first, and so the best, of that degree
-    ranked.remove(chosen)
-    in_folds = {(c.method.id, c.degree): c for c in checked}
-    return Choice(
-        chosen,
-        ranked[0] if ranked else None,
-        tuple(in_folds.get((c.method.id, c.degree), c) for c in tried),
-    )
+    trials = Trials.make(samples, weights, sampling)
+    starts = [method for method in methods if isinstance(method, SpectrumFit)]
+    settled = (starts or [SpectrumFit()])[0].settle(trials.lighting, max(degrees), samples)
+    assert isinstance(settled, SpectrumFit)  # of its own class
+    model = settled.model(trials.lighting)
+    expected = expect_unseen(model, trials)
+    predicted_gp, _ = krige_left_out(model, trials.mean_gp, trials.zones)
+    base = _judge((starts or [settled])[0], max(degrees), trials.measure(predicted_gp, trials.mean_gp))
+    others = [
+        candidate
+        for method in methods
+        if method not in starts
+        for candidate in _try_degrees(method, _list_degrees(method, degrees) if starts else degrees, trials)
+    ]
+    if not starts and not others:
+        for method in methods:  # it says why not; sloan has no degree 0
+            method.plan(trials.lighting, min(degrees[1:2] or degrees))
+    if starts:
+        winner = _find_winner(base, others, within)
+        if winner is None:
+            if len(degrees) > 1:
+                degree, cost = least_degree(model, trials, expected.error, within)
+            else:
+                degree, cost = degrees[0], 0.0
+            chosen = Candidate(starts[0], degree, _foretell(expected, -cost), base.in_folds, base.error_g)
+            return replace(_conclude(chosen, [chosen, *others], expected), settled=settled)
+    else:
+        winner = _pick_simplest(others, within)
+    gain = _mean_gain(base, winner)
+    chosen = Candidate(winner.method, winner.degree, _foretell(expected, gain), winner.in_folds, winner.error_g)
+    others[others.index(winner)] = chosen
+    return _conclude(chosen, [*([base] if starts else []), *others], expected)
 
 
-def _climb(
-    method: FitMethod, degrees: Sequence[int], samples: Samples, weights: str, sampling: str
-) -> Iterator[Candidate]:
-    """Yield the method at rising degrees until two in a row bring nothing, or the lights allow no more."""
-    lighting = make_lighting(samples.stack, weights, sampling)
-    best, idle = None, 0
+def _judge(method: FitMethod, degree: int, error_g: NDArray[np.float64]) -> Candidate:
+    known = error_g[np.isfinite(error_g)]
+    folds = float(-10.0 * np.mean(np.log10(np.maximum(known, _LEAST_ERROR)))) if len(known) else None
+    return Candidate(method, degree, None, folds, error_g)
+
+
+def _list_degrees(method: FitMethod, degrees: Sequence[int]) -> list[int]:
+    refitted = method.has_lambda or method.has_rank
+    return [degree for degree in degrees if not refitted or len(degrees) == 1 or degree in _REFIT_DEGREES]
+
+
+def _try_degrees(method: FitMethod, degrees: Sequence[int], trials: Trials) -> list[Candidate]:
+    """Return the method at each degree that these lights allow."""
+    tried = []
     for degree in degrees:
         try:
-            predicted_ip = predict_left_out(method, degree, samples, lighting)
+            error_g = try_method(method, degree, trials)
         except InputError:
-            if best is None:
-                raise
-            return
-        candidate = Candidate(method, degree, measure_prediction(predicted_ip, samples))
-        yield candidate
-        idle = 0 if best is None or candidate.predicted > best + _GAIN else idle + 1
-        best = candidate.predicted if best is None else max(best, candidate.predicted)
-        if idle == 2:
-            return
+            continue
+        tried.append(_judge(method, degree, error_g))
+    return tried
+
+
+def _find_winner(base: Candidate, others: Sequence[Candidate], within: float) -> Candidate | None:
+    """Return the simplest of those that are clearly better than `base`, where there are any."""
+    clear = []
+    for other in others:
+        gain_g = _gains(base, other)
+        if len(gain_g) < _FEWEST or other.in_folds is None:
+            continue
+        error = float(gain_g.std(ddof=1)) / np.sqrt(len(gain_g))
+        if gain_g.mean() - _DOUBT * error >= _CLEAR:
+            clear.append((other, float(gain_g.mean())))
+    if not clear:
+        return None
+    most = max(gain for _, gain in clear)
+    return min((other for other, gain in clear if gain >= most - within), key=lambda c: c.degree)
+
+
+def _pick_simplest(others: Sequence[Candidate], within: float) -> Candidate:
+    """Return the lowest degree within so many dB of the best; the lowest of all where nothing is known."""
+    known = [c for c in others if c.in_folds is not None]
+    if not known:
+        return min(others, key=lambda c: c.degree)
+    most = max(c.in_folds for c in known if c.in_folds is not None)
+    return min((c for c in known if c.in_folds is not None and c.in_folds >= most - within), key=lambda c: c.degree)
+
+
+def _gains(base: Candidate, other: Candidate) -> NDArray[np.float64]:
+    """Return the decibels by which one is better than the other, at each light where both were tried."""
+    ratio_g = np.maximum(base.error_g, _LEAST_ERROR) / np.maximum(other.error_g, _LEAST_ERROR)
+    return np.asarray(10.0 * np.log10(ratio_g[np.isfinite(ratio_g)]))
+
+
+def _mean_gain(base: Candidate, other: Candidate) -> float | None:
+    gain_g = _gains(base, other)
+    return float(gain_g.mean()) if len(gain_g) and other.in_folds is not None else None
+
+
+def _foretell(expected: Expectation, gain: float | None) -> float | None:
+    if expected.why_unknown is not None or expected.psnr is None or gain is None:
+        return None
+    return expected.psnr + gain
+
+
+def _conclude(chosen: Candidate, tried: Sequence[Candidate], expected: Expectation) -> Choice:
+    why = expected.why_unknown
+    if chosen.predicted is None and why is None:
+        why = "the fit follows its samples so closely that leaving lights out tells nothing"
+    known = [c for c in tried if c is not chosen and c.in_folds is not None]
+    after = max(known, key=lambda c: c.in_folds or 0.0, default=None)
+    return Choice(chosen, after, tuple(tried), expected.spread, why)

@@ -27,7 +27,7 @@ from clrelight.fit.run import (
     fit_tiles,
     prepare_fit,
 )
-from clrelight.fit.selection import AUTO
+from clrelight.fit.selection import AUTO, WITHIN
 from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure import measure_split
@@ -55,6 +55,7 @@ def fit(
     weights: str = "uniform",
     sampling: str = "hemisphere",
     precision: str = MIXED,
+    within: float = WITHIN,
     store: str = "float32",
     measure: bool | None = None,
     memory: int | str = DEFAULT_MEMORY,
@@ -78,6 +79,7 @@ def fit(
     weights: str = "uniform",
     sampling: str = "hemisphere",
     precision: str = MIXED,
+    within: float = WITHIN,
     store: str = "float32",
     measure: bool | None = None,
     memory: int | str = DEFAULT_MEMORY,
@@ -100,6 +102,7 @@ def fit(
     weights: str = "uniform",
     sampling: str = "hemisphere",
     precision: str = MIXED,
+    within: float = WITHIN,
     store: str = "float32",
     measure: bool | None = None,
     memory: int | str = DEFAULT_MEMORY,
@@ -114,8 +117,8 @@ def fit(
     ----------
     source : path or LightStack
     method : str or FitMethod
-        ``"project"``, ``"uls"``, ``"sloan"``, ``"cls"``, ``"ceb"``, ``"ceb-crossing"``, ``"spline"``, or ``"auto"``:
-        the one with the least error at unseen lights, as far as the lights to fit can tell.
+        ``"project"``, ``"uls"``, ``"sloan"``, ``"cls"``, ``"ceb"``, ``"ceb-crossing"``, ``"spline"``,
+        ``"spectrum"``, or ``"auto"``: the best at unseen lights, as far as the lights to fit can tell.
     degree : int or str
         Largest degree, or ``"auto"``.
     out : path, optional
@@ -133,6 +136,8 @@ def fit(
         ``"hemisphere"``, or ``"scattered"`` for samples that cover a part of it.
     precision : str
         ``"mixed"``: float32, and float64 where lambda would be in doubt; ``"single"``; ``"double"``.
+    within : float
+        Decibels at unseen lights that ``"auto"`` may give for fewer coefficients.
     store : str
         ``"float32"`` or ``"float16"``: the type of the coefficients.
     measure : bool, optional
@@ -147,7 +152,7 @@ def fit(
         Filled; without one, notes become warnings (`Note`).
     **options
         Of the method: ``energy``, ``iterations`` and ``solver`` (cls), ``energy`` (ceb), ``fill`` (project), ``lam``
-        and ``per`` (spline). None means the default.
+        and ``per`` (spline), ``level``, ``slope``, ``edge``, ``heat`` and ``noise`` (spectrum). None means the default.
 
     Returns
     -------
@@ -183,6 +188,7 @@ def fit(
                 weights=weights,
                 sampling=sampling,
                 precision=precision,
+                within=within,
                 device=opened,
             )
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})

@@ -1,0 +1,155 @@
+"""The parameters of `clrelight.fit.zonal` for which lights that are left out are foretold best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.fit.places import Places, find_gap_radii, find_zones, pick_spread
+from clrelight.fit.zonal import LARGEST_DEGREE, SHARE, Theta, degree_variances, legendre_terms
+
+PRIOR_MEAN = np.array([-1.0, 2.0, -3.0, -4.0, -8.0])
+"""Of log level, slope, log edge, log heat and log noise: photographs of many kinds lie around it."""
+PRIOR_SD = np.array([1.5, 1.5, 2.0, 2.0, 1.5])
+_LOW = np.array([-6.0, -3.0, -14.0, -9.0, np.log(1e-9)])
+_HIGH = np.array([8.0, 6.0, 6.0, 2.0, np.log(0.5)])
+_STARTS = np.array([[1.0, 2.5, -2.0, -4.0, -5.0], [1.0, 0.0, -5.0, -2.0, -5.0]])
+"""A spectrum that falls, and a band: the energy of some scenes is at one degree."""
+_QUANTILES = 0.5, 1.0
+"""Of the gaps' radii: lights are left out with all their neighbours nearer than these."""
+_MOST_PLACES = 192
+"""Lights that the parameters are learnt from; the map is made of all."""
+FEWEST = 3
+"""With fewer lights, parameters are the prior's mean."""
+_LEAST_ERROR = 5e-6
+"""Of the samples' mean square: a smaller squared error at a light that is left out counts as this."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Which lights are left out together, the one that is judged first in each; the same for any parameters."""
+
+    zones: list[NDArray[np.intp]]
+    weight_z: NDArray[np.float64]
+
+
+def judge_zones(directions_g3: NDArray[np.float64]) -> Judged:
+    """Return zones of two radii around each light: of a typical gap, and of the largest."""
+    radii = np.quantile(find_gap_radii(directions_g3), _QUANTILES)
+    zones = [zone for radius in radii for zone in find_zones(directions_g3, float(radius))]
+    return Judged(zones, np.full(len(zones), 1.0 / len(zones)))
+
+
+def solve_zones(
+    inverse_gg: NDArray[np.float64], zones: list[NDArray[np.intp]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return B (n_place, n_zone) and v: ``B' C^-1 beta`` are the errors at the lights judged, v their variance.
+
+    The kriging of a light from those outside its zone leaves ``(Q_zz)^-1 (Q beta)_z``, Q the inverse covariance.
+    """
+    errors_gz, variance_z = np.zeros((len(inverse_gg), len(zones))), np.empty(len(zones))
+    for z, zone in enumerate(zones):
+        unit = np.zeros(len(zone))
+        unit[0] = 1.0
+        errors_gz[zone, z] = np.linalg.solve(inverse_gg[np.ix_(zone, zone)], unit)
+        variance_z[z] = errors_gz[zone[0], z]
+    return errors_gz, variance_z
+
+
+def measure_left_out(
+    covariance_gg: NDArray[np.float64], moment_gg: NDArray[np.float64], judged: Judged, least: float
+) -> tuple[float, NDArray[np.float64]]:
+    """Return ``n / 2 sum_z w_z log(e_z + least)``, e_z the mean squared error, and its gradient in the covariance."""
+    half = 0.5 * len(covariance_gg)
+    q = np.asarray(np.linalg.inv(covariance_gg))
+    a = q @ moment_gg @ q
+    b, _ = solve_zones(q, judged.zones)
+    ab = a @ b
+    error_z = np.maximum(np.einsum("ij,ij->j", b, ab), 0.0)
+    u = judged.weight_z / (error_z + least)
+    turned = np.zeros_like(b)
+    for z, zone in enumerate(judged.zones):
+        turned[zone, z] = np.linalg.solve(q[np.ix_(zone, zone)], ab[zone, z])
+    scaled = b * u
+    cross, own = scaled @ turned.T, q @ (scaled @ b.T) @ a
+    gradient_gg = q @ (cross + cross.T) @ q - own - own.T
+    return half * float(judged.weight_z @ np.log(error_z + least)), half * gradient_gg
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What is minimised: the mean log of the squared error at lights left out, and the prior of the parameters."""
+
+    terms_lg: NDArray[np.float64]
+    moment_gg: NDArray[np.float64]
+    count_g: NDArray[np.float64]
+    judged: Judged
+    least: float
+
+    @classmethod
+    def make(cls, places: Places, moment_gg: NDArray[np.float64], least: float) -> Objective:
+        """Return the objective for samples of mean square 1."""
+        cosine = np.clip(places.directions_g3 @ places.directions_g3.T, -1.0, 1.0)
+        terms_lg = legendre_terms(cosine).reshape(LARGEST_DEGREE + 1, -1)
+        return cls(terms_lg, moment_gg, places.count_g, judge_zones(places.directions_g3), least)
+
+    def evaluate(self, logs: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Return the value, and its gradient in the five parameters."""
+        variance_l, slopes_tl = degree_variances(logs)
+        noise, total = np.exp(logs[4]), SHARE @ variance_l
+        covariance_gg = (variance_l @ self.terms_lg).reshape(self.moment_gg.shape)
+        covariance_gg[np.diag_indices(len(covariance_gg))] += noise * total / self.count_g
+        value, gradient_gg = measure_left_out(covariance_gg, self.moment_gg, self.judged, self.least)
+        trace = float(np.sum(np.diag(gradient_gg) / self.count_g))
+        by_degree_l = self.terms_lg @ gradient_gg.ravel() + noise * trace * SHARE
+        away = (logs - PRIOR_MEAN) / PRIOR_SD
+        gradient = np.append(slopes_tl @ by_degree_l, trace * noise * total) + away / PRIOR_SD
+        return value + 0.5 * float(away @ away), gradient
+
+
+def learn_theta(
+    places: Places, moment_gg: NDArray[np.float64], quantum: float, given: dict[int, float] | None = None
+) -> Theta:
+    """Return the parameters for these lights and the second moments of what was photographed under them.
+
+    Parameters
+    ----------
+    places : Places
+    moment_gg : ndarray, shape (n_place, n_place)
+        Mean over the columns of the products of two lights' samples.
+    quantum : float
+        Step between two code values, 0 for floats.
+    given : dict of int to float, optional
+        Parameters (as `Theta.to_logs` has them) that are known.
+    """
+    from scipy.optimize import minimize  # slow to load, and of no use to other methods
+
+    fixed = given or {}
+    start_t = PRIOR_MEAN.copy()
+    start_t[list(fixed)] = list(fixed.values())
+    some = pick_spread(places.directions_g3, _MOST_PLACES)
+    moment_gg = moment_gg[np.ix_(some, some)]
+    square = float(np.trace(moment_gg)) / max(len(some), 1)
+    if not square > 0.0 or len(some) < FEWEST or len(fixed) == len(PRIOR_MEAN):
+        return Theta.from_logs(start_t)
+    least = max(quantum**2 / 12.0 / square, _LEAST_ERROR)
+    chosen = Places(places.directions_g3[some], places.mean_gi[some], places.count_g[some])
+    objective = Objective.make(chosen, moment_gg / square, least)
+    low, high = _LOW.copy(), _HIGH.copy()
+    low[4] = min(max(low[4], np.log(least)), high[4] - 1.0)
+    for k, value in fixed.items():
+        low[k] = high[k] = value
+    found = [
+        minimize(
+            objective.evaluate,
+            np.clip(start, low, high),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
+            options={"maxiter": 60, "ftol": 1e-6},
+        )
+        for start in _STARTS
+    ]
+    return Theta.from_logs(min(found, key=lambda one: float(one.fun)).x)

@@ -1,0 +1,126 @@
+"""Where the lights of a fit stand: photographs of one light, the gaps between lights, and zones around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.fit.plan import is_sphere
+
+SAME_LIGHT = np.radians(0.05)
+"""Photographs whose directions differ by less are of one light."""
+_GRID = 3000
+_PEAK_WIDTH = np.cos(np.radians(6.0))
+"""A gap's centre is the farthest point from all lights among those this near."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Distinct lights, and the photographs of each.
+
+    Attributes
+    ----------
+    directions_g3 : ndarray, shape (n_place, 3), float64
+    mean_gi : ndarray, shape (n_place, n_light), float64
+        Weighted mean over the photographs of each place.
+    count_g : ndarray, shape (n_place,), float64
+        Photographs of each place, each counted by its weight: their mean has that many times less noise.
+    """
+
+    directions_g3: NDArray[np.float64]
+    mean_gi: NDArray[np.float64]
+    count_g: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.directions_g3)
+
+
+def find_places(directions_i3: NDArray[np.float64], weight_i: NDArray[np.float64]) -> Places:
+    """Return the distinct lights; a photograph of weight 0 is none."""
+    cosine = np.cos(SAME_LIGHT)
+    place_i = np.where(weight_i > 0.0, -1, -2)
+    count = 0
+    for i in range(len(directions_i3)):
+        if place_i[i] == -1:
+            place_i[(place_i == -1) & (directions_i3 @ directions_i3[i] >= cosine)] = count
+            place_i[i] = count
+            count += 1
+    counted = np.flatnonzero(place_i >= 0)
+    mean_gi = np.zeros((count, len(directions_i3)))
+    mean_gi[place_i[counted], counted] = weight_i[counted]
+    count_g = mean_gi.sum(axis=1)
+    mean_gi /= count_g[:, None]
+    directions_g3 = mean_gi @ directions_i3
+    directions_g3 /= np.linalg.norm(directions_g3, axis=1, keepdims=True)
+    return Places(directions_g3, mean_gi, count_g)
+
+
+def spread_points(count: int, sphere: bool) -> NDArray[np.float64]:
+    """Return directions that cover the hemisphere, or the sphere, evenly: a Fibonacci lattice."""
+    index = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * index / count if sphere else index / count
+    radius, azimuth = np.sqrt(1.0 - z * z), index * np.pi * (3.0 - np.sqrt(5.0))
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+
+
+def find_gap_radii(directions_g3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distance (radians) from each gap's centre to its nearest light.
+
+    Gaps are looked for in the region that the lights span. Fewer than four lights have none: zeros.
+    """
+    if len(directions_g3) < 4:
+        return np.zeros(len(directions_g3))
+    points = spread_points(_GRID, is_sphere(directions_g3))
+    near = np.arccos(np.clip((points @ directions_g3.T).max(axis=1), -1.0, 1.0))
+    inside = _between(directions_g3, points, near)
+    if inside.sum() < 10:
+        inside = near <= np.sort(near)[min(len(near) - 1, 50)]
+    points, near = points[inside], near[inside]
+    peak = np.where(points @ points.T >= _PEAK_WIDTH, near[None], -1.0).max(axis=1) <= near
+    return near[peak]
+
+
+def _between(directions_g3: NDArray, points: NDArray, near: NDArray) -> NDArray[np.bool_]:
+    """Return which points lie in the hull of the lights as seen from above."""
+    from scipy.spatial import Delaunay, QhullError  # slow to load
+
+    if is_sphere(directions_g3):
+        return np.ones(len(points), bool)
+    try:
+        return np.asarray(Delaunay(1.02 * directions_g3[:, :2]).find_simplex(points[:, :2]) >= 0)
+    except (QhullError, ValueError):  # all on a line
+        return near <= 2.0 * np.median(near)
+
+
+def list_unseen(directions_g3: NDArray[np.float64], gap: float) -> NDArray[np.float64]:
+    """Return the directions that "lights nobody photographed" stands for.
+
+    Those all over the hemisphere above the lowest light that are half a gap's radius or more from every light.
+    """
+    points = spread_points(600, is_sphere(directions_g3))
+    points = points[points[:, 2] >= directions_g3[:, 2].min() - 0.02]
+    if len(points):
+        points = points[np.arccos(np.clip((points @ directions_g3.T).max(axis=1), -1.0, 1.0)) >= 0.5 * gap]
+    return points if len(points) else directions_g3
+
+
+def find_zones(directions_g3: NDArray[np.float64], radius: float) -> list[NDArray[np.intp]]:
+    """Return, for each light, itself and all lights nearer than `radius`, but at most half of all; itself first."""
+    angle = np.arccos(np.clip(directions_g3 @ directions_g3.T, -1.0, 1.0))
+    np.fill_diagonal(angle, -1.0)
+    most = max(1, len(angle) // 2)
+    return [np.argsort(row, kind="stable")[: min(max(1, int((row < radius).sum())), most)] for row in angle]
+
+
+def pick_spread(directions_g3: NDArray[np.float64], most: int) -> NDArray[np.intp]:
+    """Return at most so many lights, far from each other, in their order."""
+    if len(directions_g3) <= most:
+        return np.arange(len(directions_g3))
+    taken = [int(np.argmax(directions_g3[:, 2]))]
+    near = directions_g3 @ directions_g3[taken[0]]
+    while len(taken) < most:
+        taken.append(int(np.argmin(near)))
+        near = np.maximum(near, directions_g3 @ directions_g3[taken[-1]])
+    return np.sort(np.array(taken))
