@@ -1,8 +1,8 @@
 """One small fit on a processor that this machine is not, under QEMU: does it run, and are its numbers the same?
 
-``python -m benchmarks.old_processor [--cpu Nehalem] [--lanes 4] [--qemu qemu-x86_64]`` needs QEMU in user mode, which is
-in Debian's package qemu-user. It takes minutes: every instruction of the driver's compiler is emulated. Lanes are given,
-since the test of drivers would start a process of its own, which runs on the true processor.
+``python -m benchmarks.old_processor [--cpu Nehalem] [--lanes 4] [--qemu qemu-x86_64]`` needs QEMU in user mode, in
+Debian the package qemu-user. It takes minutes: every instruction of the driver's compiler is emulated. Lanes are
+given, since the test of drivers would start a process of its own, which runs on the true processor.
 """
 
 from __future__ import annotations
