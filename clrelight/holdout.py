@@ -25,14 +25,23 @@ _NOISE_ROWS = 16
 
 def group_directions(directions_i3: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return the number of each light's direction, counted as they first appear; chains of near ones are one."""
+    n_light, reach = len(directions_i3), 2.0 * math.sin(SAME_DIRECTION / 2.0)
+    # Whether there are any is seen along one axis, without SciPy, which is slow to load.
+    order_i = np.argsort(directions_i3[:, 0], kind="stable")
+    sorted_i3 = directions_i3[order_i]
+    for step in range(1, n_light):
+        apart_i3 = sorted_i3[step:] - sorted_i3[:-step]
+        if not (apart_i3[:, 0] <= reach).any():
+            return np.arange(n_light)
+        if (np.linalg.norm(apart_i3, axis=1) <= reach).any():
+            break
+    else:
+        return np.arange(n_light)
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    n_light = len(directions_i3)
-    pairs_n2 = cKDTree(directions_i3).query_pairs(2.0 * math.sin(SAME_DIRECTION / 2.0), output_type="ndarray")
-    if not len(pairs_n2):
-        return np.arange(n_light)
+    pairs_n2 = cKDTree(directions_i3).query_pairs(reach, output_type="ndarray")
     linked = coo_array((np.ones(len(pairs_n2), bool), pairs_n2.T), shape=(n_light, n_light))
     label_i = connected_components(linked, directed=False)[1]
     _, first_g, group_i = np.unique(label_i, return_index=True, return_inverse=True)

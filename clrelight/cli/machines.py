@@ -37,12 +37,14 @@ def devices(again: bool, as_json: bool) -> None:
 
     infos = list_devices(again=again)
     left_out = leave_out_drivers()
+    if not infos:
+        open_device("")  # says how to install one
     if as_json:
         print_json({"devices": [asdict(info) for info in infos], "left_out": left_out})
-    elif infos:
+    else:
         _print_devices(infos, left_out)
     if not any(info.default for info in infos):
-        open_device("")  # says what is wrong, and how to install one
+        open_device("")  # says what is wrong with each
 
 
 def _print_devices(infos: list[DeviceInfo], left_out: dict[str, str]) -> None:

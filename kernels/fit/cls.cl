@@ -118,8 +118,8 @@ __kernel void shrink_by_bisection_rq(__global REAL *restrict z_rq, __global floa
             low = feasible ? low : lambda;
             bracketed |= feasible;
 #if ARITHMETIC
-            const lanes up = LESSER(lambda * 2.0f, high), middle = 0.5f * (low + high);
-            lambda = bracketed ? middle : up;
+            const lanes middle = 0.5f * (low + high);
+            lambda = bracketed ? middle : lambda * 2.0f; /* not held below the upper end, for the paper knows none */
 #else
             const lanes up = LESSER(lambda * STEP, high), down = high / STEP;
             const lanes middle = root(low) * root(high);

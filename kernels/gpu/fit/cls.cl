@@ -124,7 +124,7 @@ __kernel void shrink_by_bisection_rq(__global REAL *z_rq, __global float *restri
             low = lambda;
         }
 #if ARITHMETIC
-        lambda = bracketed ? 0.5f * (low + high) : fmin(lambda * 2.0f, high);
+        lambda = bracketed ? 0.5f * (low + high) : lambda * 2.0f;
 #else
         const REAL up = fmin(lambda * STEP, high), down = high / STEP, middle = sqrt(low) * sqrt(high);
         lambda = low == 0.0f ? down : bracketed ? middle : up;
