@@ -12,9 +12,12 @@ from clrelight.codec.entropy import BitCounter, Encoder
 from clrelight.codec.lifting import Subband, quantise_map
 from clrelight.codec.rate import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, find_code, step_of, take_sample
 from clrelight.codec.streams import Planes, Source
+from clrelight.codec.subband_kernel import SubbandEncoder, encoder_for
 from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.codec.symbols import zero_order_bits
 from clrelight.device import DeviceArray
+
+AnyEncoder = Encoder | SubbandEncoder
 
 ROUNDING = 0.4  # a dead zone of 1.2 steps: best at 0.1 to 1 bit, and 0.02 dB from the best at 4
 ABSENT = 65535  # step code of a map that is zero
@@ -49,7 +52,11 @@ class TransformedMaps:
         """Return every map's values (n_coeff, place) at the same places, some of each subband."""
         return np.stack([take_sample(self._values(k)) for k in range(self._shape[0])])
 
-    def run(self, coder: BitCounter | Encoder, statistics: Statistics, k: int, code: int) -> None:
+    def encoder(self) -> AnyEncoder:
+        """Return an encoder of these maps."""
+        return encoder_for(self._device)
+
+    def run(self, coder: BitCounter | AnyEncoder, statistics: Statistics, k: int, code: int) -> None:
         """Code one map."""
         index = self._quantise(k, step_of(code))
         code_indices(coder, statistics, self._bands, index.shape, index)
@@ -107,9 +114,9 @@ def _count(maps: TransformedMaps, statistics: Statistics, k: int, code: int) -> 
 class _Trials:
     """One map coded at several steps after what is coded already; the first guess is mostly the one that stays."""
 
-    def __init__(self, maps: TransformedMaps, encoder: Encoder, statistics: Statistics, k: int) -> None:
+    def __init__(self, maps: TransformedMaps, encoder: AnyEncoder, statistics: Statistics, k: int) -> None:
         self._maps, self._encoder, self._statistics, self._k = maps, encoder, statistics, k
-        self.outcomes: dict[int, tuple[Encoder, Statistics]] = {}
+        self.outcomes: dict[int, tuple[AnyEncoder, Statistics]] = {}
 
     def count_bits(self, code: int) -> float:
         """Code the map at a step, and return by how many bits the payload grows."""
@@ -144,7 +151,7 @@ def spend_alike(
     samples = maps.samples()
     limited = _find_limited(maps, samples, budget)
     codes[limited] = 0
-    encoder, statistics, ratio = Encoder(), Statistics(), 0.8
+    encoder, statistics, ratio = maps.encoder(), Statistics(), 0.8
     for k in limited:
         maps.run(encoder, Statistics(), k, 0)
     others = [k for k in samples if k not in limited]
@@ -193,7 +200,7 @@ def spend_by_one_step(
     """Spend by one step, in the coefficients' own unit, for all maps; see `spend_alike`."""
     samples = maps.samples()
 
-    def run(coder: BitCounter | Encoder, code: int) -> None:
+    def run(coder: BitCounter | AnyEncoder, code: int) -> None:
         codes, shared = own_codes(code, samples, exponents), Statistics()
         for k in coding_order(codes):
             if codes[k] != ABSENT:
@@ -215,7 +222,7 @@ def spend_by_one_step(
         code, _ = find_code(count, guess, target, budget - margin, _TOLERANCE * asked, 0.8, 0)
         if code is None:
             break
-        encoder = Encoder()
+        encoder = maps.encoder()
         run(encoder, code)
         excess = 8 * encoder.byte_count - budget
         if excess <= 0:

@@ -31,6 +31,7 @@ from clrelight.codec.phases import (
     neighbour_count,
     relatives_of,
 )
+from clrelight.codec.subband_kernel import SubbandCoder
 from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
 from clrelight.errors import PayloadError
 
@@ -68,17 +69,22 @@ class Statistics:
         xy, xx = known or self.products.get((channel, not low), (0, 0))
         return min(max(xy / xx, -4.0), 4.0) if xx else 0.0
 
+    def tables(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the frequencies of magnitudes and of signs, to be changed in place."""
+        return self.magnitudes.counts, self.signs.counts
+
     def learn_slope(self, channel: int, low: bool, previous: NDArray[np.integer], this: NDArray[np.integer]) -> None:
-        """Add the indices of a subband; what was seen before counts half."""
+        """Add the indices of a subband."""
         # Bounded by shifting, so that integer sums are exact whatever the order of summation.
         largest = max(int(np.abs(previous).max()), int(np.abs(this).max()))
         shift = max(largest.bit_length() - 20, 0)
         x, y = (previous >> shift).ravel().astype(np.int64), (this >> shift).ravel().astype(np.int64)
+        self.add_products(channel, low, int(x @ y) << 2 * shift, int(x @ x) << 2 * shift)
+
+    def add_products(self, channel: int, low: bool, product: int, square: int) -> None:
+        """Add sums of x y and x x of a subband; what was seen before counts half."""
         xy, xx = self.products.get((channel, low), (0, 0))
-        self.products[channel, low] = (
-            xy // 2 + (int(x @ y) << 2 * shift),
-            xx // 2 + (int(x @ x) << 2 * shift),
-        )
+        self.products[channel, low] = (xy // 2 + product, xx // 2 + square)
 
 
 @functools.cache
@@ -91,7 +97,7 @@ def _magnitude_prior() -> NDArray[np.float64]:
 
 
 def code_indices(
-    coder: Coder,
+    coder: Coder | SubbandCoder,
     statistics: Statistics,
     bands: list[Subband],
     shape: tuple[int, int, int],
@@ -102,8 +108,8 @@ def code_indices(
 
     Parameters
     ----------
-    coder : Coder
-        Where symbols go to or come from.
+    coder : Coder or SubbandCoder
+        Where symbols go to or come from; the latter for groups of one channel.
     statistics : Statistics
         Changed.
     bands : list of Subband
@@ -126,6 +132,8 @@ def code_indices(
     PayloadError
         If what is decoded cannot be indices.
     """
+    if isinstance(coder, SubbandCoder):
+        return coder.code_map(statistics, bands, shape, index_chw)
     decoding = index_chw is None
     indices_chw = np.zeros(shape, np.int32) if index_chw is None else index_chw
     sizes_chw = np.zeros(shape, np.int32)  # of the differences, for contexts

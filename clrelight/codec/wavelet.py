@@ -20,7 +20,6 @@ from clrelight.codec.allocation import (
     statistics_for,
 )
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
-from clrelight.codec.entropy import Decoder
 from clrelight.codec.expectation import expect_codes, expect_moments
 from clrelight.codec.lifting import (
     dequantise_map,
@@ -34,6 +33,7 @@ from clrelight.codec.noise import Noise
 from clrelight.codec.rate import step_of
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.streams import Body, BodyWriter, Source, Target
+from clrelight.codec.subband_kernel import decoder_for
 from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -140,7 +140,7 @@ class Wavelet(PartsCodec):
         n_coeff, height, width, channels = target.shape
         bands = list_subbands(height, width, tables.levels)
         biases = (tables.biases[0] / BIAS_SCALE, tables.biases[1] / BIAS_SCALE)
-        decoder, shared = Decoder(payload), Statistics()
+        decoder, shared = decoder_for(payload, device), Statistics()
         one = (1, height, width, channels)
         for done, k in enumerate(coding_order(tables.codes)):
             code = int(tables.codes[k])
