@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, encode
-from clrelight.codec.lifting import forward_transform, inverse_transform
+from clrelight.codec.entropy import Encoder
+from clrelight.codec.lifting import forward_transform, inverse_transform, list_subbands
+from clrelight.codec.subband_kernel import decoder_for, encoder_for
+from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.fit import collect_fit, prepare_fit
@@ -78,6 +81,7 @@ def run_quick_selftest(device: Device) -> Iterator[Statement]:
         yield from _fits(device, lights, 3, "degree 3", ("cls", "ceb"), precision=DOUBLE)
     yield from _codes(device)
     yield from _transform(device, (1, 2, 5, 8, 13), (1, 7, 16, 33))
+    yield from _indices(device)
     yield from _images(device, (3,), halves=False)
 
 
@@ -198,6 +202,22 @@ def _codecs(device: Device) -> Iterator[Statement]:
             # 256 levels; the interval may be narrower than the range, at most by what costs less than it saves.
             yield Statement("uniform", f"{case}, x {scale:g}", "error, of a map's range", error, 0.02)
     yield from _transform(device, tuple(range(1, 41)), (1, 2, 5, 20, 41))
+    yield from _indices(device)
+
+
+def _indices(device: Device) -> Iterator[Statement]:
+    shape, bands = (3, 21, 34), list_subbands(21, 34, 3)
+    encoder, plain, learnt, of_plain = encoder_for(device), Encoder(), Statistics(), Statistics()
+    rng = np.random.default_rng(2)
+    maps = [np.rint(rng.laplace(scale=scale, size=shape)).astype(np.int32) for scale in (0.1, 2.0, 1e6)]
+    for index in maps:
+        code_indices(encoder, learnt, bands, shape, index)
+        code_indices(plain, of_plain, bands, shape, index)
+    differing = int(encoder.to_bytes() != plain.to_bytes())
+    decoder, learnt = decoder_for(plain.to_bytes(), device), Statistics()
+    for index in maps:
+        differing += int(np.count_nonzero(code_indices(decoder, learnt, bands, shape, None) != index))
+    yield Statement("wavelet", "three maps", "indices and bytes that NumPy codes otherwise", float(differing), 0.0)
 
 
 def _transform(device: Device, heights: tuple[int, ...], widths: tuple[int, ...]) -> Iterator[Statement]:
