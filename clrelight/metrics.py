@@ -14,7 +14,7 @@ from clrelight.basis import evaluate_basis
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
-from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, tile_defines
+from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, short_tile, tile_defines
 from clrelight.streaming import Buffer, reading_ahead
 
 _SEGMENT, _GROUP = 4096, 256
@@ -176,8 +176,7 @@ class _SumOfErrors:
             error_it = sum_errors(device, relit_ip, source_ip, weights, self._peak, self._transfer)
         else:
             tile = tile_defines(device)
-            if len(coeffs_khwc) <= int(str(tile["DEPTH"])):
-                tile["CHUNK"] = tile["DEPTH"]
+            tile.update(short_tile(len(coeffs_khwc)))
             count = -(-(columns.stop - columns.start) // int(str(tile["TILE"])))
             error_it = device.empty((len(samples_ihwc), count), np.float32)
             device.launch(
