@@ -12,11 +12,12 @@ from typing import Any
 import click
 import numpy as np
 
+from benchmarks.commands import run_command
 from clrelight.cli.options import ByteCount, Names, Numbers, whole_number
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 from clrelight.fit import fit
-from clrelight.speed.job import peak_memory, run_command
+from clrelight.speed.job import peak_memory
 from clrelight.store import create_fit
 from datasets_synth.ring import render_ring
 

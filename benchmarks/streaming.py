@@ -15,12 +15,13 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.commands import run_command
 from clrelight.cli.options import ByteCount, whole_number
 from clrelight.cli.tables import print_table
 from clrelight.dataset import read_rows_into
 from clrelight.errors import InputError
 from clrelight.fit import fit_tiles, prepare_fit
-from clrelight.speed.job import peak_memory, run_command
+from clrelight.speed.job import peak_memory
 from clrelight.store import StoredArray, open_stack
 
 _HEADERS = ("pixels", "compute (s)", "end to end (s)", "ratio", "CPU ratio", "ns per column", "peak (MiB)")

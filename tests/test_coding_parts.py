@@ -270,10 +270,12 @@ def test_a_damaged_payload_leaves_nothing(coded, tmp_path):
 
 
 PEAK = """
-import json, sys
-from clrelight.speed.job import peak_memory, run_command
+import contextlib, io, json, sys
+from clrelight.cli.app import run
+from clrelight.speed.job import peak_memory
 for words in json.loads(sys.argv[1]):
-    run_command(words)
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert run(words) == 0
 print(peak_memory())
 """
 

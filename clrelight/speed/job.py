@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import json
 import resource
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from clrelight.errors import InputError
 from clrelight.fit.plan import make_lighting
 from clrelight.fit.registry import method_class
 from clrelight.metrics import summarize_errors
@@ -35,30 +31,23 @@ Job = Mapping[str, Callable[[], Any]]
 
 
 def our_job(stack: Path, folder: Path, degree: int, memory: int, device: str | None) -> Job:
-    """Return the commands ``fit``, ``encode``, ``decode`` and ``psnr``, each from file to file."""
-    fit, encoded, decoded = (str(folder / f"{name}.h5") for name in ("fit", "encoded", "decoded"))
-    where = [] if device is None else ["--device", device]
-    options = [word for name, value in FIT_OPTIONS.items() for word in (f"--{name}", str(value))]
-    fit_words = ["fit", str(stack), fit, "--method", "cls", "--degree", str(degree), "--memory", str(memory), *options]
+    """Return the verbs fit, encode, decode and measure, each from file to file."""
+    # With HDF5 and all codecs, which plans of what to measure do without.
+    from clrelight.jobs import decode, encode, fit, measure
+    from clrelight.jobs.report import Report
+
+    fitted, encoded, decoded = (folder / f"{name}.h5" for name in ("fit", "encoded", "decoded"))
+
+    def run(verb: Callable[..., Any], *words: Any, **options: Any) -> Report:
+        verb(*words, device=device, report=(report := Report()), **options)
+        return report
+
     return {
-        "fit": lambda: run_command([*fit_words, "--no-measure", *where]),
-        "encode": lambda: run_command(["encode", fit, encoded, "--codec", CODEC, *where]),
-        "decode": lambda: run_command(["decode", encoded, decoded, *where]),
-        "psnr": lambda: run_command(["psnr", decoded, str(stack), *where])["psnr"]["pooled_fitted"],
+        "fit": lambda: run(fit.fit, stack, "cls", degree, out=fitted, memory=memory, measure=False, **FIT_OPTIONS),
+        "encode": lambda: run(encode.encode, fitted, CODEC, out=encoded),
+        "decode": lambda: run(decode.decode, encoded, out=decoded),
+        "psnr": lambda: run(measure.measure, decoded, stack).psnr["pooled_fitted"],
     }
-
-
-def run_command(words: list[str]) -> dict[str, Any]:
-    """Run one of our commands in this process and return the JSON object that it prints; InputError if it refuses."""
-    from clrelight.cli.app import run  # the command line imports this package
-
-    printed = io.StringIO()
-    with redirect_stdout(printed):
-        code = run([*words, "--json"])
-    if code != 0:
-        raise InputError(f"clrelight {words[0]} ended with exit code {code}")
-    found: dict[str, Any] = json.loads(printed.getvalue())
-    return found
 
 
 def numpy_job(stack: Path, folder: Path, degree: int) -> Job:
