@@ -13,21 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.lighting import Run, Table, show_parts
-from clrelight.basis import evaluate_basis
 from clrelight.cli.output import print_facts
-from clrelight.conventions import coefficient_count
 from clrelight.device import Device, open_device
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import coefficient_count
+from clrelight.harmonics.montecarlo import project_function
+from clrelight.harmonics.rotation import rotation_blocks, rotation_blocks_zyz, rotation_matrix
 from clrelight.lighting import layouts
 from clrelight.lighting.lamps import cast_shadow
 from clrelight.lighting.light import Light, apply_window
-from clrelight.lighting.montecarlo import project_function
-from clrelight.lighting.rotation import (
-    rotate_light,
-    rotate_maps,
-    rotation_blocks,
-    rotation_blocks_zyz,
-    rotation_matrix,
-)
+from clrelight.lighting.rotation import rotate_light, rotate_maps
 from clrelight.lighting.sky import sky_light, sky_luminance
 from clrelight.speed.environment import describe_environment
 from clrelight.speed.timing import interleave

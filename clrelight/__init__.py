@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.errors import InputError as InputError
     from clrelight.experiment import run_experiment as run_experiment
     from clrelight.export import export_textures as export_textures
+    from clrelight.harmonics.rotation import rotation_matrix as rotation_matrix
     from clrelight.ingest import ingest_folder as ingest_folder
     from clrelight.jobs.decode import decode as decode
     from clrelight.jobs.encode import encode as encode
@@ -43,7 +44,6 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.lighting.light import Light as Light
     from clrelight.lighting.projection import project_environment as project_environment
     from clrelight.lighting.rotation import rotate_light as rotate_light
-    from clrelight.lighting.rotation import rotation_matrix as rotation_matrix
     from clrelight.lighting.sky import sky_light as sky_light
     from clrelight.metrics import measure_errors as measure_errors
     from clrelight.metrics import summarize_errors as summarize_errors
@@ -98,7 +98,7 @@ _HOMES = {
     "read_results": "clrelight.store",
     "relight": "clrelight.jobs.relight",
     "rotate_light": "clrelight.lighting.rotation",
-    "rotation_matrix": "clrelight.lighting.rotation",
+    "rotation_matrix": "clrelight.harmonics.rotation",
     "run_experiment": "clrelight.experiment",
     "sky_light": "clrelight.lighting.sky",
     "summarize_errors": "clrelight.metrics",

@@ -12,8 +12,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
@@ -26,26 +24,6 @@ SRGB_OFFSET = 0.055
 SRGB_GAMMA = 2.4
 SRGB_BREAK_ENCODED = 0.04045
 SRGB_BREAK_LINEAR = 0.0031308
-
-
-def coefficient_count(degree: int) -> int:
-    """Return the number of coefficients, ``(degree + 1)**2``, of all degrees up to ``degree``."""
-    return (degree + 1) ** 2
-
-
-def coefficient_index(l: int, m: int) -> int:
-    """Return ``k = l (l + 1) + m``."""
-    if abs(m) > l:
-        raise ValueError(f"order m must satisfy |m| <= l, got l={l}, m={m}")
-    return l * (l + 1) + m
-
-
-def degree_of(n_coeff: int) -> int:
-    """Return the degree whose coefficient count is ``n_coeff``; ValueError if there is none."""
-    root = math.isqrt(max(n_coeff, 0))
-    if n_coeff < 1 or root * root != n_coeff:
-        raise ValueError(f"a coefficient count is a square (1, 4, 9, ...), got {n_coeff}")
-    return root - 1
 
 
 def default_peak(dtype: np.dtype) -> float:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.conventions import TRANSFERS, coefficient_count
+from clrelight.conventions import TRANSFERS
 from clrelight.errors import InputError
+from clrelight.harmonics.index import coefficient_count
 
 SAMPLE_DTYPES = ("uint8", "uint16", "float16", "float32")
 """The types that images may have; kernels read each of them without conversion on the host."""
@@ -216,7 +217,7 @@ class CoefficientMap:
         if self.coeffs_khwc.dtype not in (np.float32, np.float16):
             raise InputError(f"coefficients must be {' or '.join(COEFFICIENT_DTYPES)}, got {self.coeffs_khwc.dtype}")
         if self.degree < 0 or shape[0] != coefficient_count(self.degree):
-            raise InputError(f"degree {self.degree} has {(self.degree + 1) ** 2} coefficients, got {shape[0]}")
+            raise InputError(f"degree {self.degree} has {coefficient_count(self.degree)} coefficients, got {shape[0]}")
         if self.transfer not in TRANSFERS:
             raise InputError(f"transfer must be one of {', '.join(TRANSFERS)}, got {self.transfer!r}")
         check_peak(self.peak)

@@ -17,9 +17,9 @@ from clrelight.codec import Bc6h, Encoded, encode
 from clrelight.codec.dds import write_dds
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
+from clrelight.durable import check_output, naming, replacing, replacing_folder
 from clrelight.errors import InputError
 from clrelight.images import write_image
-from clrelight.store.durable import check_output, naming, replacing, replacing_folder
 
 EXPORTS = {"dds": "BC6H_SF16", "exr": "float32", "exr-half": "float16"}
 """Formats, and the type of a texel's components in each."""

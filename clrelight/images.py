@@ -17,12 +17,12 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
+from clrelight.durable import replacing
 from clrelight.errors import InputError
 from clrelight.image_bands import read_rows
 from clrelight.image_header import ImageHeader, check_size, describe_file, describe_stored, turn_upright
 from clrelight.image_parts import choose_picture
 from clrelight.radiance_header import RadianceHeader, read_radiance_header
-from clrelight.store.durable import replacing
 
 IMAGE_EXTENSIONS = frozenset(
     (".bmp", ".exr", ".hdr", ".jpeg", ".jpg", ".pfm", ".pgm", ".png", ".pnm", ".ppm", ".tga", ".tif", ".tiff")

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.durable import replacing
 from clrelight.errors import InputError
 from clrelight.image_names import has_image, list_photographs, resolve_names
 from clrelight.light_files import UNIT_TOLERANCE, LightFile, read_light_file, read_table
-from clrelight.store.durable import replacing
 from clrelight.text_rows import read_lines
 
 DIRECTIONS_FILE = "light_directions.txt"

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, short_tile, tile_defines
 from clrelight.streaming import Buffer, reading_ahead
 

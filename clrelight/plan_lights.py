@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import decompose, evaluate_basis
-from clrelight.conventions import coefficient_count
 from clrelight.dataset import check_directions
 from clrelight.errors import InputError
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.decomposition import decompose
+from clrelight.harmonics.index import coefficient_count
+from clrelight.harmonics.quadrature import product_rule
 from clrelight.sampling import PATTERNS, farthest_point_subset, make_pattern
 
 MAX_DEGREE = 15
@@ -183,13 +185,7 @@ def _orthonormalize(degree: int, sphere: bool) -> NDArray[np.float64]:
     """
     if sphere:
         return np.eye(coefficient_count(degree))
-    node, weight = np.polynomial.legendre.leggauss(degree + 1)
-    n_azimuth = 2 * degree + 1
-    azimuth = np.tile(np.arange(n_azimuth) * (2.0 * np.pi / n_azimuth), degree + 1)
-    z = np.repeat(0.5 * (node + 1.0), n_azimuth)
-    radius = np.sqrt(1.0 - z * z)
-    area = np.repeat(0.5 * weight * (2.0 * np.pi / n_azimuth), n_azimuth)
-    nodes_i3 = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+    nodes_i3, area = product_rule(degree)
     svd = decompose(np.sqrt(area)[:, None] * evaluate_basis(nodes_i3, degree))
     return svd.right_kr / svd.singular_r
 

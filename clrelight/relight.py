@@ -7,11 +7,11 @@ import itertools
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clrelight.basis import evaluate_basis
 from clrelight.conventions import linear_to_srgb
 from clrelight.dataset import CoefficientMap, as_float64, check_directions
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.matmul import multiply_columns
 from clrelight.streaming import Buffer, reading_ahead
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, encode
 from clrelight.codec.entropy import Encoder
 from clrelight.codec.lifting import forward_transform, inverse_transform, list_subbands
@@ -20,6 +19,7 @@ from clrelight.fit import collect_fit, prepare_fit
 from clrelight.fit.linear import LARGEST_CONDITION
 from clrelight.fit.plan import IMAGE_ROUNDING
 from clrelight.fit.precision import DOUBLE, MIXED, SINGLE
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.metrics import measure_errors
 from clrelight.relight import relight
 from clrelight.sampling import make_pattern

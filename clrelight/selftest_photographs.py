@@ -9,11 +9,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, encode
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.fit import collect_fit, prepare_fit
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.irradiance import integrate_irradiance
 from clrelight.lighting.projection import project_environment

@@ -1,15 +1,10 @@
 import numpy as np
 import pytest
 
-from clrelight.basis import MAX_DEGREE, decompose, evaluate_basis
-from clrelight.conventions import (
-    coefficient_count,
-    coefficient_index,
-    default_peak,
-    degree_of,
-    linear_to_srgb,
-    srgb_to_linear,
-)
+from clrelight.conventions import default_peak, linear_to_srgb, srgb_to_linear
+from clrelight.harmonics.basis import MAX_DEGREE, evaluate_basis
+from clrelight.harmonics.decomposition import decompose
+from clrelight.harmonics.index import coefficient_count, coefficient_index, degree_of
 from clrelight.sampling import make_pattern
 from tests.reference import basis as reference
 from tests.reference import psnr

@@ -9,14 +9,14 @@ import time
 
 import pytest
 
+from clrelight import durable
 from clrelight.errors import InputError
 from clrelight.experiment import paper_experiment, run_experiment
-from clrelight.store import durable
 from tests.commands import call, contents, environment, succeed
 
 HOLD = """
     import sys, time
-    from clrelight.store.durable import claiming
+    from clrelight.durable import claiming
     with claiming(sys.argv[1]):
         print("held", flush=True)
         time.sleep(60)

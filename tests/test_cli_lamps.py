@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from clrelight.harmonics.rotation import rotation_matrix
 from clrelight.images import read_image
 from clrelight.lighting.lamps import cap_light, cast_shadow, directional_light
 from clrelight.lighting.light import Light, apply_window
-from clrelight.lighting.rotation import rotate_light, rotation_matrix
+from clrelight.lighting.rotation import rotate_light
 from clrelight.lighting.sky import sky_light
 from clrelight.store import read_light, write_light
 from tests.commands import call, succeed

@@ -8,8 +8,7 @@ import pytest
 
 from clrelight.device import open_device
 from clrelight.images import read_image, write_image
-from clrelight.lighting.hemisphere import share_below
-from clrelight.lighting.light import Light, turn_about_z
+from clrelight.lighting.light import Light, share_below, turn_about_z
 from clrelight.store import read_light, write_light
 from tests.commands import attributes, call, contents, succeed
 from tests.hdf5 import unseal

@@ -12,8 +12,8 @@ import time
 import pytest
 
 from clrelight import interrupts
+from clrelight.durable import replacing, replacing_folder
 from clrelight.errors import InputError
-from clrelight.store.durable import replacing, replacing_folder
 from tests.commands import ROOT, command_line, contents, environment, succeed
 from tests.kills import ENDINGS, await_handlers
 
@@ -111,8 +111,8 @@ def test_nohup_is_obeyed(tmp_path):
 PUT_OFF = """
     import os, signal, sys
     from clrelight import interrupts
-    from clrelight.store import durable
-    from clrelight.store.durable import {what}
+    from clrelight import durable
+    from clrelight.durable import {what}
 
     opened = {blocked}
 

@@ -4,9 +4,9 @@ import struct
 import numpy as np
 import pytest
 
-from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.errors import InputError, PayloadError
+from clrelight.harmonics.basis import evaluate_basis
 from tests.commands import call, succeed
 from tests.mutations import check_large_claims
 from tests.test_codec_klt import image_error, smooth_map

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from clrelight.basis import evaluate_basis
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.codec.code_values import code_values_of, radiance_of
 from clrelight.codec.klt import Klt
 from clrelight.codec.klt_body import parse_head
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError, PayloadError
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.store import write_stack
 from tests.commands import call, succeed
 

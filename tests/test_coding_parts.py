@@ -21,9 +21,9 @@ from clrelight.codec import (
     predict_noise_of,
 )
 from clrelight.codec.streams import PARTS
-from clrelight.conventions import degree_of
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError, PayloadError
+from clrelight.harmonics.index import degree_of
 from clrelight.store import create_fit, open_fit, scratch, write_fit, write_stack
 from clrelight.store.coding import PlanesTarget, RowTarget, StoredSource
 from clrelight.store.scratch import ScratchBody, scratch_room

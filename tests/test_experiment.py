@@ -7,12 +7,12 @@ import tomllib
 import numpy as np
 import pytest
 
-from clrelight.conventions import coefficient_count
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.experiment import Experiment, load_experiment, make_methods, make_settings, paper_experiment, run
 from clrelight.experiment.bench import Bench
 from clrelight.experiment.scenes import MAX_PICTURE_SIDE, shrink_picture
+from clrelight.harmonics.index import coefficient_count
 from clrelight.report import all_rows, summary_rows, write_report
 from clrelight.results import ROW_DTYPE, TIME_FIELDS
 from clrelight.sampling import make_pattern

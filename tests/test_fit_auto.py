@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from clrelight.basis import evaluate_basis
 from clrelight.cli.app import cli
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
@@ -13,6 +12,7 @@ from clrelight.fit import collect_fit, fit, method_class, prepare_fit
 from clrelight.fit.places import spread_points
 from clrelight.fit.prediction import Trials, try_method
 from clrelight.fit.samples import Samples
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.ingest import ingest_folder
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.sampling import make_pattern

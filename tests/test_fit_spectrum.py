@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from clrelight.basis import evaluate_basis
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import collect_fit, fit, method_class, prepare_fit
@@ -9,6 +8,7 @@ from clrelight.fit.left_out import PRIOR_MEAN, Objective, solve_zones
 from clrelight.fit.places import find_places, find_zones, spread_points
 from clrelight.fit.plan import make_lighting
 from clrelight.fit.zonal import Theta, ZonalModel, degree_variances
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.ingest import ingest_folder
 from clrelight.metrics import measure_errors
 from clrelight.sampling import make_pattern

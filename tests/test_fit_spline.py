@@ -3,13 +3,13 @@ import json
 import numpy as np
 import pytest
 
-from clrelight.basis import evaluate_basis
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import fit, method_class, prepare_fit
 from clrelight.fit.plan import make_lighting
 from clrelight.fit.samples import Samples
 from clrelight.fit.spline import SmoothingSpline, minimize_gcv
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.sampling import make_pattern
 from tests.reference import spline as reference
 from tests.styles import both_styles

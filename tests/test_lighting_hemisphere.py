@@ -6,9 +6,9 @@ import pytest
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
 from clrelight.fit.run import fit
+from clrelight.harmonics.hemisphere import hemisphere_autocorrelation, project_onto_hemisphere
 from clrelight.lighting.environment import Environment, read_environment
-from clrelight.lighting.hemisphere import hemisphere_autocorrelation, project_onto_hemisphere, share_below
-from clrelight.lighting.light import Light
+from clrelight.lighting.light import Light, share_below
 from clrelight.lighting.projection import project_environment
 from clrelight.lighting.relighting import (
     automatic_exposure,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from clrelight.errors import InputError
+from clrelight.harmonics.latlong import project_latlong
+from clrelight.harmonics.montecarlo import project_function, sample_sphere
+from clrelight.harmonics.product import transfer_matrix
 from clrelight.lighting.irradiance import evaluate_irradiance
 from clrelight.lighting.lamps import blend_lights, cap_light, cap_visibility, cast_shadow, directional_light
 from clrelight.lighting.light import Light, turn_about_z
-from clrelight.lighting.montecarlo import project_function, sample_sphere
-from clrelight.lighting.product import transfer_matrix
-from clrelight.lighting.projection import project_latlong
 from clrelight.lighting.sky import SKIES, sky_light, sky_luminance
 from clrelight.sampling import make_pattern
 from tests.reference.basis import real_harmonics, sphere_quadrature

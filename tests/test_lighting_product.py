@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from clrelight.errors import InputError
+from clrelight.harmonics.product import gaunt_tensor, integrate_triple, multiply_functions, transfer_matrix
+from clrelight.harmonics.rotation import rotation_matrix
+from clrelight.harmonics.zonal import axis_factors, cap_kernel, convolve_zonal, turn_lobe, window_kernel
 from clrelight.lighting.irradiance import cosine_coefficients
 from clrelight.lighting.light import Light, apply_window
-from clrelight.lighting.product import gaunt_tensor, integrate_triple, multiply_functions, transfer_matrix
-from clrelight.lighting.rotation import rotate_light, rotation_matrix
-from clrelight.lighting.zonal import axis_factors, cap_kernel, convolve_zonal, turn_lobe, window_kernel
+from clrelight.lighting.rotation import rotate_light
 from tests.reference.basis import real_harmonics, sphere_quadrature
 
 

@@ -6,13 +6,15 @@ import struct
 import numpy as np
 import pytest
 
-from clrelight.conventions import coefficient_index
 from clrelight.errors import InputError
+from clrelight.harmonics.index import coefficient_index
+from clrelight.harmonics.latlong import latitude_weights, project_latlong, synthesize_latlong
+from clrelight.harmonics.windows import window_factors
 from clrelight.images import write_image
 from clrelight.lighting import layouts
 from clrelight.lighting.environment import Environment, read_environment
-from clrelight.lighting.light import Light, apply_window, set_coefficients, turn_about_z, window_factors
-from clrelight.lighting.projection import measure_lobes, project_environment, project_latlong, synthesize_latlong
+from clrelight.lighting.light import Light, apply_window, set_coefficients, turn_about_z
+from clrelight.lighting.projection import measure_lobes, project_environment
 from tests.reference.basis import real_harmonics
 from tests.reference.lighting import band_limited, render
 
@@ -111,7 +113,7 @@ def test_synthesis_is_the_sum_of_the_basis():
 @pytest.mark.parametrize("height", [1, 2, 3, 8, 31])
 def test_row_weights_integrate_polynomials_below_their_number(height):
     z_h = np.cos(np.pi * (np.arange(height) + 0.5) / height)
-    weight_h = layouts.latitude_weights(height)
+    weight_h = latitude_weights(height)
     assert (weight_h > 0).all()
     for power in range(height):
         assert weight_h @ z_h**power == pytest.approx(2 / (power + 1) if power % 2 == 0 else 0.0, abs=1e-13)

@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 
 from clrelight.errors import InputError
+from clrelight.harmonics.rotation import rotation_blocks, rotation_blocks_zyz, rotation_matrix
 from clrelight.lighting.light import Light, turn_about_z
-from clrelight.lighting.rotation import (
-    rotate_light,
-    rotate_maps,
-    rotation_blocks,
-    rotation_blocks_zyz,
-    rotation_matrix,
-)
+from clrelight.lighting.rotation import rotate_light, rotate_maps
 from tests.reference.basis import real_harmonics, sphere_quadrature
 
 EPS32 = 2.0**-24

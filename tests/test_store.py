@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 import xxhash
 
-from clrelight import store
+from clrelight import durable, store
 from clrelight.codec.registry import Encoded
 from clrelight.dataset import SAMPLE_DTYPES, CoefficientMap, LightStack
 from clrelight.errors import InputError
 from clrelight.lighting.light import Light
 from clrelight.results import ROW_DTYPE, Results
-from clrelight.store import durable, writing
+from clrelight.store import writing
 
 
 def directions(n):
@@ -355,7 +355,7 @@ def test_a_killed_writer_leaves_the_old_file_and_its_part_is_taken_over(tmp_path
     before = path.read_bytes()
     script = f"""
         import os, signal
-        from clrelight.store.durable import replacing
+        from clrelight.durable import replacing
         with replacing({str(path)!r}) as part:
             part.write(b"half")
             os.kill(os.getpid(), signal.SIGKILL)

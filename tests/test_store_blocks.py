@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 import pytest
 
-from clrelight import store
+from clrelight import durable, store
 from clrelight.errors import InputError, StoreFormatError
-from clrelight.store import durable, writing
+from clrelight.store import writing
 from clrelight.store.blocks import Blocks, BlockWriter, box_of
 from clrelight.store.stored import StoredArray
 from tests.commands import ROOT, call, environment

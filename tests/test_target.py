@@ -3,12 +3,12 @@ import json
 import numpy as np
 import pytest
 
-from clrelight.basis import evaluate_basis
 from clrelight.cli.app import run
 from clrelight.codec import decode, encode
 from clrelight.codec.klt import Klt
 from clrelight.errors import InputError
 from clrelight.fit.run import fit
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.jobs.target import TOLERANCE, encode_to_quality
 from clrelight.store import read_encoded, write_fit, write_stack
 from datasets_synth.ring import render_ring

@@ -12,8 +12,8 @@ from clrelight.cli.output import print_notes
 
 def claim_output(path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]] = ()) -> None:
     """Check an output as `check_output` does, and keep every other program from it until the command ends."""
+    from clrelight.durable import claiming, no_locks
     from clrelight.store import check_output
-    from clrelight.store.durable import claiming, no_locks
 
     check_output(path, inputs)
     if not click.get_current_context().with_resource(claiming(path)):

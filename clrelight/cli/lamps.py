@@ -191,7 +191,7 @@ def make_lamp(lamp: Lamp, degree: int | None) -> Light:
 
 def note_horizon(lamp: Lamp, rotation: Rotation | None, notes: list[str]) -> None:
     """Say that fits of a hemisphere will not see the light, or a part of it, as it lies once rotated."""
-    from clrelight.lighting.rotation import rotation_matrix
+    from clrelight.harmonics.rotation import rotation_matrix
 
     if lamp.extent is None:
         return
@@ -206,6 +206,7 @@ def note_horizon(lamp: Lamp, rotation: Rotation | None, notes: list[str]) -> Non
 
 def rotate_by(light: Light, rotation: Rotation) -> Light:
     """Return the light turned as ``--rotate`` says."""
-    from clrelight.lighting.rotation import rotate_light, rotation_matrix
+    from clrelight.harmonics.rotation import rotation_matrix
+    from clrelight.lighting.rotation import rotate_light
 
     return rotate_light(light, rotation_matrix(*rotation))

@@ -80,6 +80,7 @@ def trade(
       clrelight trade stack.h5 --budget-bytes 50k --budget-seconds 2
     """
     from clrelight.device import open_device
+    from clrelight.durable import replacing
     from clrelight.experiment.front import Limits
     from clrelight.experiment.toml import experiment_text
     from clrelight.experiment.trade import Axes, sweep_trade
@@ -89,7 +90,6 @@ def trade(
     from clrelight.report.markup import to_strings
     from clrelight.report.trade import front_table, step_table, write_trade_report
     from clrelight.store import check_output, open_stack
-    from clrelight.store.durable import replacing
 
     limits = Limits(budget_seconds, budget_bytes, min_psnr)
     varied = Axes(**given(**axes))

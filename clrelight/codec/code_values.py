@@ -13,12 +13,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
 from clrelight.codec.finite import check_sums
 from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.slabs import slabs
-from clrelight.conventions import degree_of, linear_to_srgb, srgb_to_linear
+from clrelight.conventions import linear_to_srgb, srgb_to_linear
 from clrelight.device import Device
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import degree_of
+from clrelight.harmonics.quadrature import product_rule
 from clrelight.matmul import multiply_columns
 
 _KEPT = 1e-3
@@ -59,7 +61,7 @@ def code_value_error(found_khwc: NDArray[np.float32], coeffs_khwc: NDArray[np.fl
     """
     n_coeff, channel = len(coeffs_khwc), coeffs_khwc.shape[-1]
     degree = degree_of(n_coeff)
-    directions_i3, weight_i = _quadrature(degree + 1)
+    directions_i3, weight_i = product_rule(degree + 1)
     synthesis_ik = evaluate_basis(directions_i3, degree)
     n_pixel = coeffs_khwc[0, ..., 0].size
     some = slice(0, None, -(-n_pixel // _LOOKED_AT) | 1)  # odd, to leave no column of an image out
@@ -89,20 +91,10 @@ def _through(curve: Curve, coeffs_khwc: NDArray[np.float32], device: Device) -> 
 @functools.lru_cache(maxsize=4)
 def _transforms(n_coeff: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what evaluates coefficients at the nodes (n_node, n_coeff), and what projects values there back."""
-    directions_i3, weight_i = _quadrature(degree_of(n_coeff))
+    directions_i3, weight_i = product_rule(degree_of(n_coeff))
     synthesis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))
     metric = hemisphere_metric(n_coeff, "singular")
     shown_j = np.linalg.norm(metric.forward_jk, axis=1)
     inverse_kj = metric.inverse_kj[:, shown_j > _KEPT * shown_j.max()]
     # The columns of synthesis inverse are orthonormal functions on the hemisphere.
     return synthesis_ik, inverse_kj @ (synthesis_ik @ inverse_kj).T * weight_i
-
-
-def _quadrature(degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return directions (n_node, 3) and solid angles (n_node,), exact for products of two functions of the degree."""
-    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
-    n_azimuth = 2 * degree + 1
-    z, azimuth = np.meshgrid((nodes + 1.0) / 2.0, 2.0 * np.pi * np.arange(n_azimuth) / n_azimuth, indexing="ij")
-    radius = np.sqrt(1.0 - z * z)
-    directions_i3 = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1).reshape(-1, 3)
-    return directions_i3, np.repeat(weights / 2.0 * (2.0 * np.pi / n_azimuth), n_azimuth)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
-from clrelight.conventions import degree_of
 from clrelight.device import Device
 from clrelight.errors import PayloadError
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import degree_of
 from clrelight.matmul import multiply_columns
 
 

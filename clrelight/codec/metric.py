@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
-from clrelight.conventions import degree_of
 from clrelight.errors import PayloadError
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import degree_of, indices_of
 
 MAX_METRIC_DEGREE = 40
 """Largest degree of whitened coding: its matrices grow with the fourth power."""
@@ -57,7 +57,7 @@ def hemisphere_metric(n_coeff: int, axes: str = "smooth") -> Metric:
     for m in range(degree + 1):
         degrees = np.arange(m, degree + 1)
         scale = np.sqrt(2.0) if m == 0 else 1.0  # the integral of 1, or of cos^2, over the azimuth
-        into, out_of = _axes(scale * basis[:, degrees * (degrees + 1) + m], degrees, axes == "smooth")
+        into, out_of = _axes(scale * basis[:, indices_of(degrees, m)], degrees, axes == "smooth")
         for order in {m, -m}:
             rows = degrees * (degrees + 1) + order
             forward[np.ix_(rows[: len(into)], rows)] = into

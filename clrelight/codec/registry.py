@@ -18,10 +18,10 @@ from clrelight.codec.metric import MAX_METRIC_DEGREE
 from clrelight.codec.noise import Noise, second_moments
 from clrelight.codec.streams import ArraySource, ArrayTarget, Body, BodyWriter, MemoryBody, Source, Target
 from clrelight.configurable import Configurable
-from clrelight.conventions import degree_of
 from clrelight.dataset import FitRecord
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
+from clrelight.harmonics.index import degree_of
 
 MAGIC = b"CLRE"
 WRAPPER_VERSION = 1

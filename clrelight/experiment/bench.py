@@ -26,6 +26,7 @@ from clrelight.fit import FitMethod
 from clrelight.fit.precision import MIXED, check_precision
 from clrelight.fit.run import FitReport, collect_fit, prepare_fit
 from clrelight.fit.selection import AUTO
+from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import split_chosen
 from clrelight.jobs.coding_noise import coding_psnr
 from clrelight.metrics import measure_errors, summarize_errors
@@ -179,7 +180,7 @@ class Bench:
         }
         known = -1 if isinstance(degree, str) else degree
         name = method if isinstance(method, str) else method.id
-        return {"method": name, "degree": known, "fit_config": _json(config), "n_coeff": (known + 1) ** 2}
+        return {"method": name, "degree": known, "fit_config": _json(config), "n_coeff": coefficient_count(known)}
 
     def measure(
         self, results: Results, row: np.void, asked: FitMethod | str, asked_degree: int | str, setting: CodecSetting

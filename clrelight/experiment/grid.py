@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from clrelight.basis import MAX_DEGREE
 from clrelight.codec import Codec, codec_class
 from clrelight.errors import InputError
 from clrelight.fit import FitMethod, method_class
 from clrelight.fit.plan import SAMPLINGS, WEIGHTINGS
 from clrelight.fit.precision import MIXED, PRECISIONS
 from clrelight.fit.selection import AUTO
+from clrelight.harmonics.basis import MAX_DEGREE
 from clrelight.holdout import HOLDOUTS
 from clrelight.results import NO_CODEC
 

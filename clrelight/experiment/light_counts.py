@@ -11,6 +11,7 @@ from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import is_sphere
 from clrelight.fit.run import fit
+from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import split_chosen
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.plan_lights import LightQuality, assess_lights, choose_lights
@@ -92,7 +93,7 @@ def measure_choices(
 
 
 def _measure(seen: LightStack, unseen: LightStack, method: str, degree: int, device: Device) -> float:
-    if method in _UNBOUNDED and seen.n_light < (degree + 1) ** 2:
+    if method in _UNBOUNDED and seen.n_light < coefficient_count(degree):
         return math.nan
     coefficients = fit(seen, method, degree, device=device)
     return summarize_errors(measure_errors(coefficients, unseen, device=device)).psnr_pooled

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from clrelight.device import Device, open_device
+from clrelight.durable import claiming, no_locks
 from clrelight.experiment.bench import Bench, row_key
 from clrelight.experiment.grid import RING, Experiment
 from clrelight.experiment.scenes import check_names, open_scene, scene_name
 from clrelight.holdout import describe_distance
 from clrelight.results import ROW_DTYPE, Results
 from clrelight.store import check_output, read_results, write_results
-from clrelight.store.durable import claiming, no_locks
 
 Progress = Callable[[str, int, int], None]
 

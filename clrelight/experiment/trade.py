@@ -7,10 +7,9 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from clrelight.basis import decompose, evaluate_basis
-from clrelight.conventions import coefficient_count
 from clrelight.dataset import LightStack
 from clrelight.device import Device, open_device
+from clrelight.durable import claiming, no_locks
 from clrelight.errors import InputError
 from clrelight.experiment.bench import Bench, row_key
 from clrelight.experiment.front import Model, Trial, near_front, storage_label
@@ -20,10 +19,12 @@ from clrelight.experiment.scenes import survey_stack
 from clrelight.fit import method_class
 from clrelight.fit.cls import CONVERGED_AFTER, ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED, check_precision, differing_precisions
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.decomposition import decompose
+from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import split_chosen
 from clrelight.results import NO_CODEC
 from clrelight.store import write_results
-from clrelight.store.durable import claiming, no_locks
 
 REPEATS = 3
 HALF = "half"

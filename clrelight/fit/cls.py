@@ -16,6 +16,7 @@ from clrelight.fit.columns import launch_columns
 from clrelight.fit.plan import IMAGE_ROUNDING, FitPlan, Lighting, plan_least_squares
 from clrelight.fit.precision import DOUBLE, MIXED, SINGLE
 from clrelight.fit.registry import Columns, FitMethod, OnePass, Shrunk, register
+from clrelight.harmonics.index import coefficient_count
 from clrelight.matmul import SampleCurve
 
 MAX_ITERATIONS = 1000
@@ -155,7 +156,7 @@ class ConstrainedLeastSquares(FitMethod):
 def plan_constrained(lighting: Lighting, degree: int, energy: float) -> FitPlan:
     """Return the least-squares plan with the bound scaled; a note says when there are fewer lights than unknowns."""
     plan = plan_least_squares(lighting, degree)
-    n_light, n_coeff = len(lighting.directions_i3), (degree + 1) ** 2
+    n_light, n_coeff = len(lighting.directions_i3), coefficient_count(degree)
     notes = plan.notes
     if n_light < n_coeff:
         notes += (f"{n_light} lights for {n_coeff} coefficients: the bound alone settles the others",)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
 from clrelight.fit.places import find_zones, list_unseen
 from clrelight.fit.prediction import Trials, krige_left_out
 from clrelight.fit.zonal import LARGEST_DEGREE, ZonalModel
+from clrelight.harmonics.basis import evaluate_basis
 
 FEWEST_JUDGES = 6
 _NEAR = 0.5

@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clrelight.basis import evaluate_basis
-from clrelight.conventions import coefficient_index
 from clrelight.errors import InputError
 from clrelight.fit.plan import (
     IMAGE_ROUNDING,
@@ -20,6 +18,8 @@ from clrelight.fit.plan import (
 )
 from clrelight.fit.precision import DOUBLE
 from clrelight.fit.registry import FitMethod, register
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import coefficient_index
 
 LARGEST_CONDITION = float(1.0 / np.finfo(np.float32).eps)
 """Components whose singular value is below the largest by more are beyond float32 coefficients: these are that many

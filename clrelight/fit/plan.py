@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import decompose, evaluate_basis
-from clrelight.conventions import coefficient_count
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.decomposition import decompose
+from clrelight.harmonics.index import coefficient_count
 from clrelight.sampling import solid_angle_weights
 
 WEIGHTINGS = ("uniform", "solid-angle")

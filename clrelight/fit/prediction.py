@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
 from clrelight.conventions import linear_to_srgb
 from clrelight.fit.left_out import solve_zones
 from clrelight.fit.places import Places, find_gap_radii, find_places, find_zones, pick_spread
@@ -16,6 +15,7 @@ from clrelight.fit.plan import Lighting, make_lighting
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
 from clrelight.fit.zonal import ZonalModel
+from clrelight.harmonics.basis import evaluate_basis
 
 LEAST_FREEDOM = 0.02
 """Least reciprocal norm of ``(I - H_ZZ)^-1``: below it a fit follows the samples of the zone whatever they are, and

@@ -14,7 +14,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from clrelight.basis import MAX_DEGREE
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
@@ -24,6 +23,8 @@ from clrelight.fit.registry import Columns, FitMethod, OnePass, method_class
 from clrelight.fit.samples import Samples
 from clrelight.fit.scaling import ScaledTile, TileScaling, round_coefficients
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, WITHIN, Choice, choose_model
+from clrelight.harmonics.basis import MAX_DEGREE
+from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import split_chosen
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
 from clrelight.streaming import Buffer, reading_ahead
@@ -242,7 +243,7 @@ def collect_tiles(
 ) -> CoefficientMap:
     """Return the whole map of a fit from its tiles, whose coefficients are of type `dtype`."""
     stack, method = prepared.stack, prepared.method
-    n_coeff = (prepared.degree + 1) ** 2
+    n_coeff = coefficient_count(prepared.degree)
     coeffs_khwc = np.empty((n_coeff, *stack.image_shape), dtype)
     lambda_hwc = np.empty(stack.image_shape, np.float32) if method.has_lambda else None
     rank_hwc = np.empty(stack.image_shape, np.int32) if method.has_rank else None
@@ -280,7 +281,7 @@ def rows_per_tile(
     stack = prepared.stack
     height, width, channel = stack.image_shape
     sample = stack.n_light * np.dtype(stack.images_ihwc.dtype).itemsize
-    n_coeff, plan = (prepared.degree + 1) ** 2, prepared.plan
+    n_coeff, plan = coefficient_count(prepared.degree), prepared.plan
     # Components, the bound and its doubt; and what is handed on: coefficients, lambda or rank.
     work = compute_dtype(prepared.precision).itemsize * (len(plan.singular_r) + 1) + 4
     if prepared.precision == DOUBLE and plan.synthesis_kr is not None:
@@ -363,7 +364,7 @@ def fit_tiles(
             source_ip = device.upload(tile_ihwc.reshape(len(tile_ihwc), -1))
             columns = source_ip.shape[1]
             if one_pass is not None:
-                coeffs = _lend(device, next(coeffs_of), ((prepared.degree + 1) ** 2, columns), dtype)
+                coeffs = _lend(device, next(coeffs_of), (coefficient_count(prepared.degree), columns), dtype)
                 maps = one_pass(source_ip, coeffs)
                 coeffs_kp = device.download(coeffs)
             else:

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
 from clrelight.errors import InputError
 from clrelight.fit.left_out import FEWEST, learn_theta
 from clrelight.fit.places import find_places, spread_points
@@ -15,6 +14,7 @@ from clrelight.fit.plan import FitPlan, Lighting, is_sphere
 from clrelight.fit.registry import FitMethod, register
 from clrelight.fit.samples import Samples
 from clrelight.fit.zonal import LARGEST_DEGREE, Theta, ZonalModel
+from clrelight.harmonics.basis import evaluate_basis
 
 _SLOPES = -3.0, 6.0
 _LARGEST = 1e6

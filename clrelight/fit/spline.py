@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.conventions import coefficient_count
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit.columns import launch_columns
 from clrelight.fit.plan import FitPlan, Lighting, plan_least_squares, scale_components
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 from clrelight.fit.samples import Samples
+from clrelight.harmonics.index import coefficient_count, degrees_of_coefficients
 
 EPSILON = 1e-2
 """Penalty of the mean, which the Laplace-Beltrami operator does not see; at 1e-4 or 1 no figure changes."""
@@ -130,7 +130,7 @@ class SmoothingSpline(FitMethod):
 
 def roughness(degree: int) -> NDArray[np.float64]:
     """Return the penalty of each coefficient, ``EPSILON + (l (l + 1))^2``, shape (n_coeff,), float64."""
-    l_k = np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
+    l_k = degrees_of_coefficients(degree)
     return EPSILON + (l_k * (l_k + 1.0)) ** 2
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
-from clrelight.conventions import coefficient_count
 from clrelight.fit.places import Places, spread_points
 from clrelight.fit.plan import is_sphere
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import coefficient_count
 
 LARGEST_DEGREE = 25
 """Degrees above have no variance."""

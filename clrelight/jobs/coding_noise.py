@@ -7,7 +7,7 @@ from typing import Any
 
 from clrelight.codec.metric import MAX_METRIC_DEGREE
 from clrelight.codec.noise import Noise, measure_image_error
-from clrelight.conventions import degree_of
+from clrelight.harmonics.index import degree_of
 from clrelight.metrics import psnr_of
 
 

@@ -28,6 +28,7 @@ from clrelight.fit.run import (
     prepare_fit,
 )
 from clrelight.fit.selection import AUTO, WITHIN
+from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure import measure_split
@@ -218,7 +219,7 @@ class _Fit:
         facts |= {
             "method": prepared.method.id,
             "degree": prepared.degree,
-            "n_coeff": (prepared.degree + 1) ** 2,
+            "n_coeff": coefficient_count(prepared.degree),
             "n_light": len(self.split[0]),
             "n_holdout": len(self.split[1]),
             "config": dict(prepared.config),
@@ -306,7 +307,7 @@ def _float32_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generat
 def _float16_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:
     """Yield each tile rounded to halves: of one tile the float32 are held, of two, one being written, the halves."""
     map_bytes = 4 * (prepared.method.has_lambda + prepared.method.has_rank)
-    beside = 2 * 2 * (prepared.degree + 1) ** 2 + map_bytes
+    beside = 2 * 2 * coefficient_count(prepared.degree) + map_bytes
     halves_of = itertools.cycle([Buffer(), Buffer()])
     tiles = fit_tiles(prepared, memory_bytes=memory, row_step=row_step, beside=beside)
     with rounding_rows(prepared.device) as round_rows, closing(tiles):

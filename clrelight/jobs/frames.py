@@ -16,12 +16,12 @@ from clrelight.codec import decode_view
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
+from clrelight.harmonics.rotation import rotation_matrix
 from clrelight.jobs.inputs import FittedLike, is_encoded, lend_coefficients, take_encoded
 from clrelight.jobs.report import Progress, Report
-from clrelight.lighting.hemisphere import share_below
-from clrelight.lighting.light import Light
+from clrelight.lighting.light import Light, share_below
 from clrelight.lighting.relighting import automatic_exposure, relight_under
-from clrelight.lighting.rotation import rotate_light, rotation_matrix
+from clrelight.lighting.rotation import rotate_light
 from clrelight.relight import relight
 
 MAX_STEPS = 1 << 16

@@ -6,10 +6,10 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 
+from clrelight.durable import claiming, no_locks
 from clrelight.jobs.inputs import path_text
 from clrelight.jobs.report import Report
 from clrelight.store import check_output
-from clrelight.store.durable import claiming, no_locks
 
 
 @contextmanager

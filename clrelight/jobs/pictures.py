@@ -10,11 +10,11 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.durable import replacing
 from clrelight.errors import InputError
 from clrelight.images import write_image
 from clrelight.lighting.relighting import map_tones
 from clrelight.relight import to_display
-from clrelight.store.durable import replacing
 
 FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
 """Images that hold linear radiance as floats."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
-from clrelight.conventions import coefficient_count, coefficient_index
 from clrelight.device import Device, open_device
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import coefficient_count, coefficient_index, degree_of, degrees_of_coefficients
 from clrelight.lighting.environment import Environment
-from clrelight.lighting.light import Light, degrees_of_coefficients
+from clrelight.lighting.light import Light
 
 NINE_DEGREE = 2
 
@@ -49,7 +49,7 @@ def evaluate_irradiance(
 ) -> NDArray[np.float64]:
     """Return the irradiance at unit normals, (n, channel) float64: ``sum A_l L_lm y_lm(n)`` (eq. 7)."""
     coeffs_kc = irradiance_light(light, degree)
-    return evaluate_basis(normals_n3, math.isqrt(len(coeffs_kc)) - 1) @ coeffs_kc
+    return evaluate_basis(normals_n3, degree_of(len(coeffs_kc))) @ coeffs_kc
 
 
 def irradiance_matrix(light: Light) -> NDArray[np.float64]:

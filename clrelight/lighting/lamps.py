@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import MAX_DEGREE, evaluate_basis
-from clrelight.conventions import coefficient_count
 from clrelight.errors import InputError
+from clrelight.harmonics.basis import MAX_DEGREE, evaluate_basis
+from clrelight.harmonics.index import coefficient_count
+from clrelight.harmonics.product import multiply_functions
+from clrelight.harmonics.zonal import cap_kernel, turn_lobe
 from clrelight.lighting.light import Light
-from clrelight.lighting.product import multiply_functions
-from clrelight.lighting.zonal import cap_kernel, turn_lobe
 
 WHITE = (1.0,)
 BLEND_POWER = 10.0
@@ -28,7 +28,7 @@ def directional_light(direction: Sequence[float], degree: int, colour: Sequence[
     direction : sequence of 3 floats
         Towards the lamp, of any length but 0.
     degree : int
-        0 to `basis.MAX_DEGREE`.
+        0 to `harmonics.basis.MAX_DEGREE`.
     colour : sequence of 1 or 3 floats
         Irradiance, not negative.
     """

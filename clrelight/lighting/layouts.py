@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from pathlib import PurePath
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
+from clrelight.harmonics.latlong import latitude_weights, longitude_azimuths
 
 ASPECTS = {
     "latlong": (2, 1),
@@ -179,24 +179,6 @@ def texel_geometry(layout: str, height: int, width: int) -> tuple[NDArray[np.flo
     for array in (directions, weights):
         array.flags.writeable = False  # kept for the next map of this size
     return directions, weights
-
-
-def longitude_azimuths(width: int) -> NDArray[np.float64]:
-    """Return the azimuth, from right towards forward, of each column of a lat-long map; its middle is forward."""
-    return 1.5 * np.pi - 2.0 * np.pi * (np.arange(width) + 0.5) / width
-
-
-def latitude_weights(height: int) -> NDArray[np.float64]:
-    """Return Fejer's first weights for rows at ``theta = pi (h + 1/2) / height``.
-
-    ``sum_h w_h f(cos theta_h)`` is ``integral f(z) dz`` exactly for polynomials below degree `height` (Fejer 1933), so
-    the projection to degree L of radiance band-limited to degree L is exact with 2 L + 1 rows. All are positive.
-    """
-    terms = np.zeros(height)
-    terms[0] = 1.0
-    k = np.arange(1, (height + 1) // 2)
-    terms[2 * k] = -1.0 / (4.0 * k * k - 1.0)
-    return 2.0 / height * scipy.fft.dct(terms, type=3)
 
 
 def _square(size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

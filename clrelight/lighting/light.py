@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import MAX_DEGREE
-from clrelight.conventions import coefficient_count, coefficient_index, degree_of
 from clrelight.errors import InputError
-
-WINDOWS = ("gaussian", "hann", "lanczos")
-"""Windows over the degrees, see `window_factors`."""
+from clrelight.harmonics.basis import MAX_DEGREE
+from clrelight.harmonics.hemisphere import project_onto_hemisphere
+from clrelight.harmonics.index import coefficient_count, coefficient_index, degree_of, degrees_of_coefficients
+from clrelight.harmonics.windows import window_factors
 
 
 @dataclass(frozen=True)
@@ -62,36 +61,6 @@ class Light:
         return int(self.coeffs_kc.shape[1])
 
 
-def degrees_of_coefficients(degree: int) -> NDArray[np.intp]:
-    """Return the degree l of every coefficient k."""
-    return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
-
-
-def window_factors(window: str, degree: int, width: float | None = None) -> NDArray[np.float64]:
-    """Return the factor of each degree l = 0 .. degree under a window that is `width` degrees wide.
-
-    ``gaussian`` is ``exp(-2 l (l + 1) / width^2)``, diffusion on the sphere, whose kernel is nowhere negative before it
-    is cut off. ``hann`` is ``(1 + cos(pi l / width)) / 2`` and ``lanczos`` ``sinc(l / width)``, both 0 from
-    ``l = width`` on. The default width is ``degree + 1``. All are 1 at l = 0: the mean is kept.
-
-    Raises
-    ------
-    InputError
-        If the window is not one of `WINDOWS`, or the width is not positive.
-    """
-    wide = degree + 1.0 if width is None else float(width)
-    if not 0 < wide < float("inf"):
-        raise InputError(f"the width of a window must be a positive number of degrees, got {width}")
-    l = np.arange(degree + 1, dtype=np.float64)
-    if window == "gaussian":
-        return np.exp(-2.0 * l * (l + 1.0) / wide**2)
-    if window == "hann":
-        return np.where(l < wide, 0.5 + 0.5 * np.cos(np.pi * l / wide), 0.0)
-    if window == "lanczos":
-        return np.where(l < wide, np.sinc(l / wide), 0.0)
-    raise InputError(f"window must be one of {', '.join(WINDOWS)}, got {window!r}")
-
-
 def apply_window(light: Light, window: str, width: float | None = None) -> Light:
     """Return the light with each degree scaled by `window_factors`."""
     factors = window_factors(window, light.degree, width)[degrees_of_coefficients(light.degree)]
@@ -134,3 +103,12 @@ def set_coefficients(light: Light, changes: Mapping[tuple[int, int], tuple[float
             )
         coeffs_kc[coefficient_index(l, m)] = values
     return replace(light, coeffs_kc=coeffs_kc)
+
+
+def share_below(light: Light) -> float:
+    """Return the part of the light, over all channels, that comes from below the horizon (z < 0).
+
+    Of the light as its degree shows it, which rings: it may lie a little outside 0 .. 1. 0 for no light at all.
+    """
+    total = float(light.coeffs_kc[0].sum())
+    return 1.0 - float(project_onto_hemisphere(light.coeffs_kc, 0).sum()) / total if total else 0.0

@@ -10,8 +10,8 @@ from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
+from clrelight.harmonics.hemisphere import project_onto_hemisphere
 from clrelight.lighting.environment import Environment
-from clrelight.lighting.hemisphere import project_onto_hemisphere
 from clrelight.lighting.light import Light
 from clrelight.relight import combine_maps
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import MAX_DEGREE, evaluate_basis
-from clrelight.conventions import coefficient_count
 from clrelight.errors import InputError
+from clrelight.harmonics.basis import MAX_DEGREE, evaluate_basis
+from clrelight.harmonics.index import coefficient_count, degrees_of_coefficients
 from clrelight.lighting.lamps import WHITE, checked_colour
-from clrelight.lighting.light import Light, degrees_of_coefficients, turn_about_z
+from clrelight.lighting.light import Light, turn_about_z
 
 Curve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -107,7 +107,7 @@ def sky_light(
     zenith : float
         Luminance of the zenith, in kcd/m²; that is what the light's radiance is then in.
     degree : int
-        0 to `basis.MAX_DEGREE`.
+        0 to `harmonics.basis.MAX_DEGREE`.
     colour : sequence of 1 or 3 floats
         Factor of each channel, not negative.
 

@@ -23,7 +23,7 @@ WIDTHS = (16, 8, 4)
 SECONDS = 240.0
 """Longest that a child may take, compiling included."""
 
-_CODE = "from clrelight.opencl.truth import main; main(words)"
+_CODE = "from clrelight.truth import main; main(words)"
 _USUAL = 8
 """Lanes of AVX2, of which two would fit registers of 16; kernels for GPUs have no other."""
 
@@ -124,7 +124,7 @@ def machine_identity() -> str:
 def kernel_identity() -> str:
     """Return a digest of all kernels and of what tests them."""
     digest = hashlib.sha256()
-    for path in [*sorted(kernel_folder().rglob("*.cl*")), Path(__file__).with_name("truth.py")]:
+    for path in [*sorted(kernel_folder().rglob("*.cl*")), Path(__file__).parents[1] / "truth.py"]:
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

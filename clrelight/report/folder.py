@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from clrelight.durable import claiming, folder_aside
 from clrelight.errors import InputError
 from clrelight.interrupts import holding
-from clrelight.store.durable import claiming, folder_aside
 
 
 def fill_folder(out_dir: str | os.PathLike[str], make: Callable[[Path], list[str]]) -> list[Path]:

@@ -54,8 +54,8 @@ def numpy_job(stack: Path, folder: Path, degree: int) -> Job:
     """Return the same mathematics in NumPy: all in memory, float32 products by BLAS, one plain file between stages."""
     import h5py
 
-    from clrelight.basis import evaluate_basis
     from clrelight.dataset import LightStack
+    from clrelight.harmonics.basis import evaluate_basis
 
     fit, encoded, decoded = (folder / f"{name}.npy" for name in ("fit", "encoded", "decoded"))
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
 from clrelight.codec.lifting import forward_transform, inverse_transform
 from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.fit.run import PreparedFit, collect_fit, prepare_fit
+from clrelight.harmonics.basis import evaluate_basis
 from clrelight.matmul import apply_operator, pack_operator
 from clrelight.speed.job import FIT_OPTIONS
 from clrelight.speed.stage import Stage

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from clrelight.durable import check_output, replacing
 from clrelight.errors import InputError
 from clrelight.speed.job import OURS, STAGES, TOTAL
-from clrelight.store.durable import check_output, replacing
 
 SCHEMA = "speed/1"
 SUFFIX = ".json"

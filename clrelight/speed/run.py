@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import clrelight
-from clrelight.conventions import coefficient_count
+from clrelight.durable import folder_aside
 from clrelight.errors import InputError
+from clrelight.harmonics.index import coefficient_count
 from clrelight.interrupts import at_end, forget, holding
 from clrelight.speed.environment import THREAD_VARIABLES
 from clrelight.speed.job import NUMPY, OURS
 from clrelight.speed.plan import PLURALS, Growth, Point
 from clrelight.speed.scene import TILE, write_scene
-from clrelight.store.durable import folder_aside
 
 NUMPY_BYTES = 1 << 30
 """NumPy, which holds all at once, runs where that takes no more than this."""

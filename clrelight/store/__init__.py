@@ -1,6 +1,6 @@
 """The files of clrelight: HDF5, written whole or not at all, and read with suspicion."""
 
-from clrelight.store.durable import check_output
+from clrelight.durable import check_output
 from clrelight.store.encodings import FitRecord, read_encoded, write_encoded
 from clrelight.store.fits import FitSink, create_fit, open_fit, read_fit, write_fit
 from clrelight.store.lights import read_light, write_light

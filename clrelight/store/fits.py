@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clrelight.codec.rounding import rounding_rows
-from clrelight.conventions import coefficient_count
 from clrelight.dataset import COEFFICIENT_DTYPES, CoefficientMap
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
+from clrelight.harmonics.index import coefficient_count
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import FIT
 from clrelight.store.writing import Sink, chunk_shape, config_text, drafting, padded_bytes

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.conventions import degree_of
 from clrelight.errors import StoreFormatError
+from clrelight.harmonics.index import degree_of
 from clrelight.lighting.light import Light
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import LIGHT
@@ -51,7 +51,7 @@ def light_of(opened: Opened) -> Light:
 
 def _check_config(config: dict[str, Any]) -> None:
     """Refuse what turning or shading the light would add to, where it is not as they write it."""
-    from clrelight.lighting.rotation import nearest_rotation
+    from clrelight.harmonics.rotation import nearest_rotation
 
     shadows = _numbers(config.get("shadows", []))
     if shadows is None or not (shadows.size == 0 or shadows.shape[1:] == (4,)):

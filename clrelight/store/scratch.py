@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.streams import BodyWriter, BoundedRoom, Planes, Progress
+from clrelight.durable import Part, naming
 from clrelight.interrupts import holding
-from clrelight.store.durable import Part, naming
 
 
 class Scratch:

@@ -14,9 +14,9 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clrelight.durable import Part, naming, replacing, syncing
 from clrelight.errors import InputError
 from clrelight.store.blocks import SUM_DTYPE, BlockReader, BlockWriter, box_of
-from clrelight.store.durable import Part, naming, replacing, syncing
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
 from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, seal_of, type_text
 

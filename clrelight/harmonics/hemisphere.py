@@ -7,9 +7,8 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.conventions import coefficient_count, degree_of
-from clrelight.lighting.light import Light
-from clrelight.lighting.projection import legendre_tables
+from clrelight.harmonics.index import coefficient_count, degree_of, indices_of
+from clrelight.harmonics.latlong import legendre_tables
 
 
 @functools.lru_cache(maxsize=4)
@@ -48,7 +47,7 @@ def hemisphere_autocorrelation(degree: int, other: int | None = None) -> NDArray
     for m, block in enumerate(_blocks(degree, wide)):
         row, column = np.arange(m, degree + 1), np.arange(m, wide + 1)
         for order in {m, -m}:
-            matrix[np.ix_(row * (row + 1) + order, column * (column + 1) + order)] = block
+            matrix[np.ix_(indices_of(row, order), indices_of(column, order))] = block
     return matrix
 
 
@@ -62,14 +61,5 @@ def project_onto_hemisphere(light_kc: NDArray[np.float64], degree: int) -> NDArr
     for m, block in enumerate(_blocks(degree, wide)):
         row, column = np.arange(m, degree + 1), np.arange(m, wide + 1)
         for order in {m, -m}:
-            seen_kc[row * (row + 1) + order] = block @ light_kc[column * (column + 1) + order]
+            seen_kc[indices_of(row, order)] = block @ light_kc[indices_of(column, order)]
     return seen_kc
-
-
-def share_below(light: Light) -> float:
-    """Return the part of the light, over all channels, that comes from below the horizon (z < 0).
-
-    Of the light as its degree shows it, which rings: it may lie a little outside 0 .. 1. 0 for no light at all.
-    """
-    total = float(light.coeffs_kc[0].sum())
-    return 1.0 - float(project_onto_hemisphere(light.coeffs_kc, 0).sum()) / total if total else 0.0

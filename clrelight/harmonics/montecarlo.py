@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import MAX_DEGREE, evaluate_basis
-from clrelight.conventions import coefficient_count
 from clrelight.errors import InputError
+from clrelight.harmonics.basis import MAX_DEGREE, evaluate_basis
+from clrelight.harmonics.index import coefficient_count
 
 _SAMPLES_AT_ONCE = 4096
 

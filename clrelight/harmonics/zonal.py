@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.basis import evaluate_basis
-from clrelight.conventions import degree_of
 from clrelight.errors import InputError
-from clrelight.lighting.light import degrees_of_coefficients, window_factors
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import degree_of, degrees_of_coefficients
+from clrelight.harmonics.windows import window_factors
 
 
 def axis_factors(degree: int) -> NDArray[np.float64]:

@@ -8,9 +8,9 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from clrelight.conventions import coefficient_count, degree_of
 from clrelight.errors import InputError
-from clrelight.lighting.projection import legendre_tables, project_latlong, synthesize_latlong
+from clrelight.harmonics.index import coefficient_count, degree_of, indices_of
+from clrelight.harmonics.latlong import legendre_tables, project_latlong, synthesize_latlong
 
 MAX_TENSOR_ENTRIES = 1 << 23
 """Most triple integrals that are kept, 130 MB of them; degree 20 with itself has 1.8 million."""
@@ -93,8 +93,8 @@ def gaunt_tensor(first: int, second: int, third: int) -> scipy.sparse.csr_array:
     node_q, weight_q = np.polynomial.legendre.leggauss(sum(degrees) // 2 + 1)
     tables = legendre_tables(np.arccos(node_q), max(degrees))
     counts = [coefficient_count(degree) for degree in degrees]
-    rows: list[NDArray[np.int64]] = []
-    columns: list[NDArray[np.int64]] = []
+    rows: list[NDArray[np.intp]] = []
+    columns: list[NDArray[np.intp]] = []
     values: list[NDArray[np.float64]] = []
     kept = 0
     for m in range(first + 1):
@@ -107,7 +107,7 @@ def gaunt_tensor(first: int, second: int, third: int) -> scipy.sparse.csr_array:
                     azimuth = _azimuth_integral(*signs)
                     if azimuth == 0.0:
                         continue
-                    i, j, k = (d * (d + 1) + sign for d, sign in zip((l, lj, lk), signs, strict=True))
+                    i, j, k = (indices_of(d, sign) for d, sign in zip((l, lj, lk), signs, strict=True))
                     rows.append(i * counts[1] + j)
                     columns.append(k)
                     values.append(azimuth * integrals)

@@ -1,0 +1,1 @@
+"""The mathematics of spherical harmonics: NumPy and SciPy alone, nothing of devices, files or images."""

@@ -1,0 +1,108 @@
+"""What may import what: a lower floor never knows of a higher one, so that each part can be read, and used, alone."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import clrelight
+
+ROOT = Path(clrelight.__file__).parent
+FLOORS = [
+    {"errors", "conventions", "configurable", "text_rows", "interrupts", "streaming", "statements"},
+    {"harmonics", "durable"},
+    {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
+    {
+        *("dataset", "holdout", "lights", "light_files", "masks", "negatives", "plan_lights", "sampling"),
+        *("image_bands", "image_header", "image_names", "image_parts", "image_set", "images", "radiance_header"),
+    },
+    {"fit", "codec", "lighting", "metrics", "relight"},
+    {"store", "export", "ingest", "results", "selftest", "selftest_photographs", "truth"},
+    {"jobs"},
+    {"baseline", "experiment"},
+    {"report", "speed"},
+    {"cli"},
+    {"__main__"},
+]
+"""From the ground up. Within a floor rooms may use each other, as long as no circle of modules comes of it."""
+FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+
+
+def read_imports():
+    """Return the modules of clrelight that each of its modules imports, at any time."""
+    files = {
+        ".".join(path.relative_to(ROOT.parent).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in ROOT.rglob("*.py")
+    }
+    imports = {}
+    for module, path in files.items():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for_types = {
+            id(inner)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+            for inner in ast.walk(node)
+        }
+        found = imports[module] = set()
+        for node in ast.walk(tree):
+            if id(node) in for_types:
+                continue
+            if isinstance(node, ast.Import):
+                found.update(alias.name for alias in node.names if alias.name in files)
+            elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "clrelight":
+                for alias in node.names:
+                    inner = f"{node.module}.{alias.name}"
+                    found.add(inner if inner in files else node.module)
+    return imports
+
+
+IMPORTS = read_imports()
+
+
+def room_of(module):
+    """Return the package or module right under clrelight; None for clrelight itself, whose names are lazy."""
+    return module.split(".")[1] if "." in module else None
+
+
+def test_every_room_has_a_floor():
+    assert {room_of(module) for module in IMPORTS} - {None} == set(FLOOR_OF)
+
+
+def test_no_room_knows_of_a_higher_floor():
+    upward = [
+        f"{module} imports {other}"
+        for module, others in IMPORTS.items()
+        for other in others
+        if room_of(module) and room_of(other) and FLOOR_OF[room_of(other)] > FLOOR_OF[room_of(module)]
+    ]
+    assert upward == []
+
+
+def test_no_circle_of_modules():
+    left = {module: set(others) - {module, "clrelight"} for module, others in IMPORTS.items()}
+    while free := [module for module, others in left.items() if not others & left.keys()]:
+        for module in free:
+            del left[module]
+    assert sorted(left) == []
+
+
+@pytest.mark.parametrize(
+    "module", ["clrelight", "clrelight.harmonics.rotation", "clrelight.images", "clrelight.errors"]
+)
+def test_mathematics_and_images_load_no_files_or_devices(module):
+    code = f"import sys, {module}; print(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert module in loaded
+    assert not loaded & {"h5py", "pyopencl", "click", "rich", "matplotlib"}
+
+
+def test_the_verbs_know_no_command_line():
+    below = [module for module in IMPORTS if room_of(module) and FLOOR_OF[room_of(module)] <= FLOOR_OF["experiment"]]
+    for module in below:
+        path = ROOT.parent / Path(*module.split("."))
+        text = (path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_text(encoding="utf-8")
+        assert "import click" not in text, module
+        assert "from rich" not in text, module
