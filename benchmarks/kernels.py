@@ -14,7 +14,7 @@ import numpy as np
 
 from clrelight.cli.output import print_facts
 from clrelight.cli.tables import print_table
-from clrelight.codec.half import STRETCH, launch_conversion
+from clrelight.codec.formats.half import STRETCH, launch_conversion
 from clrelight.device import Device, DeviceArray, open_device
 from clrelight.errors import InputError
 from clrelight.fit.columns import launch_columns

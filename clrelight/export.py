@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import Bc6h, Encoded, encode
-from clrelight.codec.dds import write_dds
+from clrelight.codec.formats.dds import write_dds
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.durable import check_output, naming, replacing, replacing_folder

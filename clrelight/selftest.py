@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import codec_class, decode, encode
-from clrelight.codec.entropy import Encoder
-from clrelight.codec.lifting import forward_transform, inverse_transform, list_subbands
-from clrelight.codec.subband_kernel import decoder_for, encoder_for
-from clrelight.codec.subbands import Statistics, code_indices
+from clrelight.codec.entropy.range_coding import Encoder
+from clrelight.codec.entropy.subband_kernel import decoder_for, encoder_for
+from clrelight.codec.entropy.subbands import Statistics, code_indices
+from clrelight.codec.transforms.lifting import forward_transform, inverse_transform, list_subbands
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.fit import collect_fit, prepare_fit

@@ -5,8 +5,8 @@ import OpenImageIO as oiio
 import pytest
 
 from clrelight.codec import S3tc, decode, encode, slabs
-from clrelight.codec.bc6h import Bc6h
-from clrelight.codec.dds import write_dds
+from clrelight.codec.formats.bc6h import Bc6h
+from clrelight.codec.formats.dds import write_dds
 from clrelight.device import Device, _devices
 from clrelight.errors import InputError, PayloadError
 from tests.mutations import check_large_claims

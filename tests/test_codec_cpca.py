@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from clrelight.codec import cpca_search, decode, encode
-from clrelight.codec.bitpack import STRETCH, pack_codes, packed_size, unpack_codes
-from clrelight.codec.cpca import Cpca
+from clrelight.codec import decode, encode
+from clrelight.codec.entropy.bitpack import STRETCH, pack_codes, packed_size, unpack_codes
+from clrelight.codec.formats import cpca_search
+from clrelight.codec.formats.cpca import Cpca
 from clrelight.errors import InputError, PayloadError
 from tests.mutations import check_large_claims
 from tests.reference.cpca import decode_cpca, read_bits

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from clrelight.codec import codec_class, decode, decode_view, encode
-from clrelight.codec.klt import Klt
-from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.formats.klt import Klt
+from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
 from tests.mutations import check_large_claims

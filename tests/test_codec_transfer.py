@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from clrelight.codec import codec_class, decode, decode_view, encode
-from clrelight.codec.code_values import code_values_of, radiance_of
-from clrelight.codec.klt import Klt
-from clrelight.codec.klt_body import parse_head
+from clrelight.codec.formats.klt import Klt
+from clrelight.codec.formats.klt_body import parse_head
+from clrelight.codec.transforms.code_values import code_values_of, radiance_of
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from clrelight.codec import decode, encode, slabs
-from clrelight.codec.vq import Vq
-from clrelight.codec.vq_search import search_codebook
+from clrelight.codec.formats.vq import Vq
+from clrelight.codec.formats.vq_search import search_codebook
 from clrelight.errors import InputError, PayloadError
 from tests.mutations import check_large_claims
 from tests.reference.vq import decode_vq, squared_distances

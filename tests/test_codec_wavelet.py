@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-import clrelight.codec.allocation
-import clrelight.codec.wavelet
+import clrelight.codec.formats.wavelet
+import clrelight.codec.rate.allocation
 from clrelight.codec import Encoded, Wavelet, decode, encode
-from clrelight.codec.entropy import ModelSet
-from clrelight.codec.subband_kernel import decoder_for, encoder_for
+from clrelight.codec.entropy.range_coding import ModelSet
+from clrelight.codec.entropy.subband_kernel import decoder_for, encoder_for
 from clrelight.errors import InputError, PayloadError
 
 
@@ -104,7 +104,7 @@ def test_context_coding_beats_zero_order_entropy(device):
 
 def test_decoder_sees_the_encoders_indices(device, monkeypatch):
     seen = {type(encoder_for(device)): [], type(decoder_for(b"", device)): []}
-    original = clrelight.codec.wavelet.code_indices
+    original = clrelight.codec.formats.wavelet.code_indices
 
     def record(coder, *arguments):
         index = original(coder, *arguments)
@@ -112,8 +112,8 @@ def test_decoder_sees_the_encoders_indices(device, monkeypatch):
             seen[type(coder)].append(index.copy())
         return index
 
-    monkeypatch.setattr(clrelight.codec.allocation, "code_indices", record)
-    monkeypatch.setattr(clrelight.codec.wavelet, "code_indices", record)
+    monkeypatch.setattr(clrelight.codec.rate.allocation, "code_indices", record)
+    monkeypatch.setattr(clrelight.codec.formats.wavelet, "code_indices", record)
     coeffs = make_maps((4, 23, 37, 3))
     body = encode(coeffs, Wavelet(rate=3.0), device).body
     first, second = decode_body(body, coeffs.shape, device), decode_body(body, coeffs.shape, device)

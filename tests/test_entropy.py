@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from clrelight.codec.entropy import BitCounter, Decoder, Encoder, ModelSet, code_integers
-from clrelight.codec.lifting import list_subbands
-from clrelight.codec.planes import Thrift, code_planes
-from clrelight.codec.subbands import Statistics, code_indices
-from clrelight.codec.symbols import ALPHABET, CLASSES, class_floor, classify, geometric_prior, zero_order_bits
+from clrelight.codec.entropy.planes import Thrift, code_planes
+from clrelight.codec.entropy.range_coding import BitCounter, Decoder, Encoder, ModelSet, code_integers
+from clrelight.codec.entropy.subbands import Statistics, code_indices
+from clrelight.codec.entropy.symbols import ALPHABET, CLASSES, class_floor, classify, geometric_prior, zero_order_bits
+from clrelight.codec.transforms.lifting import list_subbands
 from clrelight.errors import PayloadError
 
 

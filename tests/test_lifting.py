@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from reference.wavelet import analyse_plane
 
-from clrelight.codec.lifting import (
+from clrelight.codec.transforms.lifting import (
     dequantise_map,
     empty_planes,
     forward_transform,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from clrelight.codec import codec_class, decode, encode, predict_noise
-from clrelight.codec.half import rounding_variance
-from clrelight.codec.noise import Noise, measure_image_error, sample_blocks, sample_columns
+from clrelight.codec.formats.half import rounding_variance
+from clrelight.codec.rate.noise import Noise, measure_image_error, sample_blocks, sample_columns
 from clrelight.codec.streams import ArraySource
 from clrelight.errors import InputError
 from clrelight.fit import fit

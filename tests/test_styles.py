@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clrelight.codec import codec_class, decode, encode
-from clrelight.codec.lifting import forward_transform, inverse_transform
+from clrelight.codec.transforms.lifting import forward_transform, inverse_transform
 from clrelight.device import open_device
 
 # Around the 4 x 4 blocks, the vectors of 8, the groups of 128 and the stretches of 1024 and 4096 values, and a prime.

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from clrelight.codec.entropy import Decoder, Encoder
-from clrelight.codec.lifting import list_subbands
-from clrelight.codec.subband_kernel import SubbandDecoder, SubbandEncoder, decoder_for, encoder_for
-from clrelight.codec.subbands import Statistics, code_indices
+from clrelight.codec.entropy.range_coding import Decoder, Encoder
+from clrelight.codec.entropy.subband_kernel import SubbandDecoder, SubbandEncoder, decoder_for, encoder_for
+from clrelight.codec.entropy.subbands import Statistics, code_indices
+from clrelight.codec.transforms.lifting import list_subbands
 from clrelight.errors import PayloadError
 
 LARGEST = 1 << 29

@@ -5,7 +5,7 @@ import pytest
 
 from clrelight.cli.app import run
 from clrelight.codec import decode, encode
-from clrelight.codec.klt import Klt
+from clrelight.codec.formats.klt import Klt
 from clrelight.errors import InputError
 from clrelight.fit.run import fit
 from clrelight.harmonics.basis import evaluate_basis
@@ -112,7 +112,7 @@ def test_klt_beats_the_plain_basis_at_equal_bytes(coefficients, stack, device):
     held = np.flatnonzero(np.arange(80) % 5 == 4)
     small = encode(coefficients.coeffs_khwc, Klt(byte_budget=6000), device)
     rate = 8.0 * small.encoded_bytes / coefficients.coeffs_khwc.size
-    from clrelight.codec.wavelet import Wavelet
+    from clrelight.codec.formats.wavelet import Wavelet
 
     plain = encode(coefficients.coeffs_khwc, Wavelet(rate=rate, allocation="global"), device)
     ours, theirs = (pooled_psnr(decode(e, device), stack, held) for e in (small, plain))

@@ -1,12 +1,17 @@
 """Codecs: a coefficient map to bytes and back. One file per codec; importing this package registers them all."""
 
-from clrelight.codec.bc6h import Bc6h
-from clrelight.codec.cpca import Cpca
 from clrelight.codec.factored import Factored
-from clrelight.codec.half import Half
-from clrelight.codec.jpeg2000 import Jpeg2000
-from clrelight.codec.klt import Klt
-from clrelight.codec.principal_maps import PrincipalMaps
+from clrelight.codec.formats.bc6h import Bc6h
+from clrelight.codec.formats.cpca import Cpca
+from clrelight.codec.formats.half import Half
+from clrelight.codec.formats.jpeg2000 import Jpeg2000
+from clrelight.codec.formats.klt import Klt
+from clrelight.codec.formats.principal_maps import PrincipalMaps
+from clrelight.codec.formats.s3tc import S3tc
+from clrelight.codec.formats.uniform import Uniform
+from clrelight.codec.formats.vq import Vq
+from clrelight.codec.formats.wavelet import Wavelet
+from clrelight.codec.formats.whitened import Whitened
 from clrelight.codec.registry import (
     Codec,
     Encoded,
@@ -24,11 +29,6 @@ from clrelight.codec.registry import (
     predict_noise_of,
     register,
 )
-from clrelight.codec.s3tc import S3tc
-from clrelight.codec.uniform import Uniform
-from clrelight.codec.vq import Vq
-from clrelight.codec.wavelet import Wavelet
-from clrelight.codec.whitened import Whitened
 
 __all__ = [
     "Bc6h",

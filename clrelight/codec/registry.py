@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.finite import all_finite
-from clrelight.codec.metric import MAX_METRIC_DEGREE
-from clrelight.codec.noise import Noise, second_moments
+from clrelight.codec.rate.noise import Noise, second_moments
 from clrelight.codec.streams import ArraySource, ArrayTarget, Body, BodyWriter, MemoryBody, Source, Target
+from clrelight.codec.transforms.metric import MAX_METRIC_DEGREE
 from clrelight.configurable import Configurable
 from clrelight.dataset import FitRecord
 from clrelight.device import Device

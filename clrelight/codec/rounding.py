@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.half import check_not_vanishing, convert, count_overflows, largest_at_first
+from clrelight.codec.formats.half import check_not_vanishing, convert, count_overflows, largest_at_first
 from clrelight.device import Device
 
 

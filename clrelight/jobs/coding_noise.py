@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from clrelight.codec.metric import MAX_METRIC_DEGREE
-from clrelight.codec.noise import Noise, measure_image_error
+from clrelight.codec.rate.noise import Noise, measure_image_error
+from clrelight.codec.transforms.metric import MAX_METRIC_DEGREE
 from clrelight.harmonics.index import degree_of
 from clrelight.metrics import psnr_of
 

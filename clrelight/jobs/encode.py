@@ -15,7 +15,7 @@ import numpy as np
 
 from clrelight import codec as codecs
 from clrelight.codec import Codec, Encoded
-from clrelight.codec.noise import Noise
+from clrelight.codec.rate.noise import Noise
 from clrelight.codec.streams import Shape
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.lifting import forward_transform, inverse_transform
+from clrelight.codec.transforms.lifting import forward_transform, inverse_transform
 from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.fit.run import PreparedFit, collect_fit, prepare_fit

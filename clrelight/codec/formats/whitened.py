@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from clrelight.codec.factored import WhitenedMaps
-from clrelight.codec.metric import hemisphere_metric
-from clrelight.codec.noise import Noise
+from clrelight.codec.rate.noise import Noise
 from clrelight.codec.registry import Codec, PartsCodec, codec_class, register
 from clrelight.codec.streams import Body, BodyWriter, Source, Target, rest_of
+from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 

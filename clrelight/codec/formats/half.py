@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.noise import Noise, sample_columns
+from clrelight.codec.rate.noise import Noise, sample_columns
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.slabs import slabs
 from clrelight.codec.streams import Body, BodyWriter, Source, Target, columns_of

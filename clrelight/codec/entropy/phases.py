@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.lifting import Subband
+from clrelight.codec.transforms.lifting import Subband
 
 PHASES = ((0, 0), (1, 1), (0, 1), (1, 0))
 """First row and column of each phase; the others follow in steps of two."""

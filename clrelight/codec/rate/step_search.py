@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.symbols import zero_order_bits
+from clrelight.codec.entropy.symbols import zero_order_bits
 
 STEPS_PER_OCTAVE = 2048
 FINEST = 22  # the finest step is 2**-22 of a map whose largest magnitude is in [1, 2): float32's own precision

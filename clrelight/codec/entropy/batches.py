@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy import Coder, ModelSet, code_integers
-from clrelight.codec.symbols import CLASSES, DIRECT, classify, geometric_prior
+from clrelight.codec.entropy.range_coding import Coder, ModelSet, code_integers
+from clrelight.codec.entropy.symbols import CLASSES, DIRECT, classify, geometric_prior
 from clrelight.errors import PayloadError
 
 _LENGTHS = 64  # bit lengths of counts and gaps

@@ -18,10 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.batches import Tables, code_batch
-from clrelight.codec.entropy import Coder
-from clrelight.codec.lifting import Subband
-from clrelight.codec.phases import (
+from clrelight.codec.entropy.batches import Tables, code_batch
+from clrelight.codec.entropy.phases import (
     BATCHES,
     PHASES,
     crop,
@@ -31,7 +29,9 @@ from clrelight.codec.phases import (
     neighbour_count,
     relatives_of,
 )
-from clrelight.codec.symbols import CLASSES, class_floor, geometric_prior
+from clrelight.codec.entropy.range_coding import Coder
+from clrelight.codec.entropy.symbols import CLASSES, class_floor, geometric_prior
+from clrelight.codec.transforms.lifting import Subband
 from clrelight.errors import PayloadError
 
 # Sites: LL, details of the first group, details of others; of each the first phase, and the others.

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.factored import WhitenedMaps
-from clrelight.codec.metric import hemisphere_metric
-from clrelight.codec.principal import sample_stride
 from clrelight.codec.registry import Codec, PartsCodec, codec_class, register
 from clrelight.codec.streams import Body, BodyWriter, Source, Target, rest_of
+from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.codec.transforms.principal import sample_stride
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 

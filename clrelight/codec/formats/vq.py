@@ -10,11 +10,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec import vectors
-from clrelight.codec.bitpack import pack_codes, packed_size, unpack_codes
+from clrelight.codec.entropy.bitpack import pack_codes, packed_size, unpack_codes
+from clrelight.codec.formats.vq_search import design_codebook, search_codebook
 from clrelight.codec.padding import check_padding, least_bytes, pad_body
 from clrelight.codec.registry import Codec, register
-from clrelight.codec.vq_search import design_codebook, search_codebook
+from clrelight.codec.transforms import vectors
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 

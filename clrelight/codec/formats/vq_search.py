@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.slabs import group_size, round_up, slabs
-from clrelight.codec.vectors import spread_sample
+from clrelight.codec.transforms.vectors import spread_sample
 from clrelight.device import Device
 
 SAMPLES, SAMPLES_PER_WORD = 16384, 16

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec import codestream
+from clrelight.codec.formats import codestream
 from clrelight.codec.padding import check_padding, least_bytes, pad_body
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.streams import Body, BodyWriter, Source, Target

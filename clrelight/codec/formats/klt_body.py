@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.ballast import drop_ballast
-from clrelight.codec.entropy import Decoder
+from clrelight.codec.entropy.planes import code_planes
+from clrelight.codec.entropy.range_coding import Decoder
+from clrelight.codec.entropy.subbands import Statistics, code_indices
 from clrelight.codec.factored import Factored
-from clrelight.codec.lifting import dequantise_map, empty_planes, list_subbands, transform_planes
-from clrelight.codec.metric import hemisphere_metric
-from clrelight.codec.planes import code_planes
-from clrelight.codec.principal import ROTATION_UNIT, Axes, code_vectors
-from clrelight.codec.subbands import Statistics, code_indices
+from clrelight.codec.transforms.lifting import dequantise_map, empty_planes, list_subbands, transform_planes
+from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes, code_vectors
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import PayloadError

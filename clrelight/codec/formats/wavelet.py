@@ -10,7 +10,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.allocation import (
+from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
+from clrelight.codec.entropy.subband_kernel import decoder_for
+from clrelight.codec.entropy.subbands import Statistics, code_indices
+from clrelight.codec.rate.allocation import (
     ABSENT,
     BIAS_SCALE,
     TransformedMaps,
@@ -19,9 +22,12 @@ from clrelight.codec.allocation import (
     spend_by_one_step,
     statistics_for,
 )
-from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
-from clrelight.codec.expectation import expect_codes, expect_moments
-from clrelight.codec.lifting import (
+from clrelight.codec.rate.expectation import expect_codes, expect_moments
+from clrelight.codec.rate.noise import Noise
+from clrelight.codec.rate.step_search import step_of
+from clrelight.codec.registry import PartsCodec, register
+from clrelight.codec.streams import Body, BodyWriter, Source, Target
+from clrelight.codec.transforms.lifting import (
     dequantise_map,
     empty_planes,
     forward_transform,
@@ -29,12 +35,6 @@ from clrelight.codec.lifting import (
     list_subbands,
     padded_width,
 )
-from clrelight.codec.noise import Noise
-from clrelight.codec.rate import step_of
-from clrelight.codec.registry import PartsCodec, register
-from clrelight.codec.streams import Body, BodyWriter, Source, Target
-from clrelight.codec.subband_kernel import decoder_for
-from clrelight.codec.subbands import Statistics, code_indices
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 

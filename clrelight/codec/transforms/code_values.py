@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.finite import check_sums
-from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.slabs import slabs
+from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.conventions import linear_to_srgb, srgb_to_linear
 from clrelight.device import Device
 from clrelight.harmonics.basis import evaluate_basis

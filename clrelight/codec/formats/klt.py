@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
-from clrelight.codec.code_values import code_value_error, code_values_of, radiance_of
-from clrelight.codec.entropy import BitCounter, Encoder
+from clrelight.codec.entropy.planes import Thrift, code_planes
+from clrelight.codec.entropy.range_coding import BitCounter, Encoder
+from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.factored import Factored
-from clrelight.codec.klt_body import (
+from clrelight.codec.formats.klt_body import (
     BIAS_UNIT,
     HEAD_SIZE,
     LEVELS,
@@ -22,10 +23,11 @@ from clrelight.codec.klt_body import (
     decode_planes,
     parse_head,
 )
-from clrelight.codec.lifting import forward_transform, list_subbands, quantise_map
-from clrelight.codec.metric import hemisphere_metric
-from clrelight.codec.planes import Thrift, code_planes
-from clrelight.codec.principal import (
+from clrelight.codec.registry import Codec, register
+from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
+from clrelight.codec.transforms.lifting import forward_transform, list_subbands, quantise_map
+from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.codec.transforms.principal import (
     MAX_ENTRY,
     Axes,
     Whitened,
@@ -35,8 +37,6 @@ from clrelight.codec.principal import (
     solve_planes,
     whiten,
 )
-from clrelight.codec.registry import Codec, register
-from clrelight.codec.symbols import zero_order_bits
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import InputError

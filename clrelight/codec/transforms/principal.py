@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy import Coder, ModelSet, code_integers
-from clrelight.codec.metric import hemisphere_metric
+from clrelight.codec.entropy.range_coding import Coder, ModelSet, code_integers
+from clrelight.codec.entropy.symbols import CLASSES, class_floor, classify, geometric_prior
 from clrelight.codec.slabs import slabs
-from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
+from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 from clrelight.matmul import multiply_columns

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.vectors import spread_sample
+from clrelight.codec.transforms.vectors import spread_sample
 
 SAMPLES = 16384
 """Vectors that the clustering iterates over; the last two passes see all of them."""

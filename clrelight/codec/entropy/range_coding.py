@@ -13,7 +13,7 @@ import constriction
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.symbols import DIRECT, FIRST, RAW_BITS, symbols_of
+from clrelight.codec.entropy.symbols import DIRECT, FIRST, RAW_BITS, symbols_of
 from clrelight.errors import PayloadError
 
 # One observation adds _GAIN to a table's count; a table that weighs more than _LIMIT is halved, to follow the data.

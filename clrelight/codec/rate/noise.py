@@ -8,8 +8,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.metric import hemisphere_metric
 from clrelight.codec.streams import Source
+from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.dataset import read_rows_into
 
 _SAMPLED_COLUMNS = 16384

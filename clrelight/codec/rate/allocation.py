@@ -8,13 +8,13 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy import BitCounter, Encoder
-from clrelight.codec.lifting import Subband, quantise_map
-from clrelight.codec.rate import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, find_code, step_of, take_sample
+from clrelight.codec.entropy.range_coding import BitCounter, Encoder
+from clrelight.codec.entropy.subband_kernel import SubbandEncoder, encoder_for
+from clrelight.codec.entropy.subbands import Statistics, code_indices
+from clrelight.codec.entropy.symbols import zero_order_bits
+from clrelight.codec.rate.step_search import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, find_code, step_of, take_sample
 from clrelight.codec.streams import Planes, Source
-from clrelight.codec.subband_kernel import SubbandEncoder, encoder_for
-from clrelight.codec.subbands import Statistics, code_indices
-from clrelight.codec.symbols import zero_order_bits
+from clrelight.codec.transforms.lifting import Subband, quantise_map
 from clrelight.device import DeviceArray
 
 AnyEncoder = Encoder | SubbandEncoder

@@ -19,9 +19,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy import Coder, ModelSet, code_integers
-from clrelight.codec.lifting import Subband
-from clrelight.codec.phases import (
+from clrelight.codec.entropy.phases import (
     BATCHES,
     PHASES,
     crop,
@@ -31,8 +29,10 @@ from clrelight.codec.phases import (
     neighbour_count,
     relatives_of,
 )
-from clrelight.codec.subband_kernel import SubbandCoder
-from clrelight.codec.symbols import CLASSES, class_floor, classify, geometric_prior
+from clrelight.codec.entropy.range_coding import Coder, ModelSet, code_integers
+from clrelight.codec.entropy.subband_kernel import SubbandCoder
+from clrelight.codec.entropy.symbols import CLASSES, class_floor, classify, geometric_prior
+from clrelight.codec.transforms.lifting import Subband
 from clrelight.errors import PayloadError
 
 _PREDICTED = 3  # |prediction| of 0, 1, more

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from clrelight.codec import blocks
 from clrelight.codec.registry import Encoded
+from clrelight.codec.transforms import blocks
 from clrelight.errors import InputError
 
 DXGI_FORMAT_BC6H_SF16 = 96

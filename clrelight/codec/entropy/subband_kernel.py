@@ -10,9 +10,9 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy import Decoder, Encoder
-from clrelight.codec.lifting import Subband
-from clrelight.codec.phases import PHASES, relatives_of
+from clrelight.codec.entropy.phases import PHASES, relatives_of
+from clrelight.codec.entropy.range_coding import Decoder, Encoder
+from clrelight.codec.transforms.lifting import Subband
 from clrelight.device import Device, DeviceArray
 from clrelight.errors import PayloadError
 

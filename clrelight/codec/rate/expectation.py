@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.allocation import ABSENT, AIM, MAP_TOLERANCE, ROUNDING, TransformedMaps, own_codes
-from clrelight.codec.entropy import BitCounter
-from clrelight.codec.noise import second_moments
-from clrelight.codec.rate import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, solve_code, step_of
-from clrelight.codec.subbands import Statistics
+from clrelight.codec.entropy.range_coding import BitCounter
+from clrelight.codec.entropy.subbands import Statistics
+from clrelight.codec.rate.allocation import ABSENT, AIM, MAP_TOLERANCE, ROUNDING, TransformedMaps, own_codes
+from clrelight.codec.rate.noise import second_moments
+from clrelight.codec.rate.step_search import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, solve_code, step_of
 
 _MAPS_PER_TRIAL = 16
 _SAVING = (0.48, 0.033)

@@ -1,0 +1,1 @@
+"""Indices to bits and back: symbols, contexts, the range coder."""

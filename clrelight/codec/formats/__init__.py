@@ -1,0 +1,1 @@
+"""The codecs: one file each, with what is its own beside it."""

@@ -1,0 +1,1 @@
+"""What maps become before they are coded: wavelets, principal axes, code values, texel blocks, vectors."""
