@@ -15,11 +15,12 @@ import numpy as np
 from clrelight.cli.output import print_facts
 from clrelight.cli.tables import print_table
 from clrelight.codec.formats.half import STRETCH, launch_conversion
-from clrelight.device import Device, DeviceArray, open_device
+from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.fit.columns import launch_columns
 from clrelight.matmul import apply_operator, pack_operator
 from clrelight.metrics import sum_errors
+from clrelight.opencl.arguments import DeviceArray
 from clrelight.speed.environment import describe_environment
 from clrelight.speed.peak import copy_values, device_copy_run, peak_run
 from clrelight.speed.timing import interleave

@@ -17,7 +17,6 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.codec import codec_class as codec_class
     from clrelight.dataset import CoefficientMap as CoefficientMap
     from clrelight.dataset import LightStack as LightStack
-    from clrelight.device import list_devices as list_devices
     from clrelight.device import open_device as open_device
     from clrelight.errors import DeviceError as DeviceError
     from clrelight.errors import InputError as InputError
@@ -47,6 +46,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.lighting.sky import sky_light as sky_light
     from clrelight.metrics import measure_errors as measure_errors
     from clrelight.metrics import summarize_errors as summarize_errors
+    from clrelight.opencl.devices import list_devices as list_devices
     from clrelight.report import write_report as write_report
     from clrelight.store import open_fit as open_fit
     from clrelight.store import open_stack as open_stack
@@ -84,7 +84,7 @@ _HOMES = {
     "fit": "clrelight.jobs.fit",
     "ingest": "clrelight.jobs.ingest",
     "ingest_folder": "clrelight.ingest",
-    "list_devices": "clrelight.device",
+    "list_devices": "clrelight.opencl.devices",
     "measure": "clrelight.jobs.measure",
     "measure_errors": "clrelight.metrics",
     "open_device": "clrelight.device",

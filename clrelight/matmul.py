@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.conventions import srgb_to_linear
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
 from clrelight.matmul_gpu import launch_matmul, pack_rows
+from clrelight.opencl.arguments import DeviceArray
 
 COLUMN_PADDING = 16
 """Arrays that stay on the device have columns padded to a multiple of this, so that kernels need no tail."""

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
+from clrelight.opencl.arguments import DeviceArray
 
 FEW_ROWS = 16
 """At most so many rows are all summed by each work-item."""

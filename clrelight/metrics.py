@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, LightStack
-from clrelight.device import Device, DeviceArray, open_device
+from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, short_tile, tile_defines
+from clrelight.opencl.arguments import DeviceArray
 from clrelight.streaming import Buffer, reading_ahead
 
 _SEGMENT, _GROUP = 4096, 256

@@ -7,7 +7,8 @@ import pytest
 @pytest.fixture
 def device(request, monkeypatch):
     """Return the default device; `tests.styles` chooses kernels and lanes, also for devices that the test opens."""
-    from clrelight.device import DEVICE_VARIABLE, STYLE_VARIABLE, open_device
+    from clrelight.device import open_device
+    from clrelight.opencl.devices import DEVICE_VARIABLE, STYLE_VARIABLE
 
     if hasattr(request, "param"):
         monkeypatch.setenv(DEVICE_VARIABLE if request.param.startswith("@") else STYLE_VARIABLE, request.param)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from clrelight.device import STYLES
+from clrelight.opencl.devices import STYLES
 
 both_styles = pytest.mark.parametrize("device", STYLES, indirect=True)
 """For a test of the `device` fixture: once with the kernels for CPUs, once with those for GPUs and copies of arrays."""

@@ -21,8 +21,9 @@ from clrelight.codec import (
     registry,
     slabs,
 )
-from clrelight.device import Device, _devices, open_device
+from clrelight.device import Device, open_device
 from clrelight.errors import InputError, PayloadError
+from clrelight.opencl.devices import loaded_devices
 
 FROZEN = Path(__file__).resolve().parent / "frozen"
 EXAMPLES = [Half(), Half(clamp=True), S3tc(), Uniform(), Uniform(bits=3)]
@@ -211,7 +212,7 @@ def test_arrays_at_any_float_boundary(device, codec, channels):
 def as_gpu():
     """Return this machine's device posing as a GPU: scalar kernels, groups of work-items, memory of its own."""
     info = open_device().info
-    handle = _devices()[info.index][1]
+    handle = loaded_devices()[info.index][1]
     return Device(replace(info, kind="gpu"), handle)
 
 

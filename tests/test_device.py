@@ -4,11 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clrelight import device as device_module
 from clrelight import kernel_source
-from clrelight.device import DEVICE_VARIABLE, STYLE_VARIABLE, Device, list_devices, open_device, style_of
+from clrelight.device import Device, open_device
 from clrelight.errors import DeviceError
 from clrelight.kernel_source import read_kernel_source
+from clrelight.opencl import devices as device_module
+from clrelight.opencl.arguments import check_arguments
+from clrelight.opencl.devices import DEVICE_VARIABLE, STYLE_VARIABLE, list_devices, style_of
 
 KERNEL = """
 __kernel void combine_kp(__global float *out_kp, __global const uchar *source_ip, __global const float8 *table_i,
@@ -58,10 +60,10 @@ def infos():
 def without_devices(monkeypatch):
     def set_platforms(get_platforms):
         monkeypatch.setattr("pyopencl.get_platforms", get_platforms)
-        device_module._devices.cache_clear()
+        device_module.loaded_devices.cache_clear()
 
     yield set_platforms
-    device_module._devices.cache_clear()
+    device_module.loaded_devices.cache_clear()
 
 
 def test_list():
@@ -233,9 +235,9 @@ def test_launch_refuses_an_empty_range(launch):
 def test_half_samples_may_be_read_as_ushort_or_half(device):
     array = device.upload(np.zeros(3, np.float16))
     for element in ("half", "ushort"):
-        assert device_module.check_arguments("k", [(f"{element}*", "a_p")], (array,)) == [array]
+        assert check_arguments("k", [(f"{element}*", "a_p")], (array,)) == [array]
     with pytest.raises(TypeError, match="got float16"):
-        device_module.check_arguments("k", [("short*", "a_p")], (array,))
+        check_arguments("k", [("short*", "a_p")], (array,))
 
 
 def test_upload_and_download_round_trip(device):
@@ -265,7 +267,7 @@ def test_a_cpu_writes_into_the_given_host_array(device):
 
 @pytest.mark.parametrize("changed", [{"kind": "gpu"}, {"style": "gpu"}])
 def test_a_device_with_its_own_memory_copies(changed):
-    _, raw = device_module._devices()[open_device().info.index]
+    _, raw = device_module.loaded_devices()[open_device().info.index]
     apart = Device(replace(open_device().info, **changed), raw)
     values = np.arange(6, dtype=np.float32).reshape(2, 3)
     on_device = apart.upload(values)

@@ -13,6 +13,7 @@ from clrelight.fit import collect_fit, fit, fit_tiles, method_class, prepare_fit
 from clrelight.fit.precision import differing_precisions
 from clrelight.fit.run import rows_per_tile
 from clrelight.kernel_source import read_kernel_source
+from clrelight.opencl.devices import loaded_devices
 from clrelight.sampling import make_pattern
 from tests.commands import call, contents, succeed
 from tests.reference import basis, spline
@@ -27,7 +28,7 @@ SEARCHES = [{"solver": "newton"}, {"solver": "bisection", "iterations": 64}]
 
 def with_limits(device, **changed):
     """The same device, said to be another than it is, with nothing built yet."""
-    _, raw = device_module._devices()[device.info.index]
+    _, raw = loaded_devices()[device.info.index]
     return Device(replace(device.info, **changed), raw)
 
 

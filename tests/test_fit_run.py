@@ -6,12 +6,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from clrelight import device as device_module
 from clrelight.dataset import LightStack, LightSubset
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit import FitMethod, fit, fit_tiles, method_class, method_ids, prepare_fit, register
 from clrelight.fit.run import collect_fit, rows_per_tile
+from clrelight.opencl import devices as device_module
 from clrelight.sampling import make_pattern
 from tests.reference.basis import real_harmonics
 from tests.stacks import columns_of, make_samples, make_stack, samples_of
@@ -111,7 +111,7 @@ def test_a_row_beyond_the_memory_budget():
 
 def with_limits(device, **changed):
     """The same device, said to be another than it is."""
-    _, raw = device_module._devices()[device.info.index]
+    _, raw = device_module.loaded_devices()[device.info.index]
     return Device(replace(device.info, **changed), raw)
 
 

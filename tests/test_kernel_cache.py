@@ -143,6 +143,28 @@ def test_the_oldest_archives_go(tmp_path, monkeypatch):
     folder.cache_folder.cache_clear()
 
 
+@pytest.mark.parametrize("when", ["before they are measured", "after"])
+def test_two_may_prune_at_once(tmp_path, monkeypatch, when):
+    monkeypatch.setenv(folder.CACHE_VARIABLE, str(tmp_path))
+    folder.cache_folder.cache_clear()
+    monkeypatch.setattr(kernel_cache, "_run_folder", tmp_path / "run" / "1")
+    monkeypatch.setattr(kernel_cache, "MOST_BYTES", 400)
+    cache = kernel_cache.KernelCache("a driver")
+    cache._folder.mkdir(parents=True)
+    paths = [cache._folder / f"{name}.kernels" for name in "abc"]
+    for path in paths:
+        path.write_bytes(bytes(300))
+    entries = list(os.scandir(cache._folder))
+    if when == "after":
+        for entry in entries:
+            entry.stat()  # kept by the entry
+    paths[0].unlink()  # by the other one
+    monkeypatch.setattr(kernel_cache, "_archives", lambda parent: iter(entries))
+    cache._prune()
+    assert sum(path.exists() for path in paths) == 1
+    folder.cache_folder.cache_clear()
+
+
 def test_concurrent_runs_do_not_meet(run):
     pocl_only()
     environment = {**os.environ, folder.CACHE_VARIABLE: str(run.place)}

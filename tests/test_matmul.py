@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clrelight import device as device_module
 from clrelight.device import Device
 from clrelight.matmul import SampleCurve, apply_operator, pack_operator, pad_columns, row_blocks, tile_defines
 from clrelight.matmul_gpu import choose_tiling
+from clrelight.opencl import devices as device_module
 from tests.reference import psnr
 from tests.styles import both_styles, gpu_style
 
@@ -68,7 +68,7 @@ def check(device, operator_mi, source_ip, columns=None, curve=None, decoded_ip=N
 
 def with_limits(device, **changed):
     """The same device, said to be smaller or wider than it is."""
-    _, raw = device_module._devices()[device.info.index]
+    _, raw = device_module.loaded_devices()[device.info.index]
     return Device(replace(device.info, **changed), raw)
 
 

@@ -8,10 +8,11 @@ import time
 
 import pytest
 
-from clrelight import device as device_module
-from clrelight.device import DEVICE_VARIABLE, STYLE_VARIABLE, list_devices, open_device
+from clrelight.device import open_device
 from clrelight.errors import DeviceError
 from clrelight.opencl import child, drivers, folder, probe, records
+from clrelight.opencl import devices as device_module
+from clrelight.opencl.devices import DEVICE_VARIABLE, STYLE_VARIABLE, list_devices
 from clrelight.selftest import run_quick_selftest
 from tests.styles import every_width
 
@@ -131,11 +132,11 @@ def test_where_nothing_is_sound_each_fault_is_said(fresh, monkeypatch):
 def test_the_next_device_is_taken(fresh, monkeypatch):
     first = list_devices()[0]
     two = [(first, None), (device_module.replace(first, index=1, name="Other", packaged=False), None)]
-    monkeypatch.setattr(device_module, "_devices", lambda: two)
+    monkeypatch.setattr(device_module, "loaded_devices", lambda: two)
     monkeypatch.setattr(
         device_module, "_verdicts", {(0, "cpu"): probe.Verdict(0, "hangs"), (1, "cpu"): probe.Verdict(4)}
     )
-    assert device_module._choose(None, None).name == "Other"
+    assert device_module.choose_device(None, None).name == "Other"
     assert [info.default for info in list_devices()] == [False, True]
 
 

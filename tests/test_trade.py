@@ -265,13 +265,13 @@ def test_refusals(swept, tmp_path, line, expected):
 
 
 def test_a_sweep_of_a_device_without_float64(swept, tmp_path):
-    from clrelight import device as device_module
     from clrelight.device import Device, open_device
     from clrelight.experiment.trade import sweep_trade
+    from clrelight.opencl import devices as device_module
     from clrelight.store import open_stack
 
     info = open_device().info
-    bare = Device(replace(info, float64=False), device_module._devices()[info.index][1])
+    bare = Device(replace(info, float64=False), device_module.loaded_devices()[info.index][1])
     few = {"methods": ("cls",), "degrees": (1,), "iterations": (), "newton_steps": (), "codecs": ()}
     with open_stack(swept[0] / "ring.h5") as stack:
         with pytest.raises(InputError, match="precision double needs float64, which"):

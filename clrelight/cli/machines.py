@@ -13,7 +13,7 @@ from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from clrelight.device import DeviceInfo
+    from clrelight.opencl.devices import DeviceInfo
 
 
 @click.command()
@@ -32,7 +32,8 @@ def devices(again: bool, as_json: bool) -> None:
       clrelight fit stack.h5 fit.h5 --device gpu
       clrelight fit stack.h5 fit.h5 --device pocl@8
     """
-    from clrelight.device import list_devices, open_device
+    from clrelight.device import open_device
+    from clrelight.opencl.devices import list_devices
     from clrelight.opencl.drivers import leave_out_drivers
 
     infos = list_devices(again=again)

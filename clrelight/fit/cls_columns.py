@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
 from clrelight.fit.cls_float64 import LAMBDA_TOLERANCE, component_rounding, refine_columns
 from clrelight.fit.plan import FitPlan
 from clrelight.fit.registry import Shrunk
 from clrelight.matmul import SampleCurve, apply_operator, pack_operator, sample_defines, tile_defines
+from clrelight.opencl.arguments import DeviceArray
 
 _LAST = 8
 """Components of the least singular values that are summed in float64 where lambda follows them (LAST in the kernel)."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
 from clrelight.fit.columns import LANES
 from clrelight.fit.plan import FitPlan
 from clrelight.matmul import SampleCurve, sample_defines
+from clrelight.opencl.arguments import DeviceArray
 
 LAMBDA_TOLERANCE = 2e-5
 """Relative error of lambda above which a column is solved again in float64."""

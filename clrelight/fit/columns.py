@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
+from clrelight.opencl.arguments import DeviceArray
 
 LANES = 8
 """Columns that a work-item of the CPU's kernels takes, in the lanes of a vector."""

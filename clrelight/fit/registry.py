@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.configurable import Configurable
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, Lighting
 from clrelight.fit.samples import Samples
 from clrelight.matmul import SampleCurve
+from clrelight.opencl.arguments import DeviceArray
 
 _REGISTRY: dict[str, type[FitMethod]] = {}
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clrelight.dataset import CoefficientMap, LightStack
-from clrelight.device import Device, DeviceArray, open_device
+from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan, make_lighting
 from clrelight.fit.precision import DOUBLE, MIXED, SINGLE, check_precision, compute_dtype
@@ -27,6 +27,7 @@ from clrelight.harmonics.basis import MAX_DEGREE
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import split_chosen
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
+from clrelight.opencl.arguments import DeviceArray
 from clrelight.streaming import Buffer, reading_ahead
 
 DEFAULT_MEMORY = 1 << 28

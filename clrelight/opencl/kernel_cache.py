@@ -17,7 +17,7 @@ import threading
 import time
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from clrelight.opencl.folder import cache_folder, log, write_whole
@@ -182,19 +182,23 @@ class KernelCache:
 
     def _prune(self) -> None:
         assert self._folder is not None
-        entries = [(e.stat().st_mtime, e.stat().st_size, e.path) for d in _folders(self._folder.parent) for e in d]
+        entries = []
+        for entry in _archives(self._folder.parent):
+            with suppress(FileNotFoundError):  # another process may prune at the same time
+                entries.append((entry.stat().st_mtime, entry.stat().st_size, entry.path))
         total = sum(size for _, size, _ in entries)
         for _, size, path in sorted(entries):
             if total <= MOST_BYTES:
                 break
-            os.unlink(path)
+            with suppress(FileNotFoundError):
+                os.unlink(path)
             total -= size
 
 
-def _folders(parent: Path) -> Iterator[list[os.DirEntry[str]]]:
+def _archives(parent: Path) -> Iterator[os.DirEntry[str]]:
     for folder in os.scandir(parent):
         if folder.is_dir():
-            yield [entry for entry in os.scandir(folder.path) if entry.name.endswith(".kernels")]
+            yield from (entry for entry in os.scandir(folder.path) if entry.name.endswith(".kernels"))
 
 
 def _program_folders() -> set[str]:

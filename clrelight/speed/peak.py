@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
+from clrelight.opencl.arguments import DeviceArray
 
 _STEPS = 1 << 17
 _CPU_CHAINS, _GPU_CHAINS, _GPU_GROUP = 12, 16, 128

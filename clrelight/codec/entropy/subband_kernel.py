@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from clrelight.codec.entropy.phases import PHASES, relatives_of
 from clrelight.codec.entropy.range_coding import Decoder, Encoder
 from clrelight.codec.transforms.lifting import Subband
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
 from clrelight.errors import PayloadError
+from clrelight.opencl.arguments import DeviceArray
 
 # As in subbands.cl.
 _STATE, _LOWER, _RANGE, _POINT, _AT, _PENDING, _FIRST_PENDING, _WRITTEN, _FAULT = 8, *range(8)

@@ -13,8 +13,9 @@ from clrelight.codec.rate.noise import Noise, sample_columns
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.slabs import slabs
 from clrelight.codec.streams import Body, BodyWriter, Source, Target, columns_of
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
+from clrelight.opencl.arguments import DeviceArray
 
 LARGEST = 65504.0
 """Largest binary16."""

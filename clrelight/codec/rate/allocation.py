@@ -15,7 +15,7 @@ from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.rate.step_search import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, find_code, step_of, take_sample
 from clrelight.codec.streams import Planes, Source
 from clrelight.codec.transforms.lifting import Subband, quantise_map
-from clrelight.device import DeviceArray
+from clrelight.opencl.arguments import DeviceArray
 
 AnyEncoder = Encoder | SubbandEncoder
 

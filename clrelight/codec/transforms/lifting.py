@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.slabs import round_up
-from clrelight.device import Device, DeviceArray
+from clrelight.device import Device
+from clrelight.opencl.arguments import DeviceArray
 
 _LANES = 8
 _BUFFERS, _SLACK = 10, 32
