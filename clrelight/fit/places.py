@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,6 +113,13 @@ def find_zones(directions_g3: NDArray[np.float64], radius: float) -> list[NDArra
     np.fill_diagonal(angle, -1.0)
     most = max(1, len(angle) // 2)
     return [np.argsort(row, kind="stable")[: min(max(1, int((row < radius).sum())), most)] for row in angle]
+
+
+def stack_zones(zones: Sequence[NDArray[np.intp]]) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return zones of equal size together: which they are, and their members, shape (n_zone, size)."""
+    size_z = np.array([len(zone) for zone in zones], np.intp)
+    alike = [np.flatnonzero(size_z == size) for size in np.unique(size_z)]
+    return [(which, np.array([zones[z] for z in which], np.intp)) for which in alike]
 
 
 def pick_spread(directions_g3: NDArray[np.float64], most: int) -> NDArray[np.intp]:

@@ -183,10 +183,14 @@ def _list_degrees(method: FitMethod, degrees: Sequence[int]) -> list[int]:
 
 def _try_degrees(method: FitMethod, degrees: Sequence[int], trials: Trials) -> list[Candidate]:
     """Return the method at each degree that these lights allow."""
-    tried = []
+    tried: list[Candidate] = []
+    settled: dict[int, FitMethod] = {}
     for degree in degrees:
+        learnt = max(degree, method.settled_from)
         try:
-            error_g = try_method(method, degree, trials)
+            if learnt not in settled:
+                settled[learnt] = method.settle(trials.lighting, degree, trials.samples)
+            error_g = try_method(settled[learnt], degree, trials)
         except InputError:
             continue
         tried.append(_judge(method, degree, error_g))

@@ -50,6 +50,7 @@ class SmoothingSpline(FitMethod):
     id = "spline"
     title = "Spline"
     summary = "smoothing spline: least squares with a penalty on roughness, lambda by cross-validation"
+    settled_from = REFERENCE_DEGREE
     lam: float | tuple[float, ...] | None = None
     per: str = "stack"
 
