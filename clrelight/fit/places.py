@@ -95,15 +95,15 @@ def _between(directions_g3: NDArray, points: NDArray, near: NDArray) -> NDArray[
         return near <= 2.0 * np.median(near)
 
 
-def list_unseen(directions_g3: NDArray[np.float64], gap: float) -> NDArray[np.float64]:
+def list_unseen(directions_g3: NDArray[np.float64], least: float) -> NDArray[np.float64]:
     """Return the directions that "lights nobody photographed" stands for.
 
-    Those all over the hemisphere above the lowest light that are half a gap's radius or more from every light.
+    Those all over the hemisphere above the lowest light that are so many radians or more from every light.
     """
     points = spread_points(600, is_sphere(directions_g3))
     points = points[points[:, 2] >= directions_g3[:, 2].min() - 0.02]
     if len(points):
-        points = points[np.arccos(np.clip((points @ directions_g3.T).max(axis=1), -1.0, 1.0)) >= 0.5 * gap]
+        points = points[np.arccos(np.clip((points @ directions_g3.T).max(axis=1), -1.0, 1.0)) >= least]
     return points if len(points) else directions_g3
 
 
@@ -119,7 +119,7 @@ def stack_zones(zones: Sequence[NDArray[np.intp]]) -> list[tuple[NDArray[np.intp
     """Return zones of equal size together: which they are, and their members, shape (n_zone, size)."""
     size_z = np.array([len(zone) for zone in zones], np.intp)
     alike = [np.flatnonzero(size_z == size) for size in np.unique(size_z)]
-    return [(which, np.array([zones[z] for z in which], np.intp)) for which in alike]
+    return [(which, np.array([zones[z] for z in which.tolist()], np.intp)) for which in alike]
 
 
 def pick_spread(directions_g3: NDArray[np.float64], most: int) -> NDArray[np.intp]:

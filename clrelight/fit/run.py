@@ -136,7 +136,8 @@ def fit(
         If the method cannot fit this degree to these lights, samples are negative or not finite, or the device cannot
         compute in this precision.
     """
-    fitted, _ = split_chosen(stack.directions_i3, holdout)
+    fitted, held = split_chosen(stack.directions_i3, holdout)
+    unseen_t3 = stack.directions_i3[held] if len(held) else None
     if holdout is not None:
         stack = stack.select(fitted)
     prepared = prepare_fit(
@@ -149,6 +150,7 @@ def fit(
         precision=precision,
         within=within,
         device=device,
+        unseen_t3=unseen_t3,
     )
     return collect_fit(prepared, memory_bytes=memory_bytes)
 
@@ -164,8 +166,13 @@ def prepare_fit(
     precision: str = MIXED,
     within: float = WITHIN,
     device: Device | None = None,
+    unseen_t3: NDArray[np.float64] | None = None,
 ) -> PreparedFit:
-    """Check the request and make the matrices; see `fit` for the parameters."""
+    """Check the request and make the matrices; see `fit` for the parameters.
+
+    `unseen_t3` are directions that the choice's prediction is for, such as those of held-out lights; they change
+    nothing else.
+    """
     device = device or open_device()
     check_precision(precision, device)
     if not 0.0 <= within < math.inf:
@@ -177,7 +184,7 @@ def prepare_fit(
     start = time.perf_counter()
     choice = None
     if AUTO in (method, degree):
-        choice = choose_model(samples, methods, degrees, weights, sampling, within)
+        choice = choose_model(samples, methods, degrees, weights, sampling, within, unseen_t3)
         report.notes.append(choice.note)
         methods, degrees = [choice.settled or choice.chosen.method], [choice.chosen.degree]
         start = report.add("choose", start)
