@@ -79,7 +79,7 @@ def main() -> None:
     given = parser.parse_args()
     given.scratch.mkdir(exist_ok=True)
     print(
-        "| stack | lights | `auto` took | PSNR | predicted | for these lights | spline 15, λ 3e-4 | λ 1e-3 | choosing |\n"
+        "| stack | lights | `auto` took | PSNR | predicted | for these | spline 15, λ 3e-4 | λ 1e-3 | choosing |\n"
         + "|---" * 9
         + "|"
     )

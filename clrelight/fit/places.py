@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.fit.plan import is_sphere
+from clrelight.fit.plan import Lighting, is_sphere
+from clrelight.holdout import group_directions
 
-SAME_LIGHT = np.radians(0.05)
-"""Photographs whose directions differ by less are of one light."""
 _GRID = 3000
 _PEAK_WIDTH = np.cos(np.radians(6.0))
 """A gap's centre is the farthest point from all lights among those this near."""
@@ -38,24 +37,27 @@ class Places:
         return len(self.directions_g3)
 
 
-def find_places(directions_i3: NDArray[np.float64], weight_i: NDArray[np.float64]) -> Places:
+def find_places(lighting: Lighting) -> Places:
     """Return the distinct lights; a photograph of weight 0 is none."""
-    cosine = np.cos(SAME_LIGHT)
-    place_i = np.where(weight_i > 0.0, -1, -2)
-    count = 0
-    for i in range(len(directions_i3)):
-        if place_i[i] == -1:
-            place_i[(place_i == -1) & (directions_i3 @ directions_i3[i] >= cosine)] = count
-            place_i[i] = count
-            count += 1
-    counted = np.flatnonzero(place_i >= 0)
-    mean_gi = np.zeros((count, len(directions_i3)))
-    mean_gi[place_i[counted], counted] = weight_i[counted]
+    counted = np.flatnonzero(lighting.solid_angles_i > 0.0)
+    place_i = group_directions(lighting.directions_i3[counted])
+    mean_gi = np.zeros((int(place_i.max(initial=-1)) + 1, len(lighting.directions_i3)))
+    mean_gi[place_i, counted] = lighting.row_weights_i[counted] * lighting.copies_i[counted]
     count_g = mean_gi.sum(axis=1)
     mean_gi /= count_g[:, None]
-    directions_g3 = mean_gi @ directions_i3
+    directions_g3 = mean_gi @ lighting.directions_i3
     directions_g3 /= np.linalg.norm(directions_g3, axis=1, keepdims=True)
     return Places(directions_g3, mean_gi, count_g)
+
+
+def merge_photographs(lighting: Lighting, radiance_ip: NDArray[np.float64]) -> tuple[Lighting, NDArray[np.float64]]:
+    """Return each direction once, with its weight, and the mean of its photographs."""
+    if lighting.copies_i.max() == 1:
+        return lighting, radiance_ip
+    places = find_places(lighting)
+    angles_g = (places.mean_gi > 0.0) @ lighting.solid_angles_i
+    once_g = np.ones(len(places), np.intp)
+    return Lighting(places.directions_g3, angles_g, once_g, lighting.sampling), places.mean_gi @ radiance_ip
 
 
 def spread_points(count: int, sphere: bool) -> NDArray[np.float64]:

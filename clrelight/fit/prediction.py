@@ -57,7 +57,7 @@ class Trials:
     @cached_property
     def places(self) -> Places:
         """The distinct lights."""
-        return find_places(self.lighting.directions_i3, self.lighting.row_weights_i)
+        return find_places(self.lighting)
 
     @cached_property
     def gap(self) -> float:

@@ -76,8 +76,8 @@ class Candidate:
 class Choice:
     """The model taken, the next best, all that were tried, and why the prediction is unknown where it is.
 
-    `settled` is the method taken with what it has learnt, where it is known already; `at` says what lights the prediction
-    is for.
+    `settled` is the method taken with what it has learnt, where it is known already; `at` says which lights the
+    prediction is for.
     """
 
     chosen: Candidate

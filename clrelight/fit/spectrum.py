@@ -57,7 +57,7 @@ class SpectrumFit(FitMethod):
         """Return the method with every parameter found that is not given."""
         if None not in asdict(self).values():
             return self
-        places = find_places(lighting.directions_i3, lighting.row_weights_i)
+        places = find_places(lighting)
         # Scaled by the brightest: squares of samples far from the peak would leave float64.
         mean_gp = places.mean_gi @ samples.radiance_ip
         most = float(np.abs(mean_gp).max())
@@ -77,7 +77,7 @@ class SpectrumFit(FitMethod):
         values = asdict(self)
         if None in values.values():
             raise ValueError("parameters are not settled yet: settle the method, or give all of them")
-        return ZonalModel.make(find_places(lighting.directions_i3, lighting.row_weights_i), Theta(**values))
+        return ZonalModel.make(find_places(lighting), Theta(**values))
 
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the matrices; any number of lights is legal."""
