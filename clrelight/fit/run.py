@@ -24,6 +24,7 @@ from clrelight.fit.registry import Columns, FitMethod, OnePass, method_class
 from clrelight.fit.samples import Samples
 from clrelight.fit.scaling import ScaledTile, TileScaling, round_coefficients
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, WITHIN, Choice, choose_model
+from clrelight.fit.threads import on_one_thread
 from clrelight.holdout import split_chosen
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, pad_columns
 from clrelight.streaming import Buffer, reading_ahead
@@ -184,7 +185,8 @@ def prepare_fit(
     start = time.perf_counter()
     choice = None
     if AUTO in (method, degree):
-        choice = choose_model(samples, methods, degrees, weights, sampling, within, unseen_t3)
+        with on_one_thread():
+            choice = choose_model(samples, methods, degrees, weights, sampling, within, unseen_t3)
         report.notes.append(choice.note)
         methods, degrees = [choice.settled or choice.chosen.method], [choice.chosen.degree]
         start = report.add("choose", start)
