@@ -7,6 +7,7 @@ from click.testing import CliRunner
 
 from clrelight.basis import evaluate_basis
 from clrelight.cli.app import cli
+from clrelight.conventions import linear_to_srgb
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import collect_fit, fit, method_class, prepare_fit
@@ -241,6 +242,20 @@ def test_the_mean_of_more_photographs_is_better(device):
     unseen = make_scene(4, 97, noise=0.0, shape_hwc=(4, 20, 3))
     assert mean_psnr(collect_fit(six), unseen) > mean_psnr(collect_fit(one), unseen) + 2.0
     assert any("360 photographs of 60 lights" in note for note in six.report.notes)
+
+
+def test_code_values_are_offered_where_they_fit_better(device):
+    """Columns smooth in code values are not in radiance, and the other way round."""
+    smooth = make_scene(3, 60, noise=0.0)
+    coded, linear = (prepare_fit(replace(smooth, transfer=transfer), "auto", "auto") for transfer in ("srgb", "linear"))
+    assert coded.choice.code_gain > 3.0
+    assert "ingest --transfer linear" in coded.choice.note
+    assert linear.choice.code_gain is None
+    assert "--transfer" not in linear.choice.note
+    encoded = np.rint(255 * linear_to_srgb(np.asarray(smooth.images_ihwc) / 255)).astype(np.uint8)
+    radiance = prepare_fit(replace(smooth, images_ihwc=encoded, transfer="srgb"), "auto", "auto")
+    assert radiance.choice.code_gain < 0.0
+    assert "--transfer" not in radiance.choice.note
 
 
 def test_samples_above_the_peak(device):

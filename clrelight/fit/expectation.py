@@ -91,7 +91,7 @@ def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float
     spread = float(np.sqrt(carried**2 + varied**2 + grown**2))
     widest = _WIDEST if count >= _FEW else _WIDEST_OF_FEW
     why = None
-    if carried > widest:
+    if carried > widest or (spread > widest and varied < max(carried, abs(grown))):
         why = "the gaps between the lights are far wider than what leaving lights out can judge"
     elif float(weight_t @ step_t) > _FARTHEST:
         why = "unseen directions are farther from the lights than any light that can be left out"

@@ -77,7 +77,8 @@ class Choice:
     """The model taken, the next best, all that were tried, and why the prediction is unknown where it is.
 
     `settled` is the method taken with what it has learnt, where it is known already; `at` says which lights the
-    prediction is for.
+    prediction is for. `code_gain` are the decibels by which `spectrum` is better at left-out lights where code values
+    are fitted as they stand, if they are not.
     """
 
     chosen: Candidate
@@ -87,6 +88,7 @@ class Choice:
     why_unknown: str | None = None
     settled: FitMethod | None = None
     at: str = _IN_GAPS
+    code_gain: float | None = None
 
     @property
     def note(self) -> str:
@@ -97,7 +99,16 @@ class Choice:
         else:
             expected = f"{self.chosen.predicted:.2f} dB (+- {self.spread:.2f}) predicted at {self.at}"
         took = f"{self.chosen.method.id} at degree {self.chosen.degree}"
-        return f"auto took {took} of {len(self.tried)} models; {expected}{after}"
+        return f"auto took {took} of {len(self.tried)} models; {expected}{after}{self._domain}"
+
+    @property
+    def _domain(self) -> str:
+        if self.code_gain is None or self.code_gain < _CLEAR:
+            return ""
+        return (
+            f"; code values as they stand (ingest --transfer linear) could be fitted {self.code_gain:.1f} dB better, but "
+            "for single lights only: the sum of lights adds radiance"
+        )
 
     def to_config(self) -> dict[str, Any]:
         """Return it as a JSON object."""
@@ -107,6 +118,7 @@ class Choice:
             "tried": [candidate.to_config() for candidate in self.tried],
             "spread": self.spread,
             "why_unknown": self.why_unknown,
+            "code_gain": self.code_gain,
         }
 
 
@@ -172,7 +184,21 @@ def choose_model(
         chosen = Candidate(winner.method, winner.degree, _foretell(told, gain), winner.in_folds, winner.error_g)
         others[others.index(winner)] = chosen
         choice = _conclude(chosen, [*([base] if starts else []), *others], told)
-    return choice if unseen_t3 is None else replace(choice, at=_AT_GIVEN)
+    at = _IN_GAPS if unseen_t3 is None else _AT_GIVEN
+    return replace(choice, at=at, code_gain=_try_code_values(base, trials))
+
+
+def _try_code_values(base: Candidate, trials: Trials) -> float | None:
+    """Return the decibels that `spectrum` gains at left-out lights from code values taken as linear."""
+    stack = trials.samples.stack
+    if stack.transfer == "linear":
+        return None
+    plain = Trials.make(Samples(replace(stack, transfer="linear")), trials.weights, trials.sampling)
+    settled = SpectrumFit().settle(plain.lighting, DEGREES[-1], plain.samples)
+    assert isinstance(settled, SpectrumFit)  # of its own class
+    predicted_gp, _ = krige_left_out(settled.model(plain.lighting), plain.mean_gp, plain.zones)
+    # Both are measured in code values: a light's photographs are averaged in either way, so each has its own truth.
+    return _mean_gain(base, _judge(settled, DEGREES[-1], plain.measure(predicted_gp, plain.mean_gp)))
 
 
 def _judge(method: FitMethod, degree: int, error_g: NDArray[np.float64]) -> Candidate:
