@@ -106,8 +106,8 @@ class Choice:
         if self.code_gain is None or self.code_gain < _CLEAR:
             return ""
         return (
-            f"; code values as they stand (ingest --transfer linear) could be fitted {self.code_gain:.1f} dB better, but "
-            "for single lights only: the sum of lights adds radiance"
+            f"; code values as they stand (ingest --transfer linear) could be fitted {self.code_gain:.1f} dB better, "
+            "but for single lights only: the sum of lights adds radiance"
         )
 
     def to_config(self) -> dict[str, Any]:
