@@ -244,6 +244,35 @@ def test_the_mean_of_more_photographs_is_better(device):
     assert any("360 photographs of 60 lights" in note for note in six.report.notes)
 
 
+def flash(directions, exponent, seed=0):
+    """Photographs of something matt that flashes under lights around the zenith."""
+    normals = np.random.default_rng(3).standard_normal((200, 3)) * [0.3, 0.3, 0.1] + [0, 0, 1]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    half = directions + np.array([0, 0, 1])
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    value = 0.1 + 0.3 * np.maximum(directions @ normals.T, 0) + 0.6 * np.maximum(half @ normals.T, 0) ** exponent
+    value += 0.01 * np.random.default_rng(seed).standard_normal(value.shape)
+    return LightStack(np.rint(255 * np.clip(value, 0, 1)).astype(np.uint8)[:, None, :, None], directions, 255.0)
+
+
+@pytest.mark.parametrize("exponent", [60, 120])
+def test_a_hole_among_the_lights_is_foretold_by_who_asks_for_it(device, exponent):
+    """Where the scene is roughest, three lights in four are held out: the mean of all gaps says nothing about them."""
+    stack = flash(make_pattern("uniform", 80), exponent)
+    low = stack.directions_i3[:, 2] < 0.85
+    fitted, held = np.flatnonzero(low | (np.arange(80) % 4 == 0)), np.flatnonzero(~low & (np.arange(80) % 4 != 0))
+    everywhere = prepare_fit(stack.select(fitted), "auto", "auto")
+    there = prepare_fit(stack.select(fitted), "auto", "auto", unseen_t3=stack.directions_i3[held])
+    reached = mean_psnr(collect_fit(there), stack.select(held))
+    assert reached < 30.0
+    assert everywhere.choice.chosen.predicted is None
+    assert there.choice.chosen.predicted == pytest.approx(reached, abs=1.5)
+    assert "predicted at the lights held out" in there.choice.note
+    # The directions decide nothing.
+    assert there.config == everywhere.config
+    assert (there.method, there.degree) == (everywhere.method, everywhere.degree)
+
+
 def test_code_values_are_offered_where_they_fit_better(device):
     """Columns smooth in code values are not in radiance, and the other way round."""
     smooth = make_scene(3, 60, noise=0.0)
