@@ -53,7 +53,7 @@ def test_variances_are_the_references_and_so_are_their_slopes():
 
 def test_the_gradient_is_that_of_finite_differences():
     stack = make_stack(17)
-    places = find_places(stack.directions_i3, np.ones(17))
+    places = find_places(make_lighting(stack, "uniform", "hemisphere"))
     mean = places.mean_gi @ columns_of(stack)
     objective = Objective.make(places, mean @ mean.T / mean.shape[1] / np.mean(mean**2), 1e-5)
     for logs in (PRIOR_MEAN, np.array([1.0, 0.5, -2.0, -2.0, -5.0])):
@@ -68,7 +68,7 @@ def test_the_gradient_is_that_of_finite_differences():
 def test_zones_are_left_out_exactly():
     stack = make_stack(23)
     sample_ip = columns_of(stack)
-    model = ZonalModel.make(find_places(stack.directions_i3, np.ones(23)), Theta(**GIVEN))
+    model = ZonalModel.make(find_places(make_lighting(stack, "uniform", "hemisphere")), Theta(**GIVEN))
     zones = find_zones(stack.directions_i3, 0.7)
     assert len({len(zone) for zone in zones}) > 1
     errors_gz, _ = solve_zones(model.inverse_gg, zones)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.fit.places import Places, find_gap_radii, find_zones, pick_spread
+from clrelight.fit.places import Places, find_gap_radii, find_zones, pick_spread, stack_zones
 from clrelight.fit.zonal import LARGEST_DEGREE, SHARE, Theta, degree_variances, legendre_terms
 
 PRIOR_MEAN = np.array([-1.0, 2.0, -3.0, -4.0, -8.0])
@@ -17,7 +18,7 @@ _LOW = np.array([-6.0, -3.0, -14.0, -9.0, np.log(1e-9)])
 _HIGH = np.array([8.0, 6.0, 6.0, 2.0, np.log(0.5)])
 _STARTS = np.array([[1.0, 2.5, -2.0, -4.0, -5.0], [1.0, 0.0, -5.0, -2.0, -5.0]])
 """A spectrum that falls, and a band: the energy of some scenes is at one degree."""
-_QUANTILES = 0.5, 1.0
+_QUANTILES = 0.0, 0.5, 1.0
 """Of the gaps' radii: lights are left out with all their neighbours nearer than these."""
 _MOST_PLACES = 192
 """Lights that the parameters are learnt from; the map is made of all."""
@@ -34,9 +35,14 @@ class Judged:
     zones: list[NDArray[np.intp]]
     weight_z: NDArray[np.float64]
 
+    @cached_property
+    def stacked(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Zones of equal size together."""
+        return stack_zones(self.zones)
+
 
 def judge_zones(directions_g3: NDArray[np.float64]) -> Judged:
-    """Return zones of two radii around each light: of a typical gap, and of the largest."""
+    """Return zones of three radii around each light: of the smallest gap, of a typical one, and of the largest."""
     radii = np.quantile(find_gap_radii(directions_g3), _QUANTILES)
     zones = [zone for radius in radii for zone in find_zones(directions_g3, float(radius))]
     return Judged(zones, np.full(len(zones), 1.0 / len(zones)))
@@ -50,12 +56,15 @@ def solve_zones(
     The kriging of a light from those outside its zone leaves ``(Q_zz)^-1 (Q beta)_z``, Q the inverse covariance.
     """
     errors_gz, variance_z = np.zeros((len(inverse_gg), len(zones))), np.empty(len(zones))
-    for z, zone in enumerate(zones):
-        unit = np.zeros(len(zone))
-        unit[0] = 1.0
-        errors_gz[zone, z] = np.linalg.solve(inverse_gg[np.ix_(zone, zone)], unit)
-        variance_z[z] = errors_gz[zone[0], z]
+    for which, members in stack_zones(zones):
+        first_zm = _invert_zones(inverse_gg, members)[:, 0]
+        errors_gz[members, which[:, None]] = first_zm
+        variance_z[which] = first_zm[:, 0]
     return errors_gz, variance_z
+
+
+def _invert_zones(matrix_gg: NDArray[np.float64], members_zm: NDArray[np.intp]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.inv(matrix_gg[members_zm[:, :, None], members_zm[:, None, :]]))
 
 
 def measure_left_out(
@@ -65,13 +74,16 @@ def measure_left_out(
     half = 0.5 * len(covariance_gg)
     q = np.asarray(np.linalg.inv(covariance_gg))
     a = q @ moment_gg @ q
-    b, _ = solve_zones(q, judged.zones)
+    b = np.zeros((len(q), len(judged.zones)))
+    inverses = [_invert_zones(q, members) for _, members in judged.stacked]
+    for (which, members), inverse_zmm in zip(judged.stacked, inverses, strict=True):
+        b[members, which[:, None]] = inverse_zmm[:, 0]
     ab = a @ b
     error_z = np.maximum(np.einsum("ij,ij->j", b, ab), 0.0)
     u = judged.weight_z / (error_z + least)
     turned = np.zeros_like(b)
-    for z, zone in enumerate(judged.zones):
-        turned[zone, z] = np.linalg.solve(q[np.ix_(zone, zone)], ab[zone, z])
+    for (which, members), inverse_zmm in zip(judged.stacked, inverses, strict=True):
+        turned[members, which[:, None]] = np.einsum("zij,zj->zi", inverse_zmm, ab[members, which[:, None]])
     scaled = b * u
     cross, own = scaled @ turned.T, q @ (scaled @ b.T) @ a
     gradient_gg = q @ (cross + cross.T) @ q - own - own.T

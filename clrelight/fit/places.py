@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.fit.plan import is_sphere
+from clrelight.fit.plan import Lighting, is_sphere
+from clrelight.holdout import group_directions
 
-SAME_LIGHT = np.radians(0.05)
-"""Photographs whose directions differ by less are of one light."""
 _GRID = 3000
 _PEAK_WIDTH = np.cos(np.radians(6.0))
 """A gap's centre is the farthest point from all lights among those this near."""
@@ -37,24 +37,27 @@ class Places:
         return len(self.directions_g3)
 
 
-def find_places(directions_i3: NDArray[np.float64], weight_i: NDArray[np.float64]) -> Places:
+def find_places(lighting: Lighting) -> Places:
     """Return the distinct lights; a photograph of weight 0 is none."""
-    cosine = np.cos(SAME_LIGHT)
-    place_i = np.where(weight_i > 0.0, -1, -2)
-    count = 0
-    for i in range(len(directions_i3)):
-        if place_i[i] == -1:
-            place_i[(place_i == -1) & (directions_i3 @ directions_i3[i] >= cosine)] = count
-            place_i[i] = count
-            count += 1
-    counted = np.flatnonzero(place_i >= 0)
-    mean_gi = np.zeros((count, len(directions_i3)))
-    mean_gi[place_i[counted], counted] = weight_i[counted]
+    counted = np.flatnonzero(lighting.solid_angles_i > 0.0)
+    place_i = group_directions(lighting.directions_i3[counted])
+    mean_gi = np.zeros((int(place_i.max(initial=-1)) + 1, len(lighting.directions_i3)))
+    mean_gi[place_i, counted] = lighting.row_weights_i[counted] * lighting.copies_i[counted]
     count_g = mean_gi.sum(axis=1)
     mean_gi /= count_g[:, None]
-    directions_g3 = mean_gi @ directions_i3
+    directions_g3 = mean_gi @ lighting.directions_i3
     directions_g3 /= np.linalg.norm(directions_g3, axis=1, keepdims=True)
     return Places(directions_g3, mean_gi, count_g)
+
+
+def merge_photographs(lighting: Lighting, radiance_ip: NDArray[np.float64]) -> tuple[Lighting, NDArray[np.float64]]:
+    """Return each direction once, with its weight, and the mean of its photographs."""
+    if lighting.copies_i.max() == 1:
+        return lighting, radiance_ip
+    places = find_places(lighting)
+    angles_g = (places.mean_gi > 0.0) @ lighting.solid_angles_i
+    once_g = np.ones(len(places), np.intp)
+    return Lighting(places.directions_g3, angles_g, once_g, lighting.sampling), places.mean_gi @ radiance_ip
 
 
 def spread_points(count: int, sphere: bool) -> NDArray[np.float64]:
@@ -94,15 +97,15 @@ def _between(directions_g3: NDArray, points: NDArray, near: NDArray) -> NDArray[
         return near <= 2.0 * np.median(near)
 
 
-def list_unseen(directions_g3: NDArray[np.float64], gap: float) -> NDArray[np.float64]:
+def list_unseen(directions_g3: NDArray[np.float64], least: float) -> NDArray[np.float64]:
     """Return the directions that "lights nobody photographed" stands for.
 
-    Those all over the hemisphere above the lowest light that are half a gap's radius or more from every light.
+    Those all over the hemisphere above the lowest light that are so many radians or more from every light.
     """
     points = spread_points(600, is_sphere(directions_g3))
     points = points[points[:, 2] >= directions_g3[:, 2].min() - 0.02]
     if len(points):
-        points = points[np.arccos(np.clip((points @ directions_g3.T).max(axis=1), -1.0, 1.0)) >= 0.5 * gap]
+        points = points[np.arccos(np.clip((points @ directions_g3.T).max(axis=1), -1.0, 1.0)) >= least]
     return points if len(points) else directions_g3
 
 
@@ -112,6 +115,13 @@ def find_zones(directions_g3: NDArray[np.float64], radius: float) -> list[NDArra
     np.fill_diagonal(angle, -1.0)
     most = max(1, len(angle) // 2)
     return [np.argsort(row, kind="stable")[: min(max(1, int((row < radius).sum())), most)] for row in angle]
+
+
+def stack_zones(zones: Sequence[NDArray[np.intp]]) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return zones of equal size together: which they are, and their members, shape (n_zone, size)."""
+    size_z = np.array([len(zone) for zone in zones], np.intp)
+    alike = [np.flatnonzero(size_z == size) for size in np.unique(size_z)]
+    return [(which, np.array([zones[z] for z in which.tolist()], np.intp)) for which in alike]
 
 
 def pick_spread(directions_g3: NDArray[np.float64], most: int) -> NDArray[np.intp]:

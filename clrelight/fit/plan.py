@@ -12,6 +12,7 @@ from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.decomposition import decompose
 from clrelight.harmonics.index import coefficient_count
+from clrelight.holdout import group_directions
 from clrelight.sampling import solid_angle_weights
 
 WEIGHTINGS = ("uniform", "solid-angle")
@@ -36,20 +37,24 @@ class Lighting:
     ----------
     directions_i3 : ndarray, shape (n_light, 3), float64
     solid_angles_i : ndarray, shape (n_light,), float64
-        Steradian; for the uniform weighting all equal, and together the hemisphere, or the sphere where lights
-        below the horizon were allowed.
+        Steradian; for the uniform weighting those of all directions are equal, and together the hemisphere, or the
+        sphere where lights below the horizon were allowed. Photographs of one direction share its angle: that is the
+        fit to their mean.
+    copies_i : ndarray, shape (n_light,), int
+        Photographs of each light's direction.
     sampling : str
         ``"hemisphere"``, or ``"scattered"`` for samples on a part of it (section V-D of the paper).
     """
 
     directions_i3: NDArray[np.float64]
     solid_angles_i: NDArray[np.float64]
+    copies_i: NDArray[np.intp]
     sampling: str = "hemisphere"
 
     @property
     def row_weights_i(self) -> NDArray[np.float64]:
-        """Weights of the least squares, mean 1, so that lambda keeps its unit."""
-        return self.solid_angles_i / self.solid_angles_i.mean()
+        """Weights of the least squares; a direction's are 1 together, on average, so that lambda keeps its unit."""
+        return self.solid_angles_i / (self.solid_angles_i.sum() / round((1.0 / self.copies_i).sum()))
 
 
 @dataclass(frozen=True)
@@ -92,11 +97,13 @@ def make_lighting(stack: LightStack, weights: str, sampling: str) -> Lighting:
     if sampling not in SAMPLINGS:
         raise InputError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")
     below = is_sphere(stack.directions_i3)
-    angles = np.full(stack.n_light, (4.0 if below else 2.0) * np.pi / stack.n_light)
+    _, group_i, count_g = np.unique(group_directions(stack.directions_i3), return_inverse=True, return_counts=True)
+    copies_i = count_g[group_i]
+    angles = (4.0 if below else 2.0) * np.pi / len(count_g) / copies_i
     if weights == "solid-angle":
         given = stack.weights_i
         angles = solid_angle_weights(stack.directions_i3, sphere=below) if given is None else given
-    return Lighting(stack.directions_i3, angles, sampling)
+    return Lighting(stack.directions_i3, angles, copies_i, sampling)
 
 
 def plan_least_squares(

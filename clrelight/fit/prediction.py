@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clrelight.conventions import linear_to_srgb
 from clrelight.fit.left_out import solve_zones
-from clrelight.fit.places import Places, find_gap_radii, find_places, find_zones, pick_spread
+from clrelight.fit.places import Places, find_gap_radii, find_places, find_zones, pick_spread, stack_zones
 from clrelight.fit.plan import Lighting, make_lighting
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
@@ -57,7 +57,7 @@ class Trials:
     @cached_property
     def places(self) -> Places:
         """The distinct lights."""
-        return find_places(self.lighting.directions_i3, self.lighting.row_weights_i)
+        return find_places(self.lighting)
 
     @cached_property
     def gap(self) -> float:
@@ -68,6 +68,11 @@ class Trials:
     def zones(self) -> list[NDArray[np.intp]]:
         """The places that are left out together with each, itself first."""
         return find_zones(self.places.directions_g3, self.gap)
+
+    @cached_property
+    def stacked(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """The photographs of each zone, those of equally many together: `stack_zones`."""
+        return stack_zones([self.photographs(zone) for zone in self.zones])
 
     @cached_property
     def mean_gp(self) -> NDArray[np.float64]:
@@ -125,21 +130,27 @@ def try_method(method: FitMethod, degree: int, trials: Trials) -> NDArray[np.flo
         return _refit(settled, degree, trials)
     hat_ii = (basis_ir * gain_rp[:, 0]) @ plan.analysis_ri
     left_ii = np.eye(len(hat_ii)) - hat_ii
-    residual_ip = left_ii @ radiance_ip
-    predicted_gp = np.full_like(trials.mean_gp, np.nan)
-    for place, zone in enumerate(trials.zones):
-        out = trials.photographs(zone)
-        if len(out) == len(left_ii):
-            return np.full(len(trials.places), np.nan)
+    rows_gi = _leave_zones(left_ii, trials)
+    if rows_gi is None:
+        return np.full(len(trials.places), np.nan)
+    return trials.measure(trials.mean_gp - rows_gi @ left_ii @ radiance_ip, trials.mean_gp)
+
+
+def _leave_zones(left_ii: NDArray[np.float64], trials: Trials) -> NDArray[np.float64] | None:
+    """Return what makes errors at places left out of residuals, (n_place, n_light); None where nothing is known."""
+    rows_gi = np.zeros_like(trials.places.mean_gi)
+    for which, out_zm in trials.stacked:
+        if out_zm.shape[1] == len(left_ii):
+            return None
         try:
-            inverse = np.linalg.inv(left_ii[np.ix_(out, out)])
+            inverse_zmm = np.linalg.inv(left_ii[out_zm[:, :, None], out_zm[:, None, :]])
         except np.linalg.LinAlgError:
-            return np.full(len(trials.places), np.nan)
-        if not np.linalg.norm(inverse) < 1.0 / LEAST_FREEDOM:
-            return np.full(len(trials.places), np.nan)
-        missed_ip = inverse @ residual_ip[out]
-        predicted_gp[place] = trials.mean_gp[place] - trials.places.mean_gi[place, out] @ missed_ip
-    return trials.measure(predicted_gp, trials.mean_gp)
+            return None
+        if not np.linalg.norm(inverse_zmm, axis=(1, 2)).max() < 1.0 / LEAST_FREEDOM:
+            return None
+        mean_zm = trials.places.mean_gi[which[:, None], out_zm]
+        rows_gi[which[:, None], out_zm] = np.einsum("zi,zij->zj", mean_zm, inverse_zmm)
+    return rows_gi
 
 
 def _refit(method: FitMethod, degree: int, trials: Trials) -> NDArray[np.float64]:

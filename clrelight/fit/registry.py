@@ -72,6 +72,8 @@ class FitMethod(Configurable, ABC):
     title: ClassVar[str]
     has_lambda: ClassVar[bool] = False
     has_rank: ClassVar[bool] = False
+    settled_from: ClassVar[int] = 0
+    """`settle` finds the same at all degrees up to this one."""
     is_regression: ClassVar[bool] = True
     """Whether leaving a light out changes nothing but that the others alone are fitted."""
 

@@ -23,6 +23,7 @@ from clrelight.fit.registry import Columns, FitMethod, OnePass, method_class
 from clrelight.fit.samples import Samples
 from clrelight.fit.scaling import ScaledTile, TileScaling, round_coefficients
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, WITHIN, Choice, choose_model
+from clrelight.fit.threads import on_one_thread
 from clrelight.harmonics.basis import MAX_DEGREE
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import split_chosen
@@ -138,7 +139,8 @@ def fit(
         If the method cannot fit this degree to these lights, samples are negative or not finite, or the device cannot
         compute in this precision.
     """
-    fitted, _ = split_chosen(stack.directions_i3, holdout)
+    fitted, held = split_chosen(stack.directions_i3, holdout)
+    unseen_t3 = stack.directions_i3[held] if len(held) else None
     if holdout is not None:
         stack = stack.select(fitted)
     prepared = prepare_fit(
@@ -151,6 +153,7 @@ def fit(
         precision=precision,
         within=within,
         device=device,
+        unseen_t3=unseen_t3,
     )
     return collect_fit(prepared, memory_bytes=memory_bytes)
 
@@ -166,8 +169,13 @@ def prepare_fit(
     precision: str = MIXED,
     within: float = WITHIN,
     device: Device | None = None,
+    unseen_t3: NDArray[np.float64] | None = None,
 ) -> PreparedFit:
-    """Check the request and make the matrices; see `fit` for the parameters."""
+    """Check the request and make the matrices; see `fit` for the parameters.
+
+    `unseen_t3` are directions that the choice's prediction is for, such as those of held-out lights; they change
+    nothing else.
+    """
     device = device or open_device()
     check_precision(precision, device)
     if not 0.0 <= within < math.inf:
@@ -179,7 +187,8 @@ def prepare_fit(
     start = time.perf_counter()
     choice = None
     if AUTO in (method, degree):
-        choice = choose_model(samples, methods, degrees, weights, sampling, within)
+        with on_one_thread():
+            choice = choose_model(samples, methods, degrees, weights, sampling, within, unseen_t3)
         report.notes.append(choice.note)
         methods, degrees = [choice.settled or choice.chosen.method], [choice.chosen.degree]
         start = report.add("choose", start)

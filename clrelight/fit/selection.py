@@ -32,6 +32,7 @@ models are tried."""
 _CLEAR = 0.5
 """Decibels that it must be better by beside that."""
 _FEWEST = 6
+_IN_GAPS, _AT_GIVEN = "unseen lights", "the lights held out"
 _LEAST_ERROR = 1e-13
 
 
@@ -75,7 +76,9 @@ class Candidate:
 class Choice:
     """The model taken, the next best, all that were tried, and why the prediction is unknown where it is.
 
-    `settled` is the method taken with what it has learnt, where it is known already.
+    `settled` is the method taken with what it has learnt, where it is known already; `at` says which lights the
+    prediction is for. `code_gain` are the decibels by which `spectrum` is better at left-out lights where code values
+    are fitted as they stand, if they are not.
     """
 
     chosen: Candidate
@@ -84,17 +87,28 @@ class Choice:
     spread: float = 0.0
     why_unknown: str | None = None
     settled: FitMethod | None = None
+    at: str = _IN_GAPS
+    code_gain: float | None = None
 
     @property
     def note(self) -> str:
         """What the user should know."""
         after = f"; next {self.runner_up}" if self.runner_up else ""
         if self.chosen.predicted is None:
-            expected = f"PSNR at unseen lights unknown: {self.why_unknown}"
+            expected = f"PSNR at {self.at} unknown: {self.why_unknown}"
         else:
-            expected = f"{self.chosen.predicted:.2f} dB (+- {self.spread:.2f}) predicted at unseen lights"
+            expected = f"{self.chosen.predicted:.2f} dB (+- {self.spread:.2f}) predicted at {self.at}"
         took = f"{self.chosen.method.id} at degree {self.chosen.degree}"
-        return f"auto took {took} of {len(self.tried)} models; {expected}{after}"
+        return f"auto took {took} of {len(self.tried)} models; {expected}{after}{self._domain}"
+
+    @property
+    def _domain(self) -> str:
+        if self.code_gain is None or self.code_gain < _CLEAR:
+            return ""
+        return (
+            f"; code values as they stand (ingest --transfer linear) could be fitted {self.code_gain:.1f} dB better, "
+            "but for single lights only: the sum of lights adds radiance"
+        )
 
     def to_config(self) -> dict[str, Any]:
         """Return it as a JSON object."""
@@ -104,6 +118,7 @@ class Choice:
             "tried": [candidate.to_config() for candidate in self.tried],
             "spread": self.spread,
             "why_unknown": self.why_unknown,
+            "code_gain": self.code_gain,
         }
 
 
@@ -114,6 +129,7 @@ def choose_model(
     weights: str,
     sampling: str,
     within: float = WITHIN,
+    unseen_t3: NDArray[np.float64] | None = None,
 ) -> Choice:
     """Return the model that is best at lights left out with their neighbours, or a simpler one as good.
 
@@ -130,6 +146,8 @@ def choose_model(
         As in `clrelight.fit.fit`.
     within : float
         Decibels.
+    unseen_t3 : ndarray, shape (n, 3), float64, optional
+        Directions that the prediction is for; they decide nothing. None: the gaps between the lights.
 
     Raises
     ------
@@ -142,6 +160,7 @@ def choose_model(
     assert isinstance(settled, SpectrumFit)  # of its own class
     model = settled.model(trials.lighting)
     expected = expect_unseen(model, trials)
+    told = expected if unseen_t3 is None else expect_unseen(model, trials, unseen_t3)
     predicted_gp, _ = krige_left_out(model, trials.mean_gp, trials.zones)
     base = _judge((starts or [settled])[0], max(degrees), trials.measure(predicted_gp, trials.mean_gp))
     others = [
@@ -153,21 +172,33 @@ def choose_model(
     if not starts and not others:
         for method in methods:  # it says why not; sloan has no degree 0
             method.plan(trials.lighting, min(degrees[1:2] or degrees))
-    if starts:
-        winner = _find_winner(base, others, within)
-        if winner is None:
-            if len(degrees) > 1:
-                degree, cost = least_degree(model, trials, expected.error, within)
-            else:
-                degree, cost = degrees[0], 0.0
-            chosen = Candidate(starts[0], degree, _foretell(expected, -cost), base.in_folds, base.error_g)
-            return replace(_conclude(chosen, [chosen, *others], expected), settled=settled)
+    winner = _find_winner(base, others, within) if starts else _pick_simplest(others, within)
+    if winner is None:
+        degree, cost = degrees[0], 0.0
+        if len(degrees) > 1:
+            degree, cost = least_degree(model, trials, expected.error, within)
+        chosen = Candidate(starts[0], degree, _foretell(told, -cost), base.in_folds, base.error_g)
+        choice = replace(_conclude(chosen, [chosen, *others], told), settled=settled)
     else:
-        winner = _pick_simplest(others, within)
-    gain = _mean_gain(base, winner)
-    chosen = Candidate(winner.method, winner.degree, _foretell(expected, gain), winner.in_folds, winner.error_g)
-    others[others.index(winner)] = chosen
-    return _conclude(chosen, [*([base] if starts else []), *others], expected)
+        gain = _mean_gain(base, winner)
+        chosen = Candidate(winner.method, winner.degree, _foretell(told, gain), winner.in_folds, winner.error_g)
+        others[others.index(winner)] = chosen
+        choice = _conclude(chosen, [*([base] if starts else []), *others], told)
+    at = _IN_GAPS if unseen_t3 is None else _AT_GIVEN
+    return replace(choice, at=at, code_gain=_try_code_values(base, trials))
+
+
+def _try_code_values(base: Candidate, trials: Trials) -> float | None:
+    """Return the decibels that `spectrum` gains at left-out lights from code values taken as linear."""
+    stack = trials.samples.stack
+    if stack.transfer == "linear":
+        return None
+    plain = Trials.make(Samples(replace(stack, transfer="linear")), trials.weights, trials.sampling)
+    settled = SpectrumFit().settle(plain.lighting, DEGREES[-1], plain.samples)
+    assert isinstance(settled, SpectrumFit)  # of its own class
+    predicted_gp, _ = krige_left_out(settled.model(plain.lighting), plain.mean_gp, plain.zones)
+    # Both are measured in code values: a light's photographs are averaged in either way, so each has its own truth.
+    return _mean_gain(base, _judge(settled, DEGREES[-1], plain.measure(predicted_gp, plain.mean_gp)))
 
 
 def _judge(method: FitMethod, degree: int, error_g: NDArray[np.float64]) -> Candidate:
@@ -183,10 +214,14 @@ def _list_degrees(method: FitMethod, degrees: Sequence[int]) -> list[int]:
 
 def _try_degrees(method: FitMethod, degrees: Sequence[int], trials: Trials) -> list[Candidate]:
     """Return the method at each degree that these lights allow."""
-    tried = []
+    tried: list[Candidate] = []
+    settled: dict[int, FitMethod] = {}
     for degree in degrees:
+        learnt = max(degree, method.settled_from)
         try:
-            error_g = try_method(method, degree, trials)
+            if learnt not in settled:
+                settled[learnt] = method.settle(trials.lighting, degree, trials.samples)
+            error_g = try_method(settled[learnt], degree, trials)
         except InputError:
             continue
         tried.append(_judge(method, degree, error_g))

@@ -13,6 +13,7 @@ from clrelight.fit.places import find_places, spread_points
 from clrelight.fit.plan import FitPlan, Lighting, is_sphere
 from clrelight.fit.registry import FitMethod, register
 from clrelight.fit.samples import Samples
+from clrelight.fit.threads import on_one_thread
 from clrelight.fit.zonal import LARGEST_DEGREE, Theta, ZonalModel
 from clrelight.harmonics.basis import evaluate_basis
 
@@ -57,7 +58,7 @@ class SpectrumFit(FitMethod):
         """Return the method with every parameter found that is not given."""
         if None not in asdict(self).values():
             return self
-        places = find_places(lighting.directions_i3, lighting.row_weights_i)
+        places = find_places(lighting)
         # Scaled by the brightest: squares of samples far from the peak would leave float64.
         mean_gp = places.mean_gi @ samples.radiance_ip
         most = float(np.abs(mean_gp).max())
@@ -69,7 +70,8 @@ class SpectrumFit(FitMethod):
             for k, (name, value) in enumerate(asdict(self).items())
             if value is not None
         }
-        theta = learn_theta(places, mean_gp @ mean_gp.T / mean_gp.shape[1], quantum, given)
+        with on_one_thread():
+            theta = learn_theta(places, mean_gp @ mean_gp.T / mean_gp.shape[1], quantum, given)
         return type(self)(**asdict(theta))
 
     def model(self, lighting: Lighting) -> ZonalModel:
@@ -77,23 +79,18 @@ class SpectrumFit(FitMethod):
         values = asdict(self)
         if None in values.values():
             raise ValueError("parameters are not settled yet: settle the method, or give all of them")
-        return ZonalModel.make(find_places(lighting.directions_i3, lighting.row_weights_i), Theta(**values))
+        return ZonalModel.make(find_places(lighting), Theta(**values))
 
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the matrices; any number of lights is legal."""
-        model = self.model(lighting)
-        map_ki = model.map_samples(degree)
-        turn_ri = _order_components(map_ki, degree, is_sphere(lighting.directions_i3))
+        with on_one_thread():
+            model = self.model(lighting)
+            map_ki = model.map_samples(degree)
+            turn_ri = _order_components(map_ki, degree, is_sphere(lighting.directions_i3))
+            condition = float(np.linalg.cond(model.covariance_gg))
         energy_i = 4.0 * np.pi * lighting.solid_angles_i / lighting.solid_angles_i.sum()
         notes = _describe(model, degree)
-        return FitPlan(
-            turn_ri,
-            map_ki @ turn_ri.T,
-            np.ones(len(turn_ri)),
-            energy_i,
-            float(np.linalg.cond(model.covariance_gg)),
-            notes,
-        )
+        return FitPlan(turn_ri, map_ki @ turn_ri.T, np.ones(len(turn_ri)), energy_i, condition, notes)
 
 
 def _order_components(map_ki: NDArray[np.float64], degree: int, sphere: bool) -> NDArray[np.float64]:

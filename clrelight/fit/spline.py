@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit.columns import launch_columns
+from clrelight.fit.places import merge_photographs
 from clrelight.fit.plan import FitPlan, Lighting, plan_least_squares, scale_components
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 from clrelight.fit.samples import Samples
@@ -50,6 +51,7 @@ class SmoothingSpline(FitMethod):
     id = "spline"
     title = "Spline"
     summary = "smoothing spline: least squares with a penalty on roughness, lambda by cross-validation"
+    settled_from = REFERENCE_DEGREE
     lam: float | tuple[float, ...] | None = None
     per: str = "stack"
 
@@ -68,8 +70,9 @@ class SmoothingSpline(FitMethod):
         """Return the method with lambda found, for each channel where asked for."""
         channels = samples.channels
         if self.lam is None:
+            # Photographs of one light err alike, so one is no check on another: cross-validation sees their mean.
+            lighting, radiance_ip = merge_photographs(lighting, samples.radiance_ip)
             plan = self._components(lighting, max(degree, REFERENCE_DEGREE))
-            radiance_ip = samples.radiance_ip
             groups = [radiance_ip[:, c::channels] for c in range(channels)] if self.per == "channel" else [radiance_ip]
             found = tuple(minimize_gcv(plan.singular_r, *_split_energy(plan, lighting, group)) for group in groups)
             return replace(self, lam=found if self.per == "channel" else found[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,6 +135,21 @@ class ZonalModel:
         )
         return cls(places, theta, variance_l, noise, covariance_gg, np.asarray(np.linalg.inv(covariance_gg)))
 
+    @cached_property
+    def whole_ki(self) -> NDArray[np.float64]:
+        """The map at `LARGEST_DEGREE`, ``diag(a) Y' C^-1`` of the means, shape (n_coeff, n_light)."""
+        basis_gk = evaluate_basis(self.places.directions_g3, LARGEST_DEGREE)
+        variance_k = self.variance_l[_degrees(LARGEST_DEGREE)]
+        return np.asarray(variance_k[:, None] * (basis_gk.T @ self.inverse_gg @ self.places.mean_gi))
+
+    @cached_property
+    def _series(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Least squares over points spread evenly: the moments of the basis, and with the whole map."""
+        points = spread_points(_SPREAD, is_sphere(self.places.directions_g3))
+        basis_tk = evaluate_basis(points, LARGEST_DEGREE)
+        normal_kk = basis_tk.T @ basis_tk / len(points)
+        return normal_kk, normal_kk @ self.whole_ki
+
     def weights_at(self, targets_t3: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the weight of each photograph in the value at each direction, shape (n_target, n_light)."""
         kernel_tg = _kernel(self.variance_l, targets_t3, self.places.directions_g3)
@@ -153,17 +169,11 @@ class ZonalModel:
         over points spread evenly, with a ridge that settles what they do not see.
         """
         if degree >= LARGEST_DEGREE:
-            basis_gk = evaluate_basis(self.places.directions_g3, LARGEST_DEGREE)
-            whole_ki = self.variance_l[_degrees(LARGEST_DEGREE)][:, None] * (
-                basis_gk.T @ self.inverse_gg @ self.places.mean_gi
-            )
-            return np.pad(whole_ki, ((0, coefficient_count(degree) - len(whole_ki)), (0, 0)))
-        points = spread_points(_SPREAD, is_sphere(self.places.directions_g3))
-        basis_tk = evaluate_basis(points, degree)
+            return np.pad(self.whole_ki, ((0, coefficient_count(degree) - len(self.whole_ki)), (0, 0)))
+        normal_kk, whole_ki = (moments[: coefficient_count(degree)] for moments in self._series)
         relative_k = np.maximum(self.variance_l / self.variance_l.max(), _LEAST_VARIANCE)[_degrees(degree)]
         ridge = float(np.clip(1e-3 * self.theta.noise, *_RIDGE))
-        normal_kk = basis_tk.T @ basis_tk / len(points) + np.diag(ridge / relative_k)
-        return np.asarray(np.linalg.solve(normal_kk, basis_tk.T @ self.weights_at(points) / len(points)))
+        return np.asarray(np.linalg.solve(normal_kk[:, : len(normal_kk)] + np.diag(ridge / relative_k), whole_ki))
 
 
 def _degrees(degree: int) -> NDArray[np.intp]:
@@ -171,6 +181,14 @@ def _degrees(degree: int) -> NDArray[np.intp]:
 
 
 def _kernel(variance_l: NDArray, first_t3: NDArray, second_g3: NDArray) -> NDArray[np.float64]:
-    return np.asarray(
-        np.tensordot(variance_l, legendre_terms(np.clip(first_t3 @ second_g3.T, -1.0, 1.0)), 1), np.float64
-    )
+    """Return the covariance of the function between directions: Clenshaw's sum, which holds no terms."""
+    cosine = np.clip(first_t3 @ second_g3.T, -1.0, 1.0)
+    after, next_after = np.zeros_like(cosine), np.zeros_like(cosine)
+    for l in range(LARGEST_DEGREE, -1, -1):
+        scratch = cosine * after
+        scratch *= (2.0 * l + 1.0) / (l + 1.0)
+        next_after *= -(l + 1.0) / (l + 2.0)
+        next_after += scratch
+        next_after += variance_l[l] * SHARE[l]
+        after, next_after = next_after, after
+    return after

@@ -191,6 +191,7 @@ def fit(
                 precision=precision,
                 within=within,
                 device=opened,
+                unseen_t3=stack.directions_i3[split[1]] if len(split[1]) else None,
             )
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
         job = _Fit(stack, split, prepared, dtype, budget, kept, progress)
