@@ -19,6 +19,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from clrelight.errors import DeviceError, KernelBuildError
 from clrelight.kernel_source import read_kernel_source
+from clrelight.opencl.child import check_descriptors
 from clrelight.opencl.drivers import leave_out_drivers
 from clrelight.opencl.kernel_cache import KernelCache, own_folder
 from clrelight.opencl.probe import WIDTHS, Verdict, judge_device, machine_identity
@@ -268,6 +269,7 @@ def _match(asked: str | None, infos: list[DeviceInfo], source: str = "") -> int:
 
 @functools.cache
 def _devices() -> list[tuple[DeviceInfo, Any]]:
+    check_descriptors()
     leave_out_drivers()
     global _first_process
     _first_process = os.getpid()

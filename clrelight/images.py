@@ -61,7 +61,7 @@ def read_header(path: str | os.PathLike[str], *, layer: str | None = None, uprig
     upright : bool
         Apply the orientation that a camera noted.
     """
-    path = Path(path)
+    path = Path(os.fsdecode(path))
     with _opened(path) as (reader, radiance):
         specs = [reader.spec()]
         while reader.format_name() in _PARTED and reader.seek_subimage(len(specs), 0):
@@ -159,7 +159,7 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
     InputError
         If the extension is not known, it cannot hold these values, or the file cannot be written.
     """
-    path = Path(path)
+    path = Path(os.fsdecode(path))
     values = np.asarray(values_hwc)
     values = values[..., None] if values.ndim == 2 else values
     extension = _SYNONYMS.get(path.suffix.lower(), path.suffix.lower())

@@ -253,6 +253,15 @@ def test_truncated_files_are_refused(formats, tmp_path, capfd, name, fraction):
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_path_may_be_bytes(tmp_path):
+    name = os.fsencode(tmp_path / "a.png")
+    write_image(name, RGB8)
+    assert (read_image(name) == RGB8).all()
+    os.rename(name, os.fsencode(tmp_path) + b"/\xe4.png")
+    with pytest.raises(InputError, match="names in UTF-8"):
+        read_header(os.fsencode(tmp_path) + b"/\xe4.png")
+
+
 def test_files_that_are_no_images(tmp_path):
     (tmp_path / "empty.png").touch()
     (tmp_path / "junk.jpg").write_text("hello")

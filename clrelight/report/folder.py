@@ -33,7 +33,7 @@ def fill_folder(out_dir: str | os.PathLike[str], make: Callable[[Path], list[str
         If `out_dir` cannot be written to.
     """
     check_folder(out_dir)
-    out = Path(out_dir).resolve()
+    out = Path(os.fsdecode(out_dir)).resolve()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with claiming(out), folder_aside(out) as aside:
@@ -44,7 +44,7 @@ def fill_folder(out_dir: str | os.PathLike[str], make: Callable[[Path], list[str
 
 def check_folder(out_dir: str | os.PathLike[str]) -> None:
     """Raise InputError if `out_dir` is a file."""
-    out = Path(out_dir).resolve()
+    out = Path(os.fsdecode(out_dir)).resolve()
     if out.exists() and not out.is_dir():
         raise InputError(f"{out_dir} is a file; give a folder to write the report into")
 
