@@ -107,7 +107,8 @@ def export_textures(
         for layer, entry in enumerate(notes["textures"]):
             entry |= {"file": target.name, "layer": layer}
         with replacing(target) as array, replacing(_notes_of(target)) as beside:
-            write_dds(array.path, blocks)
+            with naming(target):
+                write_dds(array.path, blocks)
             beside.write(_to_json(notes))
         return [target, _notes_of(target)]
     with replacing_folder(target) as folder:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from clrelight.errors import InputError
 from clrelight.interrupts import holding
-from clrelight.store.durable import claiming, folder_aside
+from clrelight.store.durable import claiming, folder_aside, reason_of
 
 
 def fill_folder(out_dir: str | os.PathLike[str], make: Callable[[Path], list[str]]) -> list[Path]:
@@ -39,7 +39,7 @@ def fill_folder(out_dir: str | os.PathLike[str], make: Callable[[Path], list[str
         with claiming(out), folder_aside(out) as aside:
             return _move(make(aside), aside, out)
     except OSError as error:
-        raise InputError(f"cannot write the report to {out_dir}: {error}") from error
+        raise InputError(f"cannot write the report to {os.fsdecode(out_dir)}: {reason_of(error)}") from error
 
 
 def check_folder(out_dir: str | os.PathLike[str]) -> None:
