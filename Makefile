@@ -24,7 +24,7 @@ bench: install
 
 test: install
 	# The numerics are small: BLAS threads would only wait for each other.
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile tests
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal tests
 
 lint: install
 	$(BIN)/ruff check .

@@ -28,17 +28,19 @@ STEM_BYTES = 232
 
 @dataclass(frozen=True)
 class Part:
-    """The sibling of a file that is being written: its path, and a descriptor that holds its lock, if it has one."""
+    """The sibling of the file `target` while it is written, and a descriptor that holds its lock, if it has one."""
 
+    target: Path
     path: Path
     descriptor: int
     is_locked: bool = True
 
     def write(self, content: bytes) -> None:
-        """Write every byte; a single call of the system may take fewer."""
+        """Write every byte, for a single call of the system may take fewer; InputError if it refuses."""
         rest = memoryview(content)
-        while rest:
-            rest = rest[os.write(self.descriptor, rest) :]
+        with naming(self.target):
+            while rest:
+                rest = rest[os.write(self.descriptor, rest) :]
 
     def reserve(self, n_bytes: int) -> None:
         """Make sure that the disk has room for a file of `n_bytes`, and keep it; OSError if it has not."""
@@ -180,7 +182,10 @@ def replacing_folder(path: str | os.PathLike) -> Iterator[Path]:
         # One more level: the sibling is for its owner's eyes alone, the result for whom the umask says.
         folder = sibling / target.name
         folder.mkdir()
-        yield folder
+        try:
+            yield folder
+        except InputError as error:  # of a file that nobody will see there
+            raise InputError(str(error).replace(str(folder), str(target))) from error
         for file in folder.iterdir():
             with open(file, "rb") as written:
                 os.fsync(written.fileno())
@@ -212,8 +217,12 @@ def naming(path: str | os.PathLike) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else error.strerror or str(error)
-        raise InputError(f"cannot write {os.fsdecode(path)}: {reason}") from error
+        raise InputError(f"cannot write {os.fsdecode(path)}: {reason_of(error)}") from error
+
+
+def reason_of(error: OSError) -> str:
+    """Return why the system refused, without the file's name."""
+    return "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else error.strerror or str(error)
 
 
 def check_output(path: str | os.PathLike, inputs: Iterable[str | os.PathLike] = ()) -> None:
@@ -257,7 +266,7 @@ def _open_locked(sibling: Path, target: Path) -> Part:
                 raise InputError(f"cannot write {sibling}: it is there and is no plain file, remove it")
             with suppress(FileNotFoundError):
                 if os.path.samestat(ours, os.lstat(sibling)):
-                    return Part(sibling, descriptor, is_locked)
+                    return Part(target, sibling, descriptor, is_locked)
         except BaseException:
             os.close(descriptor)
             raise

@@ -41,7 +41,7 @@ def check_export(out: str | os.PathLike, file_format: str, inputs: Iterable[str 
     """Raise InputError if an export cannot go to `out` as it looks now; for asking before long work."""
     if file_format not in EXPORTS:
         raise InputError(f"unknown format {file_format!r}; known are {', '.join(EXPORTS)}")
-    target = Path(out)
+    target = Path(os.fsdecode(out))
     if _is_array(target):
         if file_format != "dds":
             raise InputError(f"a texture array is a DDS file, format {file_format} needs a folder, got {target}")
@@ -95,7 +95,7 @@ def export_textures(
         If the format is unknown, or `out` cannot be written: then nothing was.
     """
     check_export(out, file_format)
-    target = Path(out)
+    target = Path(os.fsdecode(out))
     coeffs_khwc = coefficients.to_float32().coeffs_khwc
     scale = 1.0 if file_format == "exr" or blocks is not None else _choose_scale(coeffs_khwc)
     scaled_khwc = coeffs_khwc if scale == 1.0 else np.divide(coeffs_khwc, scale, dtype=np.float32)
@@ -107,7 +107,8 @@ def export_textures(
         for layer, entry in enumerate(notes["textures"]):
             entry |= {"file": target.name, "layer": layer}
         with replacing(target) as array, replacing(_notes_of(target)) as beside:
-            write_dds(array.path, blocks)
+            with naming(target):
+                write_dds(array.path, blocks)
             beside.write(_to_json(notes))
         return [target, _notes_of(target)]
     with replacing_folder(target) as folder:

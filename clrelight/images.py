@@ -17,11 +17,12 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
-from clrelight.durable import replacing
+from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.image_bands import read_rows
 from clrelight.image_header import ImageHeader, check_size, describe_file, describe_stored, turn_upright
 from clrelight.image_parts import choose_picture
+from clrelight.image_sink import sink_for
 from clrelight.radiance_header import RadianceHeader, read_radiance_header
 
 IMAGE_EXTENSIONS = frozenset(
@@ -61,7 +62,7 @@ def read_header(path: str | os.PathLike[str], *, layer: str | None = None, uprig
     upright : bool
         Apply the orientation that a camera noted.
     """
-    path = Path(path)
+    path = Path(os.fsdecode(path))
     with _opened(path) as (reader, radiance):
         specs = [reader.spec()]
         while reader.format_name() in _PARTED and reader.seek_subimage(len(specs), 0):
@@ -159,7 +160,7 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
     InputError
         If the extension is not known, it cannot hold these values, or the file cannot be written.
     """
-    path = Path(path)
+    path = Path(os.fsdecode(path))
     values = np.asarray(values_hwc)
     values = values[..., None] if values.ndim == 2 else values
     extension = _SYNONYMS.get(path.suffix.lower(), path.suffix.lower())
@@ -177,10 +178,10 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
         raise InputError(
             f"cannot write {path}: {extension} holds {_ONLY_CHANNELS[extension]} channels, got {values.shape[2]}"
         )
-    with replacing(path) as part:
+    with replacing(path) as part, naming(path), sink_for(part, extension, values.nbytes) as name:
         try:
-            _encode(part.path, extension, np.ascontiguousarray(values), _WRITABLE[extension][values.dtype.name])
-        except (OSError, RuntimeError) as error:
+            _encode(name, extension, np.ascontiguousarray(values), _WRITABLE[extension][values.dtype.name])
+        except RuntimeError as error:
             raise InputError(f"cannot write {path}: {_one_line(error)}") from None
 
 
@@ -232,8 +233,8 @@ def _plain_radiance(file: BinaryIO, path: Path) -> Iterator[tuple[str, RadianceH
         yield copy.name, radiance
 
 
-def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
-    writer = oiio.ImageOutput.create(extension.removeprefix("."))  # not by the path, which ends in .part
+def _encode(name: str, extension: str, values: NDArray, stored: Any) -> None:
+    writer = oiio.ImageOutput.create(extension.removeprefix("."))  # not by the name, which has no such ending
     if writer is None:
         raise RuntimeError(oiio.geterror())
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], stored)
@@ -244,7 +245,7 @@ def _encode(path: Path, extension: str, values: NDArray, stored: Any) -> None:
     if extension == ".jpg":
         spec.attribute("CompressionQuality", 95)
         spec.attribute("jpeg:subsampling", "4:4:4")
-    done = writer.open(_text_name(str(path)), spec) and writer.write_image(values)
+    done = writer.open(_text_name(name), spec) and writer.write_image(values)
     message = writer.geterror()
     # Closing flushes what is left, so it can fail too.
     if not writer.close() or not done:

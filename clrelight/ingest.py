@@ -245,12 +245,12 @@ def ingest_folder(
     # Imported late: the store is needed only when all else is known to be right.
     from clrelight.store import check_output, create_stack
 
-    folder = Path(folder)
+    folder = Path(os.fsdecode(folder))
     if transfer not in TRANSFERS:
         raise InputError(f"transfer must be one of {', '.join(TRANSFERS)}, got {transfer!r}")
     if peak is not None and not (np.isfinite(peak) and peak > 0):
         raise InputError(f"peak must be a positive number, got {peak}")
-    table = find_lights(folder, Path(lights) if lights is not None else None)
+    table = find_lights(folder, Path(os.fsdecode(lights)) if lights is not None else None)
     chosen = parse_subset(subset, len(table.images)) if subset is not None else list(range(len(table.images)))
     written_i3 = table.directions_i3[chosen]
 
@@ -262,7 +262,7 @@ def ingest_folder(
     window = _place_crop(headers[0], crop)
     check_covers(headers, (window.column, window.row, window.width, window.height))
     values = _choose_values(table, headers[0], chosen, transfer, peak, divide_intensities)
-    mask_path = Path(mask) if mask is not None else table.mask
+    mask_path = Path(os.fsdecode(mask)) if mask is not None else table.mask
     mask_hw, mask_notes = (
         _read_mask(mask_path, headers[0], window, memory_bytes) if mask_path is not None else (None, [])
     )
@@ -275,7 +275,7 @@ def ingest_folder(
 
     with (
         create_stack(
-            Path(out_path),
+            Path(os.fsdecode(out_path)),
             shape_ihwc=source.shape_ihwc,
             dtype=values.dtype,
             directions_i3=directions_i3,

@@ -1,7 +1,23 @@
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+
+
+def pytest_configure(config):
+    """Have the device tested once, in both styles beside each other, before every worker does so by itself."""
+    if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
+        return
+    code = "import sys; from clrelight.device import open_device; open_device(style=sys.argv[1])"
+    # What goes wrong there goes wrong in the tests.
+    tested = [
+        subprocess.Popen([sys.executable, "-c", code, style], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for style in ("cpu", "gpu")
+    ]
+    for each in tested:
+        each.wait()
 
 
 @pytest.fixture

@@ -79,3 +79,14 @@ def test_too_few_descriptors_are_named(monkeypatch, error):
     line = "clrelight: too few files may be open at once (ulimit -n): allow more, such as ulimit -n 256\n"
     ended = call("info", "some.h5")
     assert (ended.code, ended.out, ended.err) == (2, "", line)
+
+
+@pytest.mark.parametrize("count", [5, 6, 9, 14])
+def test_a_process_that_may_open_few_files_says_so(stack, tmp_path, count):
+    """Where the loader then finds no driver, where none can be tried, and where a driver's linker would abort."""
+    line = "clrelight: too few files may be open at once (ulimit -n): allow more, such as ulimit -n 256\n"
+    for words in (["devices"], ["fit", stack, "o.h5", "--degree", 1]):
+        limited = ["sh", "-c", f'ulimit -n {count} && exec "$@"', "sh", *command_line(*words)]
+        done = subprocess.run(limited, cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=120)
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
+    assert os.listdir(tmp_path) == []

@@ -16,7 +16,16 @@ FLOORS = [
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {
         *("dataset", "holdout", "lights", "light_files", "masks", "negatives", "plan_lights", "sampling"),
-        *("image_bands", "image_header", "image_names", "image_parts", "image_set", "images", "radiance_header"),
+        *(
+            "image_bands",
+            "image_header",
+            "image_names",
+            "image_parts",
+            "image_set",
+            "image_sink",
+            "images",
+            "radiance_header",
+        ),
     },
     {"fit", "codec", "lighting", "metrics", "relight"},
     {"store", "export", "ingest", "results", "selftest", "selftest_photographs", "truth"},

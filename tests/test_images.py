@@ -13,6 +13,7 @@ from PIL import Image
 from clrelight import images
 from clrelight.errors import InputError
 from clrelight.images import read_bands, read_header, read_image, write_image
+from tests.commands import contents, environment
 
 RNG = np.random.default_rng(7)
 RGB8 = RNG.integers(0, 256, (37, 23, 3), dtype=np.uint8)
@@ -253,6 +254,15 @@ def test_truncated_files_are_refused(formats, tmp_path, capfd, name, fraction):
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_path_may_be_bytes(tmp_path):
+    name = os.fsencode(tmp_path / "a.png")
+    write_image(name, RGB8)
+    assert (read_image(name) == RGB8).all()
+    os.rename(name, os.fsencode(tmp_path) + b"/\xe4.png")
+    with pytest.raises(InputError, match="names in UTF-8"):
+        read_header(os.fsencode(tmp_path) + b"/\xe4.png")
+
+
 def test_files_that_are_no_images(tmp_path):
     (tmp_path / "empty.png").touch()
     (tmp_path / "junk.jpg").write_text("hello")
@@ -315,6 +325,45 @@ def test_written_values_come_back(tmp_path, name, dtype, channel):
             np.testing.assert_array_equal(np.asarray(file.convert("RGB"))[..., :channel], values)
 
 
+WRITE = """
+import os, resource, sys
+import numpy as np
+from clrelight.errors import InputError
+from clrelight.images import write_image
+
+values = np.random.default_rng(0).integers(1, 256, (40, 40, 3))
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
+for name in sys.argv[2:]:
+    floats = name.endswith((".exr", ".hdr"))
+    try:
+        write_image(name, values.astype(np.float32) if floats else values.astype(np.uint8))
+    except InputError as error:
+        print(error)
+    else:
+        print(name, "is written")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere OpenImageIO writes to the disk itself")
+@pytest.mark.parametrize("limit", [0, 1, 1000, 2000])
+def test_a_file_that_finds_no_room_is_said_of_every_format(tmp_path, limit):
+    """Also where the encoder says that all is well (PNG), and where it would end the process (JPEG)."""
+    names = [f"a{ending}" for ending in (".png", ".jpg", ".tif", ".exr", ".hdr", ".bmp", ".tga", ".ppm")]
+    for name in names:
+        (tmp_path / name).write_bytes(b"precious")
+    done = subprocess.run(
+        [sys.executable, "-c", WRITE, str(limit), *names],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == [f"cannot write {name}: File too large" for name in names]
+    assert contents(tmp_path) == dict.fromkeys(names, b"precious")
+
+
 def test_written_jpeg_and_hdr_are_close(tmp_path):
     smooth = np.add.outer(np.arange(37) * 3, np.arange(23) * 4).astype(np.uint8)
     write_image(tmp_path / "a.jpg", smooth)
@@ -363,12 +412,13 @@ def test_only_one_program_writes_an_image(tmp_path, extension):
 def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     write_image(tmp_path / "a.png", RGB8)
 
-    def fail(path, *_):
-        path.write_bytes(b"half")
+    def fail(name, *_):
+        with open(name, "wb") as file:
+            file.write(b"half")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(images, "_encode", fail)
-    with pytest.raises(InputError, match="No space left"):
+    with pytest.raises(InputError, match="the disk is full"):
         write_image(tmp_path / "a.png", RGB8 // 2)
     assert os.listdir(tmp_path) == ["a.png"]
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), RGB8)

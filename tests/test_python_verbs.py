@@ -298,6 +298,8 @@ def test_an_error_is_the_line_of_the_command(folder, fit_file, monkeypatch, line
 @pytest.mark.parametrize(
     "verb",
     [
+        lambda fitted, stack: cr.ingest(".", mask=b"\xe4.png"),
+        lambda fitted, stack: cr.ingest(".", lights=7),
         lambda fitted, stack: cr.fit(7),
         lambda fitted, stack: cr.fit(stack.images_ihwc),
         lambda fitted, stack: cr.fit(fitted),

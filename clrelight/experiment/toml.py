@@ -31,7 +31,7 @@ _TOML_KEYS = ("scenes", *_MODEL_KEYS, "ring", "method", "codec")
 
 def load_experiment(path: str | os.PathLike[str]) -> Experiment:
     """Read an experiment from TOML (docs/experiments.md); InputError names what is not right."""
-    file = Path(path)
+    file = Path(os.fsdecode(path))
     try:
         given = tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -89,6 +89,9 @@ def ingest(
     for name in options:
         if name not in _OPTIONS:
             raise InputError(f"ingest has no option {name!r}; it has: {', '.join(_OPTIONS)}")
+    for name in ("lights", "mask"):
+        if options.get(name) is not None:
+            path_text(options[name], name)
     kept, budget = report_for(report), count_bytes(memory)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="clrelight.") as place:

@@ -8,7 +8,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+
+from clrelight.errors import DeviceError
+
+SPARE_FILES = 24
+"""Files that drivers open beside what is open: libraries, pipes to a child, and twelve of their linker's."""
 
 _LITTLE_MEMORY, _FEW_FILES = 8 << 30, 64
 
@@ -37,6 +42,16 @@ def run_child(
             with suppress(OSError):
                 os.killpg(child.pid, signal.SIGKILL) if hasattr(os, "killpg") else child.kill()
             child.communicate()
+
+
+def check_descriptors() -> None:
+    """Raise DeviceError where drivers could not open their files: one says then that it has no device, one aborts."""
+    try:
+        with ExitStack() as opened:
+            for _ in range(SPARE_FILES):
+                opened.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+    except OSError as error:
+        raise DeviceError("too few files may be open at once (ulimit -n): allow more, such as ulimit -n 256") from error
 
 
 def describe_end(code: int | None, complaint: str, seconds: float) -> str:

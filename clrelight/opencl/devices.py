@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from clrelight.errors import DeviceError
+from clrelight.opencl.child import check_descriptors
 from clrelight.opencl.drivers import leave_out_drivers
 from clrelight.opencl.kernel_cache import own_folder
 from clrelight.opencl.probe import WIDTHS, Verdict, judge_device
@@ -204,6 +205,7 @@ def _match(asked: str | None, infos: list[DeviceInfo], source: str = "") -> int:
 @functools.cache
 def loaded_devices() -> list[tuple[DeviceInfo, Any]]:
     """Return every device of every driver, untested, with pyopencl's object; drivers are loaded once."""
+    check_descriptors()
     leave_out_drivers()
     global _first_process
     _first_process = os.getpid()

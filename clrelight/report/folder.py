@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from clrelight.durable import claiming, folder_aside
+from clrelight.durable import claiming, folder_aside, reason_of
 from clrelight.errors import InputError
 from clrelight.interrupts import holding
 
@@ -33,18 +33,18 @@ def fill_folder(out_dir: str | os.PathLike[str], make: Callable[[Path], list[str
         If `out_dir` cannot be written to.
     """
     check_folder(out_dir)
-    out = Path(out_dir).resolve()
+    out = Path(os.fsdecode(out_dir)).resolve()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with claiming(out), folder_aside(out) as aside:
             return _move(make(aside), aside, out)
     except OSError as error:
-        raise InputError(f"cannot write the report to {out_dir}: {error}") from error
+        raise InputError(f"cannot write the report to {os.fsdecode(out_dir)}: {reason_of(error)}") from error
 
 
 def check_folder(out_dir: str | os.PathLike[str]) -> None:
     """Raise InputError if `out_dir` is a file."""
-    out = Path(out_dir).resolve()
+    out = Path(os.fsdecode(out_dir)).resolve()
     if out.exists() and not out.is_dir():
         raise InputError(f"{out_dir} is a file; give a folder to write the report into")
 

@@ -34,7 +34,7 @@ class Scratch:
         with naming(self._what), holding():  # it has a name for an instant, where the system cannot do without
             self._file = tempfile.TemporaryFile(prefix=".clrelight.", suffix=".part", dir=os.fsdecode(folder))  # noqa: SIM115
             if n_bytes:
-                Part(self._what, self._file.fileno()).reserve(n_bytes)
+                Part(self._what, self._what, self._file.fileno()).reserve(n_bytes)
 
     def write(self, at: int, values: NDArray) -> None:
         """Write a C-contiguous array's bytes."""

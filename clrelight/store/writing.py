@@ -201,8 +201,7 @@ def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int, schema: 
         draft.finish()
         file.flush()
         image = file.id.get_file_image()
-    with naming(path):
-        part.write(image)
+    part.write(image)
 
 
 @contextmanager
