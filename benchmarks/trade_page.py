@@ -29,7 +29,12 @@ from datasets_synth.ring import render_ring
 
 PAGE = Path("docs/trade.md")
 PICTURES = Path("docs/images")
-AXES = Axes(degrees=(2, 4, 6, 8), codecs=("half", "klt", "s3tc"), rates=(1.0, 0.25, 0.1))
+AXES = Axes(
+    methods=("uls", "cls", "ceb", "spline"),
+    degrees=(2, 4, 6, 8),
+    codecs=("half", "klt", "s3tc"),
+    rates=(1.0, 0.25, 0.1),
+)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from clrelight.experiment.scenes import survey_stack
 from clrelight.fit import method_class
 from clrelight.fit.cls import CONVERGED_AFTER, ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED, check_precision, differing_precisions
+from clrelight.fit.selection import DEGREES, METHODS
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.decomposition import decompose
 from clrelight.harmonics.index import coefficient_count
@@ -36,6 +37,8 @@ _MAX_CONDITION = 1e6
 _UNBOUNDED = ("uls", "sloan")
 _NEAR = 0.3
 """Decibels by which a smaller and faster setting must be better for one not to be extended."""
+_FALLEN = 0.1
+"""Decibels below its best at which a degree counts as too many; two such end the climb."""
 _LOST = 3.0
 """Decibels by which something no larger is better where a codec's rate is not lowered further."""
 _THINNED, _CODED, _RECKONED = 4, 2, 1
@@ -52,8 +55,9 @@ class Axes:
     Attributes
     ----------
     methods : tuple of str
+        By default those that ``auto`` chooses from.
     degrees : tuple of int
-        Tried upwards.
+        Tried upwards; by default those of ``auto``.
     iterations : tuple of int
         Steps of the bisection of ``cls``, tried beside its Newton search.
     newton_steps : tuple of int
@@ -72,8 +76,8 @@ class Axes:
         Which ones, one of `clrelight.holdout.HOLDOUTS`.
     """
 
-    methods: tuple[str, ...] = ("uls", "cls", "ceb", "spline")
-    degrees: tuple[int, ...] = (2, 3, 4, 5, 6, 8, 10)
+    methods: tuple[str, ...] = METHODS
+    degrees: tuple[int, ...] = DEGREES
     iterations: tuple[int, ...] = (4, 8, 16, 32)
     newton_steps: tuple[int, ...] = (1, 2, 4, 8)
     precisions: tuple[str, ...] = ()
@@ -279,7 +283,7 @@ class _Sweep:
     def _climb_all(self) -> Iterator[tuple[Model, CodecSetting]]:
         storage = [CodecSetting(), *(make_settings(HALF, {}) if HALF in self.axes.codecs else [])]
         for name in self.axes.methods:
-            best, falls = -math.inf, 0
+            best, falls = -math.inf, 0  # scenes may need a high degree and nothing between: what is idle goes on
             for degree in sorted(self.axes.degrees):
                 model = Model(method_class(name)(), degree)
                 if falls == 2 or not self._has_room(model):
@@ -287,7 +291,7 @@ class _Sweep:
                 for setting in storage:
                     yield model, setting
                 reached = self.trials[-len(storage)].psnr
-                falls = 0 if reached > best else falls + 1
+                falls = falls + 1 if reached < best - _FALLEN else 0
                 best = max(best, reached)
 
     def _try_solvers(self) -> Iterator[tuple[Model, CodecSetting]]:
