@@ -254,6 +254,7 @@ def describe_duplicates(stack: LightStack) -> tuple[dict[str, float], str] | Non
             tile_ip = tile_ip[:, np.repeat(stack.mask_hw[row], stack.image_shape[2])]
         for lights in together:
             values_ip = tile_ip[lights].astype(np.float64)
+            values_ip -= values_ip[0]  # so that equal ones differ by nothing, not by the rounding of their mean
             spread += float(np.sum((values_ip - values_ip.mean(axis=0)) ** 2))
             freedom += (len(lights) - 1) * values_ip.shape[1]
     noise_db = -10.0 * math.log10(spread / freedom) if spread > 0.0 else math.inf

@@ -96,7 +96,8 @@ def resolve_names(
         wanted = known.wanted(names[missing[0]])
         raise InputError(f"there is no image {wanted}, which {source} names for {label(missing[0])}{more}")
     return tuple(images), [
-        f"{len(found)} names differ in {how} from the files: {found[0]}" for how, found in kinds.items()
+        f"{len(found)} name{'s differ' if len(found) > 1 else ' differs'} in {how} from the files: {found[0]}"
+        for how, found in kinds.items()
     ]
 
 

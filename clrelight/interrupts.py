@@ -41,7 +41,10 @@ _watch = _Watch()
 
 @contextmanager
 def watch_interrupts() -> Iterator[None]:
-    """Take the signals while the block runs; SIGHUP not where it is ignored, as under nohup."""
+    """Take the signals while the block runs; SIGHUP not where it is ignored, as under nohup.
+
+    The first may come, as KeyboardInterrupt, before the block is entered or when it has just ended.
+    """
     _watch.first, _watch.put_off, _watch.ended = 0, [], False
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -86,8 +89,9 @@ def _awaited(numbers: list[int], wake: int) -> Iterator[None]:
                 _end_at_once()
 
     waiter = threading.Thread(target=wait, name="clrelight-signals", daemon=True)
-    waiter.start()
     try:
+        with holding():  # half a start could not be undone
+            waiter.start()
         yield
     finally:
         ending.set()

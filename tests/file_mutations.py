@@ -6,14 +6,9 @@ byte of each file to 0x00 and then to 0xFF, one at a time.
 """
 
 import faulthandler
-import json
-import resource
-import sys
 import tempfile
-import time
 import zlib
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
 import click
@@ -27,9 +22,13 @@ from clrelight.lighting.light import Light
 from clrelight.results import ROW_DTYPE, Results
 from clrelight.sampling import make_pattern
 from clrelight.store import writing
+from tests import campaign
+from tests.campaign import Tally, bounded
 from tests.hdf5 import content
 
 KINDS = ("stack", "fit", "encoded", "results", "light")
+WAYS = ("files", "refused", "same")
+"""What becomes of files: refused, or read as the sound one, which holds bytes that nobody needs."""
 FREE_BYTES = 1 << 28
 """Address space that reading may take: HDF5 believes sizes that a damaged file claims."""
 MOST_SECONDS = 20.0
@@ -106,17 +105,6 @@ def damage(sound, others, rng):
 _DAMAGES = ("byte", "byte", "bit", "bit", "run", "run", "run", "noise", "inverted", "sector", "cut", "insert", "delete")
 
 
-@dataclass
-class Tally:
-    """What became of the files of a kind: refused, or read as the sound one, which holds bytes that nobody needs."""
-
-    files: int = 0
-    refused: int = 0
-    same: int = 0
-    slowest_ms: float = 0.0
-    failures: list[str] = field(default_factory=list)
-
-
 class Campaign:
     """The sound files of all kinds."""
 
@@ -128,79 +116,53 @@ class Campaign:
 
     def run(self, kind, numbers, seed):
         """Damage files at random and read them."""
-        tally, others = Tally(), list(self.sound.values())
+        tally, others = Tally(*WAYS), list(self.sound.values())
         for number in numbers:
             rng = np.random.default_rng([seed, zlib.crc32(kind.encode()), number])
             damaged = damage(self.sound[kind], others, rng)
             if damaged != self.sound[kind]:
-                self._read(kind, damaged, tally, f"--only {kind} --first {number} --seed {seed}")
+                case = f"--only {kind} --first {number} --seed {seed}"
+                tally.run(case, partial(self._read, kind, damaged), first="files")
         return tally
 
     def run_every(self, kind):
         """Set each byte to 0x00 and to 0xFF, and read the file."""
-        tally = Tally()
+        tally = Tally(*WAYS)
         for at, now in enumerate(self.sound[kind]):
             for value in {0x00, 0xFF} - {now}:
                 damaged = bytearray(self.sound[kind])
                 damaged[at] = value
-                self._read(kind, damaged, tally, f"{kind}: byte {at} set to {value}")
+                tally.run(f"{kind}: byte {at} set to {value}", partial(self._read, kind, damaged), first="files")
         return tally
 
-    def _read(self, kind, damaged, tally, case):
+    def _read(self, kind, damaged):
         self._path.write_bytes(damaged)
-        tally.files += 1
-        start = time.perf_counter()
-        with _bounded():
+        with bounded(FREE_BYTES, MOST_SECONDS):
             try:
                 found = content(kind, self._path)
             except InputError as error:
-                tally.refused += 1
-                if str(self._path) not in str(error) or "\n" in str(error):
-                    tally.failures.append(f"{case}: {error}")
-            except BaseException as error:
-                if isinstance(error, KeyboardInterrupt):
-                    raise
-                tally.failures.append(f"{case}: {error!r}")
+                refused = str(error)
             else:
-                tally.same += 1
-                if found != self._expected[kind]:
-                    tally.failures.append(f"{case}: other values, and no word")
-        tally.slowest_ms = max(tally.slowest_ms, 1e3 * (time.perf_counter() - start))
-
-
-@contextmanager
-def _bounded():
-    """Bound memory, so that an allocation fails, and time, so that the process ends with a traceback."""
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + FREE_BYTES, before[1]))
-    faulthandler.dump_traceback_later(MOST_SECONDS, exit=True)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
-        resource.setrlimit(resource.RLIMIT_AS, before)
+                assert found == self._expected[kind], "other values, and no word"
+                return ["same"]
+        assert str(self._path) in refused, refused
+        assert "\n" not in refused, refused
+        return ["refused"]
 
 
 @click.command()
-@click.option("--count", type=click.IntRange(min=1), default=10000, show_default=True, help="Files in all.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--only", metavar="KIND", type=click.Choice(KINDS))
-@click.option("--first", type=click.IntRange(min=0), default=0, help="Number of the first file of each kind.")
+@campaign.options(10000, "Files")
 @click.option("--every", is_flag=True, help="Set each byte to 0x00 and to 0xFF instead.")
 def main(count, seed, only, first, every):
     """Damage files of every kind and read them; print one JSON object for each kind, exit 1 on a failure."""
     faulthandler.enable()
-    failed = False
-    kinds = (only,) if only else KINDS
+    kinds = [kind for kind in KINDS if only in kind]
     with tempfile.TemporaryDirectory() as folder:
-        campaign = Campaign(folder)
-        for kind in kinds:
-            share = -(-count // len(kinds))
-            tally = campaign.run_every(kind) if every else campaign.run(kind, range(first, first + share), seed)
-            print(json.dumps({"kind": kind, "bytes": len(campaign.sound[kind]), **asdict(tally)}), flush=True)
-            failed |= bool(tally.failures)
-    sys.exit(failed)
+        files = Campaign(folder)
+        numbers = range(first, first - (-count // len(kinds)))
+        campaign.conclude(
+            "kind", ((kind, files.run_every(kind) if every else files.run(kind, numbers, seed)) for kind in kinds)
+        )
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@
 so ``--first 123 --count 1`` repeats one, as far as the machine keeps time.
 """
 
-import json
 import os
 import shutil
 import signal
@@ -12,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
 import click
@@ -23,6 +22,8 @@ from clrelight.dataset import LightStack
 from clrelight.images import write_image
 from clrelight.sampling import make_pattern
 from clrelight.store import write_stack
+from tests import campaign
+from tests.campaign import Tally
 from tests.commands import command_line, environment
 
 OUT = "out.h5"
@@ -42,26 +43,14 @@ PREPARED = {
 ROWS = 8
 """Of the bench."""
 ENDINGS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
+WAYS = ("ended", "late", "absent", "old", "new", "twice")
+"""What becomes of commands that a signal ends: too late for it, the file absent, old or new; of two signals."""
 SIGNALS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")
 _SHARES = (0.35, 0.3, 0.25, 0.1)
 NEAR_SECONDS = 0.01
 """How soon after a temporary file appears the signal comes, where it is to strike a write."""
 _PATIENCE_SECONDS, _WARM_SECONDS = 120, 1.5
 _LEFT_BY_KILL = (f".{OUT}.part", f".{OUT}.lock")
-
-
-@dataclass
-class Tally:
-    """What became of the commands that were ended by one signal."""
-
-    ended: int = 0
-    late: int = 0
-    absent: int = 0
-    old: int = 0
-    new: int = 0
-    twice: int = 0
-    slowest_ms: float = 0.0
-    failures: list[str] = field(default_factory=list)
 
 
 class Campaign:
@@ -102,7 +91,7 @@ class Campaign:
         return rng, str(rng.choice(self.commands)), str(rng.choice(SIGNALS, p=_SHARES))
 
     def run(self, number, seed):
-        """End one command; return what happened, AssertionError where that must not be."""
+        """End one command; return the ways it ended in, and the seconds; AssertionError where that must not be."""
         rng, command, name = self.draw(number, seed)
         old = self.inputs / ("begun.h5" if command == "bench" else "stack.h5") if rng.random() < 0.5 else None
         at_write = rng.random() < 0.5
@@ -133,13 +122,13 @@ class Campaign:
             _, complaint = started.communicate(timeout=_PATIENCE_SECONDS)
         finally:
             started.kill()
-        tally = Tally(ended=1, late=started.returncode == 0, twice=again is not None)
-        tally.slowest_ms = 1e3 * (time.monotonic() - since)
+        ended = time.monotonic()
         self._check_end(name, started.returncode, complaint)
-        self._check_files(name, command, before, tally)
+        ways = [self._check_files(name, command, before)]
+        ways += ["late"] * (started.returncode == 0) + ["twice"] * (again is not None)
         self._finish(self.words(command), self.place)
         self._check_finished(command)
-        return tally
+        return ways, ended - since
 
     def _check_end(self, name, code, complaint):
         number = signal.Signals[name].value
@@ -152,7 +141,7 @@ class Campaign:
         # Before the command begins and once all is done there is nothing to say.
         assert said in ("", line), complaint
 
-    def _check_files(self, name, command, before, tally):
+    def _check_files(self, name, command, before):
         """What stands is whole, and nothing lies beside it that the next command does not take over."""
         strays = sorted(entry for entry in os.listdir(self.place) if entry != OUT)
         assert name == "SIGKILL" or strays == [], strays
@@ -160,12 +149,11 @@ class Campaign:
         path = self.place / OUT
         if not path.exists():
             assert before is None, "the old file is gone"
-            tally.absent = 1
-            return
+            return "absent"
         content = path.read_bytes()
         if before is not None and content == before:
-            tally.old = 1
-        elif command == "bench":
+            return "old"
+        if command == "bench":
             # Holds seconds, so no two are alike; those of rows that were there before are kept.
             with h5py.File(path) as file:
                 found = file["table"][()]
@@ -175,10 +163,9 @@ class Campaign:
                     kept = file["table"][()]
                 assert found[: len(kept)].tobytes() == kept.tobytes()
             assert np.isfinite(found["psnr_mean"]).all()
-            tally.new = 1
         else:
             assert content == self.made[command], "neither the old file nor the new one"
-            tally.new = 1
+        return "new"
 
     def _check_finished(self, command):
         assert os.listdir(self.place) == [OUT], os.listdir(self.place)
@@ -231,34 +218,20 @@ def await_handlers(started):
 
 
 @click.command()
-@click.option("--count", type=click.IntRange(min=1), default=300, show_default=True, help="Commands in all.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--only", metavar="TEXT", default="", help="Only commands whose name holds TEXT.")
-@click.option("--first", type=click.IntRange(min=0), default=0, help="Number of the first case.")
+@campaign.options(300, "Commands")
 @click.option("--progress", is_flag=True, help="Name each case before it is begun.")
 def main(count, seed, only, first, progress):
     """End commands by signals; print one JSON object for each signal, exit 1 on a failure."""
-    tallies = {name: Tally() for name in SIGNALS}
+    tallies = {name: Tally(*WAYS) for name in SIGNALS}
     with tempfile.TemporaryDirectory() as folder:
-        campaign = Campaign(Path(folder), only)
+        commands = Campaign(Path(folder), only)
         for number in range(first, first + count):
-            _, command, name = campaign.draw(number, seed)
+            _, command, name = commands.draw(number, seed)
             if progress:
                 print(f"{number} {command} {name}", file=sys.stderr, flush=True)
-            tally = tallies[name]
-            try:
-                found = campaign.run(number, seed)
-            except (AssertionError, subprocess.TimeoutExpired) as error:
-                tally.ended += 1
-                print(f"{number}: {error}", file=sys.stderr, flush=True)
-                tally.failures.append(f"--first {number} --seed {seed} --only '{only}' ({command}): {error}")
-                continue
-            for key in ("ended", "late", "absent", "old", "new", "twice"):
-                setattr(tally, key, getattr(tally, key) + getattr(found, key))
-            tally.slowest_ms = max(tally.slowest_ms, found.slowest_ms)
-    for name, tally in tallies.items():
-        print(json.dumps({"signal": name, **asdict(tally)}), flush=True)
-    sys.exit(any(tally.failures for tally in tallies.values()))
+            case = f"--first {number} --seed {seed} --only '{only}' ({command})"
+            tallies[name].run(case, partial(commands.run, number, seed), first="ended")
+    campaign.conclude("signal", tallies.items())
 
 
 if __name__ == "__main__":

@@ -8,15 +8,11 @@ from __future__ import annotations
 
 import faulthandler
 import itertools
-import json
 import math
-import resource
 import struct
 import sys
-import time
 import zlib
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
 import click
@@ -25,6 +21,8 @@ import numpy as np
 from clrelight.codec import codec_class, codec_ids, decode, decode_view, encode
 from clrelight.device import open_device
 from clrelight.errors import PayloadError
+from tests import campaign
+from tests.campaign import Tally, bounded
 
 SHAPES = [(4, 5, 9, 3), (4, 6, 7, 1), (1, 6, 7, 1), (4, 1, 13, 2)]
 OPTIONS = {
@@ -141,18 +139,6 @@ def _absurd_size(now, rng):
     return int(rng.choice([*choices, int(rng.integers(1, 1025)) ** 2])) & 0xFFFFFFFF
 
 
-@dataclass
-class Tally:
-    """What became of a family's payloads; `unsealed` are those whose checksum was left as it was."""
-
-    payloads: int = 0
-    unsealed: int = 0
-    refused: int = 0
-    decoded: int = 0
-    slowest_ms: float = 0.0
-    failures: list[str] = field(default_factory=list)
-
-
 class Campaign:
     """The payloads to damage, and the device that decodes them."""
 
@@ -171,7 +157,7 @@ class Campaign:
 
     def run(self, family, numbers, seed, trace):
         """Damage and decode payloads; an exception that is no PayloadError is a failure."""
-        tally = Tally()
+        tally = Tally("payloads", "unsealed", "refused", "decoded")
         for number in numbers:
             rng = np.random.default_rng([seed, zlib.crc32(family.encode()), number])
             original = self.payloads[family][number % len(self.payloads[family])]
@@ -182,25 +168,15 @@ class Campaign:
                 continue
             if trace:
                 print(f"{family} {number}", file=sys.stderr, flush=True)
-            tally.payloads += 1
-            tally.unsealed += not sealed
-            start = time.perf_counter()
-            try:
-                decoded = self._check(payload, sealed, relit=number % RELIT == 0)
-            except BaseException as error:
-                if isinstance(error, KeyboardInterrupt):
-                    raise
-                tally.failures.append(f"--only {family} --first {number} --seed {seed}: {error!r}")
-                continue
-            tally.slowest_ms = max(tally.slowest_ms, 1e3 * (time.perf_counter() - start))
-            tally.decoded += decoded
-            tally.refused += not decoded
+            case = f"--only {family} --first {number} --seed {seed}"
+            tally.counts["unsealed"] += not sealed
+            tally.run(case, partial(self._check, payload, sealed, number % RELIT == 0), first="payloads")
         return tally
 
     def _check(self, payload, sealed, relit):
         """Return whether a damaged payload was decoded; AssertionError where it should not have been."""
         claimed = _claimed(payload)
-        with _bounded(claimed):
+        with bounded(FREE_BYTES + BYTES_EACH * claimed, FREE_SECONDS + SECONDS_EACH * claimed):
             try:
                 values = decode(payload, self.device)
             except PayloadError:
@@ -215,7 +191,7 @@ class Campaign:
                 assert images.dtype == np.float32
                 assert images.shape == (1, *struct.unpack_from("<3I", payload, 10 + payload[5]))
                 assert np.isfinite(images).all()
-        return values is not None
+        return ["refused" if values is None else "decoded"]
 
     def _relight(self, payload):
         """Return an image made without coefficients, which takes the same bytes another way; None if refused."""
@@ -234,37 +210,20 @@ def _claimed(payload):
     return min(math.prod(struct.unpack_from("<4I", payload, at)), (1 << 24) + (len(payload) << 17))
 
 
-@contextmanager
-def _bounded(claimed):
-    """Bound memory, so that an allocation fails, and time, so that the process ends with a traceback."""
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    most = pages * resource.getpagesize() + FREE_BYTES + BYTES_EACH * claimed
-    resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
-    faulthandler.dump_traceback_later(FREE_SECONDS + SECONDS_EACH * claimed, exit=True)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
-        resource.setrlimit(resource.RLIMIT_AS, before)
-
-
 @click.command()
-@click.option("--count", type=click.IntRange(min=1), default=20000, show_default=True, help="Payloads in all.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--only", metavar="TEXT", default="", help="Only families whose name holds TEXT.")
-@click.option("--first", type=click.IntRange(min=0), default=0, help="Number of the first payload of each family.")
+@campaign.options(20000, "Payloads")
 @click.option("--trace", is_flag=True, help="Name each payload before it is decoded, to find what ends the process.")
 def main(count, seed, only, first, trace):
     """Damage payloads of every codec and decode them; print one JSON object for each family, exit 1 on a failure."""
     faulthandler.enable()
-    campaign = Campaign(only)
-    failed = False
-    for family, share in campaign.counts(count).items():
-        tally = campaign.run(family, range(first, first + share), seed, trace)
-        print(json.dumps({"family": family, **asdict(tally)}), flush=True)
-        failed |= bool(tally.failures)
-    sys.exit(failed)
+    payloads = Campaign(only)
+    campaign.conclude(
+        "family",
+        (
+            (family, payloads.run(family, range(first, first + share), seed, trace))
+            for family, share in payloads.counts(count).items()
+        ),
+    )
 
 
 if __name__ == "__main__":

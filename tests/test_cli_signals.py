@@ -177,6 +177,30 @@ def _end_while_open(folder):
         assert os.listdir(folder) == []
 
 
+EARLY = """
+import os, signal, threading, time
+start = threading.Thread.start
+def strike(thread):
+    start(thread)
+    if thread.name == "clrelight-signals":
+        os.kill(os.getpid(), signal.{name})
+        time.sleep(0.5)
+threading.Thread.start = strike
+from clrelight.cli import main
+main(["info", "none.h5"])
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGRTMIN"), reason="there no thread waits for signals")
+@pytest.mark.parametrize(("name", "word"), [("SIGINT", "interrupted"), ("SIGTERM", "terminated")])
+def test_a_signal_before_the_command_begins(name, word):
+    done = subprocess.run(
+        [sys.executable, "-c", EARLY.format(name=name)], env=environment(), capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 128 + getattr(signal, name)
+    assert done.stderr == f"clrelight: {word}; files that were not finished are discarded\n"
+
+
 def test_kills(tmp_path):
     command = [sys.executable, "-m", "tests.kills", "--only", "fit", "--count", "5", "--seed", "4"]
     done = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True)

@@ -162,6 +162,11 @@ def test_noise_of_duplicates_is_found():
     assert note.startswith("180 of 180 photographs share their light's direction with others")
     assert describe_duplicates(stack_of(make_pattern("uniform", 30))) is None
     assert describe_duplicates(stack_of(directions))[0]["noise_db"] == np.inf
+    codes = np.arange(1, 256, dtype=np.uint8).reshape(1, 5, 51, 1)  # a 255th of which float64 rounds, and their means
+    equal = LightStack(np.repeat(codes, 12, axis=0), np.repeat(make_pattern("uniform", 1), 12, axis=0), 255.0)
+    facts, note = describe_duplicates(equal)
+    assert facts["noise_db"] == np.inf
+    assert "and do not differ: they are" in note
 
 
 def test_the_commands_print_the_distance(tmp_path):

@@ -40,6 +40,9 @@ def test_names_in_another_case(tmp_path):
     )
     assert found == ["Lion1.JPG", "lion2.jpg", "jpg/Lion3.jpg"]
     assert notes == ["3 names differ in case or accents from the files: lion1.jpg is Lion1.JPG"]
+    assert resolve(tmp_path, "LION2.jpg")[1] == [
+        "1 name differs in case or accents from the files: LION2.jpg is lion2.jpg"
+    ]
 
 
 @pytest.mark.parametrize("written", ["NFC", "NFD"])

@@ -51,24 +51,39 @@ for module in (machines, files, light_plans, fitting, coding, images, export, li
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code; what is no user's fault goes on as the exception that it is."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    with watch_interrupts():
-        try:
-            # Not cli.main, which ends the program by itself at a broken pipe.
-            with cli.make_context("clrelight", words) as context:
-                cli.invoke(context)
-            sys.stdout.flush()
-            code, message = 0, ""
-        except BaseException as error:
-            # What comes after a signal comes of it, whatever it says: an import cut short, say.
-            ending = end_watch() or _explain(error)
-            if ending is None:
-                raise
-            code, message = ending
+    try:
+        with watch_interrupts():
+            return _say(*_run(words))
+    except KeyboardInterrupt:
+        ending = end_watch()
+        if ending is None:
+            raise
+        return _say(*ending)
+
+
+def _run(words: list[str]) -> tuple[int, str]:
+    """Run a command; return its exit code and what is to be said of it."""
+    try:
+        # Not cli.main, which ends the program by itself at a broken pipe.
+        with cli.make_context("clrelight", words) as context:
+            cli.invoke(context)
+        sys.stdout.flush()
+        return 0, ""
+    except BaseException as error:
+        # What comes after a signal comes of it, whatever it says: an import cut short, say.
+        ending = end_watch() or _explain(error)
+        if ending is None:
+            raise
+        return ending
+    finally:
         end_watch()
-        if message:
-            with suppress(OSError, ValueError):  # nobody may be there to read it
-                print(message, file=sys.stderr)
-        return code
+
+
+def _say(code: int, message: str) -> int:
+    if message:
+        with suppress(OSError, ValueError):  # nobody may be there to read it
+            print(message, file=sys.stderr)
+    return code
 
 
 def _explain(error: BaseException) -> tuple[int, str] | None:
