@@ -41,9 +41,7 @@ _MARK = "# The setting that clrelight trade chose:"
     "--config", type=click.Path(), metavar="FILE.toml", help="Where the setting to use is written; default: OUT.toml."
 )
 @click.option("--methods", type=Names(), help="Fits; default: those of auto.")
-@click.option(
-    "--degrees", type=Numbers(int, "4,6,8"), help="SH degrees, tried upwards; default: auto's, 0 to 25."
-)
+@click.option("--degrees", type=Numbers(int, "4,6,8"), help="SH degrees, tried upwards; default: auto's, 0 to 25.")
 @click.option("--iterations", type=Numbers(int, "8,32"), help="Bisection steps of cls; default 4,8,16,32.")
 @click.option("--newton-steps", type=Numbers(int, "1,2"), help="Newton steps of cls; default 1,2,4,8.")
 @click.option("--precisions", type=Names(), help="Precisions beside mixed; default single,double where they differ.")
