@@ -106,9 +106,11 @@ def markdown_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str
 def draw_pictures(folder: Path, results: Sequence[StackResult], ways: Sequence[Way]) -> dict[Path, str]:
     """Draw the stacks on which the first way is at its median and at its worst; return the files and a line about each.
 
-    Worst and median are of how far it lies above the best of the other ways.
+    Worst and median are of how far it lies above the best of the RTI tools' ways, or of all where none is measured.
     """
-    first, others = ways[0], ways[1:]
+    first = ways[0]
+    theirs = [way for way in ways[1:] if not way.is_fit]
+    others, whose = (theirs, "of the RTI tools' ways") if theirs else (list(ways[1:]), "other way")
     done = [r for r in results if np.isfinite(r.psnr(first)) and any(np.isfinite(r.psnr(way)) for way in others)]
     if not done:
         return {}
@@ -118,7 +120,7 @@ def draw_pictures(folder: Path, results: Sequence[StackResult], ways: Sequence[W
     for what, place in (("median", order[len(order) // 2]), ("worst", order[0])):
         path = folder / f"rti_{what}.png"
         _draw(path, done[place], ways)
-        beside = f"{abs(margin[place]):.2f} dB {'above' if margin[place] >= 0 else 'below'} the best other way"
+        beside = f"{abs(margin[place]):.2f} dB {'above' if margin[place] >= 0 else 'below'} the best {whose}"
         drawn[path] = f"{done[place].name}, the {what} stack: {first.label} is {beside} over all unseen lights"
     return drawn
 
@@ -135,7 +137,8 @@ def _draw(path: Path, result: StackResult, ways: Sequence[Way]) -> None:
     ranked = sorted(able[1:], key=lambda way: -result.psnr(way))
     # The first way, the two best of ours and theirs that are left, and the most usual one.
     theirs = [way for way in ranked if not way.is_fit]
-    shown = [able[0], *(way for way in ranked if way.is_fit)][:2] + theirs[:1] + theirs[-1:]
+    rivals = [way for way in ranked if way.is_fit and result.psnr(way) != result.psnr(able[0])]  # auto is one of ours
+    shown = [able[0], *rivals[:1], *theirs[:1], *theirs[-1:]]
     panels = [("photograph, not fitted", result.photograph)]
     for way in dict.fromkeys(shown):
         image = result.found[way].example

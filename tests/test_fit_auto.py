@@ -14,6 +14,7 @@ from clrelight.fit.places import spread_points
 from clrelight.fit.prediction import Trials, try_method
 from clrelight.fit.samples import Samples
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.holdout import split_chosen
 from clrelight.ingest import ingest_folder
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.sampling import make_pattern
@@ -330,6 +331,30 @@ def test_photographs_are_foretold(device, real_data, tmp_path):
             spline = mean_psnr(fit(stack.select(kept), "spline", 15, options={"lam": 1e-3}), rest)
             assert reached > spline - 0.15
             assert prepared.choice.chosen.predicted == pytest.approx(reached, abs=3.0 if count == 9 else 1.5)
+
+
+@pytest.mark.parametrize("item", ["item2", "item3", "item12"])
+def test_objects_are_foretold_or_said_to_be_unknown(device, real_data, tmp_path, item):
+    folder = real_data / "stacks" / "realrti" / item
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there")
+    ingest_folder(folder, tmp_path / "stack.h5")
+    with open_stack(tmp_path / "stack.h5") as stack:
+        some = Samples(stack, 6000).stack
+    fitted, held = split_chosen(some.directions_i3, 5)
+    seen, unseen = some.select(fitted), some.select(held)
+    prepared = prepare_fit(seen, "auto", "auto", unseen_t3=unseen.directions_i3)
+    reached = mean_psnr(collect_fit(prepared), unseen)
+    predicted = prepared.choice.chosen.predicted
+    if item == "item3":  # most lights near the zenith are held out, where it flashes
+        assert predicted is None
+        assert "it depends on where the light is" in prepared.choice.note
+    else:
+        assert predicted == pytest.approx(reached, abs=1.5)
+        assert (
+            reached
+            > max(mean_psnr(fit(seen, "spline", 15, options={"lam": lam}), unseen) for lam in (3e-4, 1e-3)) - 0.3
+        )
 
 
 def test_held_out_lights_are_not_seen(device):
