@@ -16,8 +16,7 @@ COLUMN_PADDING = 16
 """Arrays that stay on the device have columns padded to a multiple of this, so that kernels need no tail."""
 
 _CHUNK = 256
-_DEPTH = 128
-_SHORT = 64
+_DEPTH = 64
 _MAX_TILE = 256
 _FEW_ROWS, _FEW_ROWS_SUMS = 4, 4096
 """Most rows that are summed at once, and sums that a work-item then keeps: it reads the source page by page."""
@@ -74,14 +73,14 @@ def tile_defines(device: Device, real: np.dtype = _FLOAT32) -> dict[str, object]
     while tile > 2 * vector and tile * size * (_CHUNK + 8) > device.info.local_memory_bytes:
         tile //= 2
     chunk = _CHUNK
-    while chunk > _SHORT and tile * size * (chunk + 8) > device.info.local_memory_bytes:
+    while chunk > _DEPTH and tile * size * (chunk + 8) > device.info.local_memory_bytes:
         chunk //= 2
-    return {"VECTOR": vector, "TILE": tile, "CHUNK": chunk, "DEPTH": min(_DEPTH, chunk)}
+    return {"VECTOR": vector, "TILE": tile, "CHUNK": chunk, "DEPTH": _DEPTH}
 
 
 def short_tile(count: int) -> dict[str, object]:
     """Return what to define otherwise for a source of `count` rows: relighting has few, in a tile near the core."""
-    return {"CHUNK": _SHORT, "DEPTH": _SHORT} if count <= _SHORT else {}
+    return {"CHUNK": _DEPTH} if count <= _DEPTH else {}
 
 
 def sample_defines(dtype: np.dtype, real: np.dtype = _FLOAT32) -> dict[str, object]:

@@ -385,8 +385,8 @@ def test_bombs_are_refused_before_memory_is_taken(tmp_path):
         (tmp_path / folder / "light_directions.txt").write_text("0 0 1\n")
     before = sorted(path.name for path in tmp_path.iterdir())
     program = (
-        "import resource, sys\nfrom clrelight.cli.app import run\ncode = run(sys.argv[1:])\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)\nsys.exit(code)"
+        "import sys\nfrom clrelight.cli.app import run\nfrom clrelight.speed.job import peak_memory\n"
+        "code = run(sys.argv[1:])\nprint(peak_memory() >> 20)\nsys.exit(code)"
     )
     for arguments in (
         ("ingest", "a", "o.h5"),

@@ -113,6 +113,7 @@ class ConstrainedLeastSquares(FitMethod):
             self.iterations,
             *z_rq.shape,
             defines={
+                "N_COMPONENT": z_rq.shape[0],
                 "PAIRED": int(columns.precision == DOUBLE or plan.singular_r.min() ** 4 > _SMALLEST_PRODUCT),
                 "ARITHMETIC": int(self.solver == "paper"),
                 "ONTO_BOUND": int(self.solver == "newton" and not self.ends),

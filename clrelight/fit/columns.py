@@ -17,8 +17,8 @@ def launch_columns(
     device: Device, file: str, kernel: str, z_rq: DeviceArray, *arguments: Any, defines: Mapping[str, object]
 ) -> None:
     """Queue a kernel of ``fit/`` over all columns of `z_rq`, its first argument; its size and type are defined here."""
-    components, columns = z_rq.shape
-    defines = {"N_COMPONENT": components, "REAL_BITS": 8 * z_rq.dtype.itemsize, **defines}
+    columns = z_rq.shape[1]
+    defines = {"REAL_BITS": 8 * z_rq.dtype.itemsize, **defines}
     if device.style == "gpu":
         across = -(-columns // _GROUP) * _GROUP
         device.launch(f"gpu/{file}", kernel, (across,), z_rq, *arguments, defines=defines, local_size=(_GROUP,))

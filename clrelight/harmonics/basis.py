@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.harmonics.index import coefficient_count, coefficient_index
+from clrelight.harmonics.index import coefficient_count, coefficient_index, indices_of
 
 MAX_DEGREE = 100
 """Largest degree whose accuracy is tested."""
@@ -56,3 +56,11 @@ def evaluate_basis(directions_i3: NDArray, degree: int) -> NDArray[np.float64]:
                 basis_ik[:, coefficient_index(l, m)] = np.sqrt(2.0) * polynomial * turn.real
                 basis_ik[:, coefficient_index(l, -m)] = np.sqrt(2.0) * polynomial * turn.imag
     return basis_ik
+
+
+def legendre_tables(theta_h: NDArray[np.float64], degree: int) -> list[NDArray[np.float64]]:
+    """Return, for m = 0 .. degree, the rows l = m .. degree of ``y_lm(theta, phi = 0)``, each (degree + 1 - m, n)."""
+    meridian_h3 = np.stack([np.sin(theta_h), np.zeros_like(theta_h), np.cos(theta_h)], axis=1)
+    basis_hk = evaluate_basis(meridian_h3, degree)
+    l = np.arange(degree + 1)
+    return [np.ascontiguousarray(basis_hk[:, indices_of(l[m:], m)].T) for m in range(degree + 1)]

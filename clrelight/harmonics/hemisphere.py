@@ -7,8 +7,8 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.harmonics.basis import legendre_tables
 from clrelight.harmonics.index import coefficient_count, degree_of, indices_of
-from clrelight.harmonics.latlong import legendre_tables
 
 
 @functools.lru_cache(maxsize=4)

@@ -11,7 +11,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.basis import legendre_tables
 from clrelight.harmonics.index import coefficient_count, degree_of, indices_of
 
 _FFT_THREADS = 2
@@ -96,14 +96,6 @@ def _latlong_plan(height: int, degree: int) -> _LatlongPlan:
     l = np.arange(degree + 1)
     index = tuple((indices_of(l[m:], m), indices_of(l[m:], -m)) for m in range(degree + 1))
     return _LatlongPlan(tuple(table * weight_h for table in tables), index)
-
-
-def legendre_tables(theta_h: NDArray[np.float64], degree: int) -> list[NDArray[np.float64]]:
-    """Return, for m = 0 .. degree, the rows l = m .. degree of ``y_lm(theta, phi = 0)``, each (degree + 1 - m, n)."""
-    meridian_h3 = np.stack([np.sin(theta_h), np.zeros_like(theta_h), np.cos(theta_h)], axis=1)
-    basis_hk = evaluate_basis(meridian_h3, degree)
-    l = np.arange(degree + 1)
-    return [np.ascontiguousarray(basis_hk[:, indices_of(l[m:], m)].T) for m in range(degree + 1)]
 
 
 def synthesize_latlong(coeffs_kc: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64]:

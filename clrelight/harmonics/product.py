@@ -9,8 +9,9 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
+from clrelight.harmonics.basis import legendre_tables
 from clrelight.harmonics.index import coefficient_count, degree_of, indices_of
-from clrelight.harmonics.latlong import legendre_tables, project_latlong, synthesize_latlong
+from clrelight.harmonics.latlong import project_latlong, synthesize_latlong
 
 MAX_TENSOR_ENTRIES = 1 << 23
 """Most triple integrals that are kept, 130 MB of them; degree 20 with itself has 1.8 million."""

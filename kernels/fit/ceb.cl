@@ -32,7 +32,7 @@ __kernel void truncate_rq(__global REAL *restrict z_rq, __global int *restrict r
     const lanes energy = LOAD_LANES(energy_q + q) * (1.0f + ROUNDING);
     lanes sum = 0.0f;
     lanes_mask keeping = -1, rank = 0;
-    for (int first = 0; first < N_COMPONENT;) {
+    for (int first = 0; first < size_r;) {
         const int end = end_r[first];
 #if CROSSING
         keeping &= sum < energy;

@@ -20,6 +20,7 @@
  * lambda, so the iteration comes from the left and never overshoots. It starts where no t_r alone exceeds sqrt(E):
  * below that, t^2/(s + lambda) overflows once s spans more than some twenty decades.
  *
+ *   N_COMPONENT R, fixed so that a column fits private memory
  *   PAIRED      1 where the product of two sigma^2 is a normal number, else 0
  *   ARITHMETIC  1 for the bisection as the paper has it, else 0
  *   ONTO_BOUND  1 where Newton gets too few steps to end: it is then below lambda, and t is scaled by sqrt(E/f) where f
@@ -28,6 +29,9 @@
 #include "common/columns.clh"
 #include "fit/bound.clh"
 
+#ifndef N_COMPONENT
+#error "N_COMPONENT must be defined: the number of rows"
+#endif
 #ifndef PAIRED
 #error "PAIRED must be defined: 1 where the product of two sigma^2 is a normal number, else 0"
 #endif

@@ -11,7 +11,7 @@ __kernel void scale_rq(__global REAL *restrict z_rq, __global const REAL *restri
                        const int size_q, const int size_c)
 {
     const int q = get_global_id(0) * LANES;
-    for (int r = 0; r < N_COMPONENT; r++) {
+    for (int r = 0; r < size_r; r++) {
         __global REAL *row = z_rq + (long)r * size_q + q;
         for (int lane = 0; lane < LANES; lane++) row[lane] *= factor_rc[r * size_c + (q + lane) % size_c];
     }

@@ -1,13 +1,11 @@
 /* Constrained eigenbasis for GPUs: see fit/ceb.cl for the equations, the arrays and CROSSING.
  *
- *   N_COMPONENT   R
- *
  * A work-item takes one column, its neighbours adjacent q.
  */
 #include "fit/bound.clh"
 
-#if !defined(N_COMPONENT) || !defined(CROSSING)
-#error "N_COMPONENT and CROSSING must be defined"
+#ifndef CROSSING
+#error "CROSSING must be defined: 0 or 1"
 #endif
 
 __kernel void truncate_rq(__global REAL *restrict z_rq, __global int *restrict rank_q,
@@ -19,7 +17,7 @@ __kernel void truncate_rq(__global REAL *restrict z_rq, __global int *restrict r
     const REAL energy = energy_q[q] * (1.0f + ROUNDING);
     REAL sum = 0.0f;
     int keeping = 1, rank = 0;
-    for (int first = 0; first < N_COMPONENT;) {
+    for (int first = 0; first < size_r;) {
         const int end = end_r[first];
 #if CROSSING
         keeping &= sum < energy;
