@@ -116,7 +116,7 @@ class Bench:
         self.fit_stack = stack if len(self.fitted) == stack.n_light else stack.select(self.fitted)
         self.survey = survey or survey_stack(stack)
         self._fit: tuple[tuple, CoefficientMap, FitMethod, float] | None = None
-        self._warm: list[Codec] = []
+        self._warm: list[dict[str, Any]] = []
 
     def check_earlier(self, results: Results, out: str | os.PathLike[str]) -> None:
         """Raise InputError if rows of this name were measured on other images: a report would mix them."""
@@ -275,8 +275,10 @@ class Bench:
 
     def _warm_up(self, codec: Codec, coeffs_khwc: NDArray[np.float32]) -> None:
         """Build a codec's kernels on a corner of the maps, once for all its rows, apart from the times of any."""
-        if codec not in self._warm:
-            self._warm.append(codec)
+        # Codecs build by their settings, but for the rate.
+        kind = codec.to_config() | {"id": codec.id, "rate": None}
+        if kind not in self._warm:
+            self._warm.append(kind)
             with suppress(InputError):  # what it refuses here it may take as a whole, or refuses there
                 corner_khwc = np.ascontiguousarray(coeffs_khwc[:, :_CORNER, :_CORNER])
                 decode(encode(corner_khwc, codec, self.device).to_bytes(), self.device)

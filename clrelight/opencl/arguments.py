@@ -22,6 +22,7 @@ _DTYPES: dict[str, tuple[str, ...]] = {
     "float": ("float32",),
     "double": ("float64",),
 }
+_ACCEPTED = {element: frozenset(map(np.dtype, names)) for element, names in _DTYPES.items()}
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def _check_array(where: str, type_name: str, name: str, value: Any, extents: dic
     element = type_name.rstrip("* ").rstrip("0123456789")
     if not isinstance(value, DeviceArray):
         raise TypeError(f"{where}: {name} must be an array on the device, got {type(value).__name__}")
-    if value.dtype.name not in _DTYPES[element]:
+    if value.dtype not in _ACCEPTED[element]:  # a name takes long to make
         raise TypeError(f"{where}: {name} is {type_name}, which takes {_DTYPES[element][0]}, got {value.dtype.name}")
     letters = name.rsplit("_", 1)[-1]
     if len(value.shape) != len(letters):
@@ -65,7 +66,7 @@ def _check_array(where: str, type_name: str, name: str, value: Any, extents: dic
 
 
 def _check_scalar(where: str, type_name: str, name: str, value: Any, extents: dict[str, tuple[int, str]]) -> Any:
-    if isinstance(value, DeviceArray) or np.ndim(value) != 0:
+    if not isinstance(value, int | float | np.generic) and (isinstance(value, DeviceArray) or np.ndim(value) != 0):
         raise TypeError(f"{where}: {name} must be one {type_name}, got {type(value).__name__}")
     dtype = np.dtype(_DTYPES[type_name][0])
     if dtype.kind in "iu" and not isinstance(value, int | np.integer):

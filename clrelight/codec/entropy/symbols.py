@@ -60,7 +60,13 @@ def class_floor(index: int) -> int:
 
 def zero_order_bits(magnitudes: NDArray[np.integer]) -> float:
     """Return the zero-order entropy of integers, given their magnitudes: symbols, raw bits and signs."""
-    counts = np.bincount(symbols_of(magnitudes).ravel(), minlength=ALPHABET)
+    values = magnitudes.ravel()
+    if values.max(initial=0) < _LOOKUP:
+        # Counting values first spares looking up the symbol of each.
+        times = np.bincount(values)
+        counts = np.bincount(_SYMBOL_OF[: len(times)], weights=times, minlength=ALPHABET)
+    else:
+        counts = np.bincount(symbols_of(values), minlength=ALPHABET)
     seen = counts[counts > 0]
     entropy = float((seen * (np.log2(magnitudes.size) - np.log2(seen))).sum())
     return entropy + float(counts @ RAW_BITS) + float(counts[1:].sum())

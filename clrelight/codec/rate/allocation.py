@@ -69,10 +69,11 @@ class TransformedMaps:
             for index_hw, values_hw in zip(self._quantise(k, step), self._values(k), strict=True):
                 magnitudes = np.abs(index_hw)
                 entropy += sum(zero_order_bits(magnitudes[band.rows, band.columns]) for band in self._bands)
-                difference = magnitudes - np.abs(values_hw) * np.float32(1.0 / step)
+                exact = np.abs(values_hw) * np.float32(1.0 / step)
                 for i, chosen in enumerate((magnitudes == 1, magnitudes > 1)):
-                    excess[i] += float(difference.sum(where=chosen, dtype=np.float64))
-                    counts[i] += np.count_nonzero(chosen)
+                    meant = exact[chosen]
+                    excess[i] += float(magnitudes[chosen].sum(dtype=np.int64) - meant.sum(dtype=np.float64))
+                    counts[i] += meant.size
         biases = np.clip(np.rint(BIAS_SCALE * excess / np.maximum(counts, 1.0)), -128, 127).astype(int)
         return (int(biases[0]), int(biases[1])), entropy
 
