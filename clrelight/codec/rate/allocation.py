@@ -107,9 +107,9 @@ def statistics_for(code: int, shared: Statistics) -> Statistics:
 
 
 def _count(maps: TransformedMaps, statistics: Statistics, k: int, code: int) -> float:
-    counter = BitCounter()
-    maps.run(counter, statistics.copy(), k, code)
-    return counter.bits
+    encoder = maps.encoder()
+    maps.run(encoder, statistics.copy(), k, code)
+    return 8.0 * encoder.byte_count
 
 
 class _Trials:
@@ -173,7 +173,7 @@ def _find_limited(maps: TransformedMaps, samples: dict[int, Sample], budget: int
     """Return the maps that cannot use an equal share, what they leave being shared by the others."""
     full = {k: sample.bits(0) for k, sample in samples.items()}
     limited: list[int] = []
-    left = 0.999 * budget - 64.0  # counts are not yet bytes
+    left = 0.999 * budget - 64.0  # one after another they take other bytes than alone
     for k in sorted(full, key=lambda k: (full[k], k)):
         share = left / (len(full) - len(limited))
         if full[k] > 3.0 * share:
