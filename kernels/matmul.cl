@@ -43,7 +43,7 @@ __kernel void apply_operator_mq(__global REAL *restrict out_mq,
         int m = 0;
         for (int b = 0; b < size_b; b++) {
             const int height = heights_b[b];
-            apply_block(height, tile, IN_PANELS, operator + i0 * height, rows, sums, 1);
+            apply_block(height, tile, operator + i0 * height, rows, sums, 1);
             for (int r = 0; r < height; r++)
                 store_row(out_mq + (long)(m + r) * size_q + first, (__local const REAL *)(sums + r * TILE_VECTORS),
                           wanted, i0 > 0);

@@ -56,12 +56,12 @@ typedef vecd __attribute__((aligned(8))) vecd_at;
 #define KEEP_SUM(t) AT(__local, vecd, sums + t * VECTOR) += low_##t;
 #endif
 
-/* sums[t][c] += sum over rows of last[i][t] tile[i][c], for one vector of columns of a tile in panels. */
+/* sums[t][c] += sum over rows of last[i][t] tile[i][c], for one vector of columns. */
 INLINE void sum_last(__local double *sums, __local const vecf *tile, __global const double *last, const int rows)
 {
     EACH_LAST(DECLARE_SUM)
     for (int i = 0; i < rows; i++) {
-        const vecf samples = tile[2 * i];
+        const vecf samples = tile[i * TILE_VECTORS];
 #if VECTOR == 16
         const double8 low = CONVERT(samples.lo, double8), high = CONVERT(samples.hi, double8);
 #else
@@ -143,7 +143,7 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
         __global const float *operator = analysis_a;
         for (int k = 0; k < size_b; k++) {
             const int height = heights_b[k];
-            apply_block(height, tile, IN_PANELS, operator + i0 * height, rows, out, i0 == 0);
+            apply_block(height, tile, operator + i0 * height, rows, out, i0 == 0);
             operator += (long)height * size_i;
             out += height * TILE_VECTORS;
         }
@@ -171,7 +171,7 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
             const int rows = LESSER(CHUNK, size_i - i0);
             if (size_i > CHUNK) load_tile(tile, source_ip, i0, rows, first, filled, size_p, curve_v, scale);
             for (int v = 0; v < TILE_VECTORS; v++)
-                if (again[v]) sum_last(exact + v * LAST * VECTOR, tile + IN_TILE(0, v), last_it + (long)i0 * LAST, rows);
+                if (again[v]) sum_last(exact + v * LAST * VECTOR, tile + v, last_it + (long)i0 * LAST, rows);
         }
         for (int v = 0; v < TILE_VECTORS; v++) {
             if (!again[v]) continue;
@@ -197,7 +197,7 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
     int k = 0;
     for (int c = 0; c < size_c; c++) {
         const int height = heights_c[c];
-        apply_block(height, z, IN_ROWS, operator, N_COMPONENT, sums, 1);
+        apply_block(height, z, operator, N_COMPONENT, sums, 1);
         for (int r = 0; r < height; r++)
             store_row(coeffs_kp + (long)(k + r) * size_p + first, (__local const float *)(sums + r * TILE_VECTORS),
                       filled, 0);

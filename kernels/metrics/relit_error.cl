@@ -117,7 +117,7 @@ __kernel void sum_relit_error_mn(__global float *restrict error_mn, __global con
             const int rows = LESSER(CHUNK, size_k - k0);
             if (b == 0 || size_k > CHUNK)
                 load_coeffs((__local float *)tile, coeffs_kp, k0, rows, column, count, size_p);
-            apply_block(height, tile, IN_ROWS, operator + k0 * height, rows, sums, k0 == 0);
+            apply_block(height, tile, operator + k0 * height, rows, sums, k0 == 0);
         }
         for (int r = 0; r < height; r++, m++)
             error_mn[(long)m * size_n + n] = sum_errors(sums + r * TILE_VECTORS, source_mp + (long)m * size_p + column,
