@@ -115,3 +115,10 @@ def test_the_verbs_know_no_command_line():
         text = (path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_text(encoding="utf-8")
         assert "import click" not in text, module
         assert "from rich" not in text, module
+
+
+def test_the_command_line_starts_no_threads_before_it_watches_signals():
+    """NumPy's BLAS starts threads, which would take signals that only the watching thread is to get."""
+    code = "import sys, clrelight.cli.app; print(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"numpy", "scipy", "h5py", "pyopencl"}

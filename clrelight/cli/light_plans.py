@@ -16,7 +16,6 @@ from clrelight.cli.output import print_facts, print_json, print_notes
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
-from clrelight.harmonics.index import coefficient_count
 
 if TYPE_CHECKING:
     import numpy as np
@@ -66,8 +65,8 @@ class _Lights:
         """Return `count`, and others beside it: from the fewest that the degree can be fitted to."""
         if self.directions_i3 is not None:
             n_light = len(self.directions_i3)
-            return tuple(sorted({min(coefficient_count(self.degree), n_light), -(-n_light // 2), count, n_light}))
-        return tuple(sorted({coefficient_count(self.degree), count, 3 * count // 2, 2 * count, 4 * count}))
+            return tuple(sorted({min((self.degree + 1) ** 2, n_light), -(-n_light // 2), count, n_light}))
+        return tuple(sorted({(self.degree + 1) ** 2, count, 3 * count // 2, 2 * count, 4 * count}))
 
 
 @click.command(name="plan-lights")

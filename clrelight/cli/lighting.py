@@ -23,7 +23,6 @@ from clrelight.cli.output import print_facts, print_json, print_notes, seconds_l
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
-from clrelight.harmonics.index import coefficient_count
 
 if TYPE_CHECKING:
     from clrelight.lighting.environment import Environment
@@ -246,7 +245,7 @@ def light(
     since = time.perf_counter()
     write_light(out, made)
     seconds["write"] = time.perf_counter() - since
-    first_kc = made.coeffs_kc[: coefficient_count(_PRINTED_DEGREE)]
+    first_kc = made.coeffs_kc[: (_PRINTED_DEGREE + 1) ** 2]
     if as_json:
         facts = {"file": out, "degree": made.degree, "channels": made.channels, "source": made.source}
         facts.update({"axes": made.axes, "config": dict(made.config), "coefficients": first_kc, "mean": lobes.mean})
@@ -414,7 +413,7 @@ def _cut(light: Light, degree: int | None) -> Light:
         return light
     if degree > light.degree:
         raise InputError(f"the light has degree {light.degree}, it cannot be cut to {degree}")
-    return replace(light, coeffs_kc=light.coeffs_kc[: coefficient_count(degree)].copy())
+    return replace(light, coeffs_kc=light.coeffs_kc[: (degree + 1) ** 2].copy())
 
 
 COMMANDS = (light, irradiance)
