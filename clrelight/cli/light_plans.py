@@ -63,10 +63,13 @@ class _Lights:
 
     def default_counts(self, count: int) -> tuple[int, ...]:
         """Return `count`, and others beside it: from the fewest that the degree can be fitted to."""
+        from clrelight.harmonics.index import coefficient_count
+
+        fewest = coefficient_count(self.degree)
         if self.directions_i3 is not None:
             n_light = len(self.directions_i3)
-            return tuple(sorted({min((self.degree + 1) ** 2, n_light), -(-n_light // 2), count, n_light}))
-        return tuple(sorted({(self.degree + 1) ** 2, count, 3 * count // 2, 2 * count, 4 * count}))
+            return tuple(sorted({min(fewest, n_light), -(-n_light // 2), count, n_light}))
+        return tuple(sorted({fewest, count, 3 * count // 2, 2 * count, 4 * count}))
 
 
 @click.command(name="plan-lights")

@@ -197,6 +197,7 @@ def light(
 
     import numpy as np
 
+    from clrelight.harmonics.index import coefficient_count
     from clrelight.lighting.environment import read_environment
     from clrelight.lighting.lamps import cast_shadow
     from clrelight.lighting.light import apply_window, set_coefficients
@@ -245,7 +246,7 @@ def light(
     since = time.perf_counter()
     write_light(out, made)
     seconds["write"] = time.perf_counter() - since
-    first_kc = made.coeffs_kc[: (_PRINTED_DEGREE + 1) ** 2]
+    first_kc = made.coeffs_kc[: coefficient_count(_PRINTED_DEGREE)]
     if as_json:
         facts = {"file": out, "degree": made.degree, "channels": made.channels, "source": made.source}
         facts.update({"axes": made.axes, "config": dict(made.config), "coefficients": first_kc, "mean": lobes.mean})
@@ -409,11 +410,13 @@ def _project(
 def _cut(light: Light, degree: int | None) -> Light:
     from dataclasses import replace
 
+    from clrelight.harmonics.index import coefficient_count
+
     if degree is None:
         return light
     if degree > light.degree:
         raise InputError(f"the light has degree {light.degree}, it cannot be cut to {degree}")
-    return replace(light, coeffs_kc=light.coeffs_kc[: (degree + 1) ** 2].copy())
+    return replace(light, coeffs_kc=light.coeffs_kc[: coefficient_count(degree)].copy())
 
 
 COMMANDS = (light, irradiance)

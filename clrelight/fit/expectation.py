@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.fit.places import find_zones, list_unseen
-from clrelight.fit.prediction import Trials, krige_left_out
+from clrelight.fit.places import find_zones, list_unseen, mutual_angles, nearest_angles
+from clrelight.fit.prediction import LEAST_ERROR, Trials, krige_left_out
 from clrelight.fit.zonal import LARGEST_DEGREE, ZonalModel
 from clrelight.harmonics.basis import evaluate_basis
 
@@ -20,7 +20,6 @@ _WIDEST, _WIDEST_OF_FEW, _FEW = 1.5, 3.0, 10
 _FARTHEST = 0.25
 _UNSEEN = (1.0 / 255.0) ** 2
 """A squared error of one 8-bit code value."""
-_LEAST_ERROR = 1e-13
 _KINDER = 0.3
 """Errors in the gaps of a few lights, in units of those at lights left out, at best."""
 _DB = 10.0 / np.log(10.0)
@@ -80,7 +79,7 @@ def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float
     weight_tg = _weigh_neighbours(targets_t3, directions_g3)
     step_t = np.log(model.variance_at(targets_t3)) - weight_tg @ np.log(judged_g)
     psnr_t = -_DB * (weight_tg @ np.log(error_g) + _find_law(model, trials, error_g, judged_g) * step_t)
-    near_t = np.arccos(np.clip((targets_t3 @ directions_g3.T).max(axis=1), -1.0, 1.0))
+    near_t = nearest_angles(targets_t3, directions_g3)
     density_t = np.ones(len(targets_t3)) if given else _find_density(targets_t3, directions_g3, trials.gap)
     weight_t = density_t / density_t.sum()
     psnr = float(weight_t @ psnr_t)
@@ -107,7 +106,7 @@ def _judge_zones(model: ZonalModel, trials: Trials, part: float) -> tuple[NDArra
     """Return squared error and variance at lights left out with all nearer than a part of a gap's radius."""
     zones = find_zones(trials.places.directions_g3, part * trials.gap)
     predicted_gp, judged_g = krige_left_out(model, trials.mean_gp, zones)
-    return np.maximum(trials.measure(predicted_gp, trials.mean_gp), _LEAST_ERROR), judged_g
+    return np.maximum(trials.measure(predicted_gp, trials.mean_gp), LEAST_ERROR), judged_g
 
 
 def _find_law(model: ZonalModel, trials: Trials, error_g: NDArray[np.float64], judged_g: NDArray[np.float64]) -> float:
@@ -133,7 +132,7 @@ def _find_range(psnr_t: NDArray[np.float64], weight_t: NDArray[np.float64]) -> t
 
 
 def _weigh_neighbours(targets_t3: NDArray[np.float64], directions_g3: NDArray[np.float64]) -> NDArray[np.float64]:
-    angle = np.arccos(np.clip(directions_g3 @ directions_g3.T, -1.0, 1.0)) + 4.0 * np.eye(len(directions_g3))
+    angle = mutual_angles(directions_g3) + 4.0 * np.eye(len(directions_g3))
     width = 1.0 - np.cos(np.median(angle.min(axis=1)) + 1e-6)
     near_tg = (targets_t3 @ directions_g3.T - 1.0) / width
     weight_tg = np.exp(near_tg - near_tg.max(axis=1, keepdims=True))
@@ -153,7 +152,7 @@ def least_degree(model: ZonalModel, trials: Trials, error: float, within: float)
     def cost(degree: int) -> float:
         cut_ti = evaluate_basis(targets_t3, degree) @ model.map_samples(degree)
         lost_t = np.mean((trials.show(cut_ti @ radiance_ip) - whole_tp) ** 2, axis=1)
-        return float(_DB * np.mean(np.log1p(lost_t / max(error, _LEAST_ERROR))))
+        return float(_DB * np.mean(np.log1p(lost_t / max(error, LEAST_ERROR))))
 
     low, high, spent = 0, LARGEST_DEGREE, 0.0  # the cost falls with the degree
     while low < high:

@@ -68,6 +68,16 @@ def spread_points(count: int, sphere: bool) -> NDArray[np.float64]:
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
 
 
+def nearest_angles(points_t3: NDArray[np.float64], directions_g3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the angle (radians) from each point to the nearest light."""
+    return np.asarray(np.arccos(np.clip((points_t3 @ directions_g3.T).max(axis=1), -1.0, 1.0)))
+
+
+def mutual_angles(directions_g3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the angle (radians) between every two lights, shape (n_place, n_place)."""
+    return np.asarray(np.arccos(np.clip(directions_g3 @ directions_g3.T, -1.0, 1.0)))
+
+
 def find_gap_radii(directions_g3: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distance (radians) from each gap's centre to its nearest light.
 
@@ -76,7 +86,7 @@ def find_gap_radii(directions_g3: NDArray[np.float64]) -> NDArray[np.float64]:
     if len(directions_g3) < 4:
         return np.zeros(len(directions_g3))
     points = spread_points(_GRID, is_sphere(directions_g3))
-    near = np.arccos(np.clip((points @ directions_g3.T).max(axis=1), -1.0, 1.0))
+    near = nearest_angles(points, directions_g3)
     inside = _between(directions_g3, points, near)
     if inside.sum() < 10:
         inside = near <= np.sort(near)[min(len(near) - 1, 50)]
@@ -105,13 +115,13 @@ def list_unseen(directions_g3: NDArray[np.float64], least: float) -> NDArray[np.
     points = spread_points(600, is_sphere(directions_g3))
     points = points[points[:, 2] >= directions_g3[:, 2].min() - 0.02]
     if len(points):
-        points = points[np.arccos(np.clip((points @ directions_g3.T).max(axis=1), -1.0, 1.0)) >= least]
+        points = points[nearest_angles(points, directions_g3) >= least]
     return points if len(points) else directions_g3
 
 
 def find_zones(directions_g3: NDArray[np.float64], radius: float) -> list[NDArray[np.intp]]:
     """Return, for each light, itself and all lights nearer than `radius`, but at most half of all; itself first."""
-    angle = np.arccos(np.clip(directions_g3 @ directions_g3.T, -1.0, 1.0))
+    angle = mutual_angles(directions_g3)
     np.fill_diagonal(angle, -1.0)
     most = max(1, len(angle) // 2)
     return [np.argsort(row, kind="stable")[: min(max(1, int((row < radius).sum())), most)] for row in angle]

@@ -20,6 +20,8 @@ from clrelight.harmonics.basis import evaluate_basis
 LEAST_FREEDOM = 0.02
 """Least reciprocal norm of ``(I - H_ZZ)^-1``: below it a fit follows the samples of the zone whatever they are, and
 what is left of them tells nothing."""
+LEAST_ERROR = 1e-13
+"""A smaller mean squared error, in units of the squared peak, counts as this."""
 REFITS = 6
 """Zones in which methods are fitted anew that are not one linear map."""
 _REFIT_COLUMNS = 300

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.fit.expectation import Expectation, expect_unseen, least_degree
-from clrelight.fit.prediction import Trials, krige_left_out, try_method
+from clrelight.fit.prediction import LEAST_ERROR, Trials, krige_left_out, try_method
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
 from clrelight.fit.spectrum import SpectrumFit
@@ -33,7 +33,6 @@ _CLEAR = 0.5
 """Decibels that it must be better by beside that."""
 _FEWEST = 6
 _IN_GAPS, _AT_GIVEN = "unseen lights", "the lights held out"
-_LEAST_ERROR = 1e-13
 
 
 @dataclass(frozen=True)
@@ -203,7 +202,7 @@ def _try_code_values(base: Candidate, trials: Trials) -> float | None:
 
 def _judge(method: FitMethod, degree: int, error_g: NDArray[np.float64]) -> Candidate:
     known = error_g[np.isfinite(error_g)]
-    folds = float(-10.0 * np.mean(np.log10(np.maximum(known, _LEAST_ERROR)))) if len(known) else None
+    folds = float(-10.0 * np.mean(np.log10(np.maximum(known, LEAST_ERROR)))) if len(known) else None
     return Candidate(method, degree, None, folds, error_g)
 
 
@@ -255,7 +254,7 @@ def _pick_simplest(others: Sequence[Candidate], within: float) -> Candidate:
 
 def _gains(base: Candidate, other: Candidate) -> NDArray[np.float64]:
     """Return the decibels by which one is better than the other, at each light where both were tried."""
-    ratio_g = np.maximum(base.error_g, _LEAST_ERROR) / np.maximum(other.error_g, _LEAST_ERROR)
+    ratio_g = np.maximum(base.error_g, LEAST_ERROR) / np.maximum(other.error_g, LEAST_ERROR)
     return np.asarray(10.0 * np.log10(ratio_g[np.isfinite(ratio_g)]))
 
 

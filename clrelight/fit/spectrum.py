@@ -16,6 +16,7 @@ from clrelight.fit.samples import Samples
 from clrelight.fit.threads import on_one_thread
 from clrelight.fit.zonal import LARGEST_DEGREE, Theta, ZonalModel
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import coefficient_count
 
 _SLOPES = -3.0, 6.0
 _LARGEST = 1e6
@@ -100,8 +101,9 @@ def _order_components(map_ki: NDArray[np.float64], degree: int, sphere: bool) ->
     proportion to these, as `clrelight.fit.plan.scale_components` has it.
     """
     kept = min(degree, LARGEST_DEGREE)
-    points = spread_points(4 * (kept + 1) ** 2 + 50, sphere)
-    image_ti = evaluate_basis(points, kept) @ map_ki[: (kept + 1) ** 2]
+    n_coeff = coefficient_count(kept)
+    points = spread_points(4 * n_coeff + 50, sphere)
+    image_ti = evaluate_basis(points, kept) @ map_ki[:n_coeff]
     _, turn_ir = np.linalg.eigh(image_ti.T @ image_ti)
     return np.ascontiguousarray(turn_ir.T[::-1][: min(map_ki.shape)])
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clrelight.fit.places import Places, spread_points
 from clrelight.fit.plan import is_sphere
 from clrelight.harmonics.basis import evaluate_basis
-from clrelight.harmonics.index import coefficient_count
+from clrelight.harmonics.index import coefficient_count, degrees_of_coefficients
 
 LARGEST_DEGREE = 25
 """Degrees above have no variance."""
@@ -139,7 +139,7 @@ class ZonalModel:
     def whole_ki(self) -> NDArray[np.float64]:
         """The map at `LARGEST_DEGREE`, ``diag(a) Y' C^-1`` of the means, shape (n_coeff, n_light)."""
         basis_gk = evaluate_basis(self.places.directions_g3, LARGEST_DEGREE)
-        variance_k = self.variance_l[_degrees(LARGEST_DEGREE)]
+        variance_k = self.variance_l[degrees_of_coefficients(LARGEST_DEGREE)]
         return np.asarray(variance_k[:, None] * (basis_gk.T @ self.inverse_gg @ self.places.mean_gi))
 
     @cached_property
@@ -171,13 +171,10 @@ class ZonalModel:
         if degree >= LARGEST_DEGREE:
             return np.pad(self.whole_ki, ((0, coefficient_count(degree) - len(self.whole_ki)), (0, 0)))
         normal_kk, whole_ki = (moments[: coefficient_count(degree)] for moments in self._series)
-        relative_k = np.maximum(self.variance_l / self.variance_l.max(), _LEAST_VARIANCE)[_degrees(degree)]
+        relative_l = np.maximum(self.variance_l / self.variance_l.max(), _LEAST_VARIANCE)
+        relative_k = relative_l[degrees_of_coefficients(degree)]
         ridge = float(np.clip(1e-3 * self.theta.noise, *_RIDGE))
         return np.asarray(np.linalg.solve(normal_kk[:, : len(normal_kk)] + np.diag(ridge / relative_k), whole_ki))
-
-
-def _degrees(degree: int) -> NDArray[np.intp]:
-    return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
 
 
 def _kernel(variance_l: NDArray, first_t3: NDArray, second_g3: NDArray) -> NDArray[np.float64]:

@@ -1,19 +1,19 @@
-/* Code one subband of the channels of a map's quantiser indices: what subbands.py and entropy.py say, bit for bit, at
+/* Code one subband of the channels of a map's quantiser indices: what subbands.py and range_coding.py say, bit for bit, at
  * the speed of a compiled loop. One work-item: every symbol hangs on those before it.
  *
  *   index_chw    (c, h, w) int     encoded, or decoded into
  *   size_chw     (c, h, w) int     magnitudes of the differences from the prediction, for contexts
- *   place_f      (PLACE) int       first row and column, rows, columns, 0 for LL and 1 for
- *                                  details, number of relatives, and of each
- *                                  relative first row and column, rows, columns, and 1 where it is of a coarser level
- *   counts_ms    (m, ALPHABET) long    frequency tables of magnitudes
- *   signs_ab     (5, 2) long           of signs
- *   state_n      (STATE) ulong     the range coder between two launches, and what a launch found
- *   words_v      (v) uint          what is decoded, or room for what is encoded: LEAST_ROOM words and 3 for each sample
- *   scratch_q    (q) int           SCRATCH for each sample of the largest batch, and TABLES
+ *   place_f      (f) int           first row and column, rows, columns, 0 for LL and 1 for details, number of
+ *                                  relatives, and of each first row and column, rows, columns, and 1 where it is of
+ *                                  a coarser level
  *   slope_c      (c) double        of indices on those of the channel before
  *   found_ct     (c, 3) long       what slopes are learnt from: sums of products with the channel before and of its
  *                                  squares, of indices divided by 2^shift, and the shift
+ *   counts_ms    (m, ALPHABET) long    frequency tables of magnitudes
+ *   signs_ab     (5, 2) long           of signs
+ *   state_n      (n) ulong         the range coder between two launches, and what a launch found: see LOWER, ...
+ *   words_v      (v) uint          what is decoded, or room for what is encoded, of which AT words were written
+ *   scratch_q    (q) int           SCRATCH for each sample of the largest batch, and TABLES
  *   decoding     1, or 0
  *
  * The range coder is constriction's RangeEncoder with words of 32 bits and 24 bits of precision; a frequency table
@@ -39,7 +39,7 @@
 #define MAX_DIFFERENCE (1 << 30)
 #define PRECISION 24
 
-enum { LOWER, RANGE, POINT, AT, PENDING, FIRST_PENDING, WRITTEN, FAULT };
+enum { LOWER, RANGE, POINT, AT, PENDING, FIRST_PENDING, FAULT };
 enum { SOUND, IMPOSSIBLE, TOO_LARGE };
 
 /* The range coder while a launch lasts. Words whose carry is not known yet are counted, not written. */
@@ -517,6 +517,5 @@ __kernel void code_subband(__global int *index_chw, __global int *size_chw, __gl
     state_n[AT] = coder.at;
     state_n[PENDING] = coder.pending;
     state_n[FIRST_PENDING] = coder.first;
-    state_n[WRITTEN] = coder.at;
     state_n[FAULT] = coder.fault;
 }

@@ -1,47 +1,36 @@
-"""Coders that run a compiled loop over the indices of a map: what `subbands` and `entropy` say, at a compiler's speed.
+"""Coders that run a compiled loop over a map's indices: what `subbands` and `range_coding` say, at a compiler's speed.
 
 One work-item does it, since every symbol hangs on those before it: for CPUs, where kernels share memory with NumPy.
 """
 
 from __future__ import annotations
 
-from typing import Protocol, Self
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.phases import PHASES, relatives_of
 from clrelight.codec.entropy.range_coding import Decoder, Encoder
+from clrelight.codec.entropy.symbols import ALPHABET, CLASSES
 from clrelight.codec.transforms.lifting import Subband
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 from clrelight.opencl.arguments import DeviceArray
 
+if TYPE_CHECKING:
+    from clrelight.codec.entropy.subbands import Statistics  # which imports this
+
 # As in subbands.cl.
-_STATE, _LOWER, _RANGE, _POINT, _AT, _PENDING, _FIRST_PENDING, _WRITTEN, _FAULT = 8, *range(8)
-_SCRATCH, _TABLES = 4, 3 * 64 + 124 + 124 + 1
+_STATE, _LOWER, _RANGE, _POINT, _AT, _PENDING, _FIRST_PENDING, _FAULT = 7, *range(7)
+_SCRATCH, _TABLES = 4, 3 * CLASSES + 2 * ALPHABET + 1
 _FAULTS = {1: "no symbol lies where they point to", 2: "an index is too large"}
 _LEAST_ROOM, _WORDS_EACH = 64, 3
 _ONES = (1 << 64) - 1
 
 
-class Learnt(Protocol):
-    """Statistics that the kernel reads and changes in place (`subbands.Statistics`)."""
-
-    def tables(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the frequencies of magnitudes and of signs."""
-        ...
-
-    def slope(self, channel: int, low: bool) -> float:
-        """Return the regression slope of a channel's indices on the previous one's."""
-        ...
-
-    def add_products(self, channel: int, low: bool, product: int, square: int) -> None:
-        """Learn the slope."""
-        ...
-
-
-class SubbandCoder:
+class SubbandCoder(ABC):
     """What encoder and decoder share: the state of a range coder between two launches."""
 
     def __init__(self, device: Device) -> None:
@@ -51,7 +40,7 @@ class SubbandCoder:
 
     def code_map(
         self,
-        statistics: Learnt,
+        statistics: Statistics,
         bands: list[Subband],
         shape: tuple[int, int, int],
         index_chw: NDArray[np.int32] | None,
@@ -60,7 +49,8 @@ class SubbandCoder:
         device, decoding = self._device, index_chw is None
         indices_chw = np.zeros(shape, np.int32) if index_chw is None else np.ascontiguousarray(index_chw)
         most = max(_largest_batch(band) for band in bands)
-        held: list[NDArray] = [indices_chw, np.zeros(shape, np.int32), *statistics.tables(), self._state]
+        held: list[NDArray] = [indices_chw, np.zeros(shape, np.int32)]
+        held += [statistics.magnitudes.counts, statistics.signs.counts, self._state]
         index, sizes, counts, signs, state = (device.empty(a.shape, a.dtype, a) for a in held)
         scratch = device.empty((_SCRATCH * most + _TABLES,), np.int32)
         slope_c, found_ct = np.zeros(shape[0]), np.zeros((shape[0], 3), np.int64)
@@ -81,15 +71,16 @@ class SubbandCoder:
                 statistics.add_products(channel, low, product << 2 * shift, square << 2 * shift)
         return indices_chw
 
+    @abstractmethod
     def _words(self, channels: int, band: Subband) -> DeviceArray:
-        raise NotImplementedError
+        """Return the words to read, or room for those that a subband may take."""
 
-    def _keep(self, words: DeviceArray) -> None:
+    def _keep(self, words: DeviceArray) -> None:  # noqa: B027 - a decoder has nothing to keep
         """Note what a launch wrote."""
 
 
 class SubbandEncoder(SubbandCoder):
-    """A coder that writes; what `entropy.Encoder` would."""
+    """A coder that writes; what `range_coding.Encoder` would."""
 
     def __init__(self, device: Device) -> None:
         super().__init__(device)
@@ -132,7 +123,7 @@ class SubbandEncoder(SubbandCoder):
         return self._device.empty((room,), np.uint32)
 
     def _keep(self, words: DeviceArray) -> None:
-        written = int(self._state[_WRITTEN])
+        written = int(self._state[_AT])
         self._parts.append(self._device.download(words)[:written].copy())
         self._count += written
 

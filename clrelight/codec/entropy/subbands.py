@@ -69,10 +69,6 @@ class Statistics:
         xy, xx = known or self.products.get((channel, not low), (0, 0))
         return min(max(xy / xx, -4.0), 4.0) if xx else 0.0
 
-    def tables(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the frequencies of magnitudes and of signs, to be changed in place."""
-        return self.magnitudes.counts, self.signs.counts
-
     def learn_slope(self, channel: int, low: bool, previous: NDArray[np.integer], this: NDArray[np.integer]) -> None:
         """Add the indices of a subband."""
         # Bounded by shifting, so that integer sums are exact whatever the order of summation.

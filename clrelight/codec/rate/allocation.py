@@ -106,12 +106,6 @@ def statistics_for(code: int, shared: Statistics) -> Statistics:
     return Statistics() if code == 0 else shared
 
 
-def _count(maps: TransformedMaps, statistics: Statistics, k: int, code: int) -> float:
-    encoder = maps.encoder()
-    maps.run(encoder, statistics.copy(), k, code)
-    return 8.0 * encoder.byte_count
-
-
 class _Trials:
     """One map coded at several steps after what is coded already; the first guess is mostly the one that stays."""
 
@@ -178,7 +172,7 @@ def _find_limited(maps: TransformedMaps, samples: dict[int, Sample], budget: int
         share = left / (len(full) - len(limited))
         if full[k] > 3.0 * share:
             break
-        bits = _count(maps, Statistics(), k, 0)
+        bits = _Trials(maps, maps.encoder(), Statistics(), k).count_bits(0)
         if bits <= share:
             limited.append(k)
             left -= bits
