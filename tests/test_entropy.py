@@ -4,13 +4,21 @@ import pytest
 from clrelight.codec.entropy.planes import Thrift, code_planes
 from clrelight.codec.entropy.range_coding import BitCounter, Decoder, Encoder, ModelSet, code_integers
 from clrelight.codec.entropy.subbands import Statistics, code_indices
-from clrelight.codec.entropy.symbols import ALPHABET, CLASSES, class_floor, classify, geometric_prior, zero_order_bits
+from clrelight.codec.entropy.symbols import (
+    ALPHABET,
+    CLASSES,
+    PRIOR_WEIGHT,
+    class_floor,
+    classify,
+    geometric_prior,
+    zero_order_bits,
+)
 from clrelight.codec.transforms.lifting import list_subbands
 from clrelight.errors import PayloadError
 
 
 def models(contexts=3):
-    return ModelSet(np.tile(geometric_prior(np.array([0.5])), (contexts, 1)))
+    return ModelSet(geometric_prior([0.5] * contexts))
 
 
 def test_integers_of_every_size_come_back():
@@ -48,10 +56,10 @@ def test_classes_are_monotonic_and_two_an_octave():
 
 
 def test_prior_is_a_distribution():
-    prior = geometric_prior(np.array([0.01, 1.0, 1e6]))
+    prior = geometric_prior([0.01, 1.0, 1e6])
     assert prior.shape == (3, ALPHABET)
-    assert prior.min() >= 0.0
-    np.testing.assert_allclose(prior.sum(axis=1), 1.0, rtol=1e-12)
+    assert prior.min() >= 1
+    assert (abs(prior.sum(axis=1) - PRIOR_WEIGHT - ALPHABET / 2) <= ALPHABET / 2).all()
 
 
 def test_zero_order_bits_of_small_integers_is_their_entropy():

@@ -21,6 +21,8 @@
  * scale = (2^24 - symbols) / total, in double, which every device rounds alike.
  */
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
+/* Each double operation is rounded by itself, or predictions would differ from those of other decoders. */
+#pragma OPENCL FP_CONTRACT OFF
 #include "common/inline.clh"
 
 #define DIRECT 16

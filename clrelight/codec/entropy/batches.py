@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,11 @@ class Tables:
 
     Parameters
     ----------
-    prior : ndarray, shape (sites * CLASSES, ALPHABET), float64
-        Probabilities of sizes to start from, by site and class of activity.
+    prior : ndarray, shape (sites * CLASSES, ALPHABET), int64
+        Counts of sizes to start from, by site and class of activity.
     """
 
-    def __init__(self, prior: NDArray[np.float64]) -> None:
+    def __init__(self, prior: NDArray[np.int64]) -> None:
         self.sizes = ModelSet(prior)
         quiet_prior, count_prior, gap_prior = _priors()
         self.quiet_sizes, self.quiet_counts = ModelSet(quiet_prior), ModelSet(count_prior)
@@ -58,9 +59,9 @@ class Tables:
 
 
 @functools.cache
-def _priors() -> tuple[NDArray[np.float64], ...]:
-    lengths = np.exp2(np.minimum(np.arange(_LENGTHS), 30))
-    return geometric_prior(np.array([0.1])), geometric_prior(np.full(_LENGTHS, 2.0)), geometric_prior(lengths)
+def _priors() -> tuple[NDArray[np.int64], ...]:
+    lengths = [1 << min(length, 30) for length in range(_LENGTHS)]
+    return geometric_prior([Fraction(1, 10)]), geometric_prior([2] * _LENGTHS), geometric_prior(lengths)
 
 
 def code_batch(

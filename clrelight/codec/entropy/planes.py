@@ -30,14 +30,14 @@ from clrelight.codec.entropy.phases import (
     relatives_of,
 )
 from clrelight.codec.entropy.range_coding import Coder
-from clrelight.codec.entropy.symbols import CLASSES, class_floor, geometric_prior
+from clrelight.codec.entropy.symbols import class_means, geometric_prior
 from clrelight.codec.transforms.lifting import Subband
 from clrelight.errors import PayloadError
 
 # Sites: LL, details of the first group, details of others; of each the first phase, and the others.
-# Their mean size as a part of the activity. Only to start from.
-_SIZE_TO_EXPECT = np.array([0.8, 0.8, 0.5, 0.8, 0.35, 0.65])
-_SIZE_AT_REST = 0.02
+# Their mean size in hundredths of the activity, and where that is 0 in hundredths. Only to start from.
+_SIZE_TO_EXPECT = (80, 80, 50, 80, 35, 65)
+_SIZE_AT_REST = 2
 _UNIT = 144  # activity where all sizes are 1
 _BEFORE = 6  # weight of the planes before, where the parent and each sibling weigh 1
 _GROWTH = 3  # a group has one plane for as many planes before it, and one
@@ -122,11 +122,8 @@ def code_planes(
 
 
 @functools.cache
-def _prior() -> NDArray[np.float64]:
-    middle = np.array([class_floor(i) + class_floor(i + 1) for i in range(CLASSES - 2)]) / (2.0 * _UNIT)
-    means = np.multiply.outer(_SIZE_TO_EXPECT, np.concatenate([middle, middle[-1:], middle[-1:]]))
-    means[:, 0] = _SIZE_AT_REST
-    return geometric_prior(means.ravel())
+def _prior() -> NDArray[np.int64]:
+    return geometric_prior(mean for percent in _SIZE_TO_EXPECT for mean in class_means(_UNIT, percent, _SIZE_AT_REST))
 
 
 def _grow_groups(n_plane: int) -> list[slice]:

@@ -2,7 +2,8 @@
 
 A `ModelSet` holds one frequency table per context. Symbols are coded in batches: all symbols of a batch use the tables
 as they were before it, then the tables learn the batch. Encoder and decoder learn alike, so no table is ever sent.
-Tables are integers and what is made of them needs only exactly rounded arithmetic: every machine decodes alike.
+Tables are integers. The bounds of symbols in 2**24 are made of them by one division and one multiplication of doubles,
+which IEEE 754 rounds alike everywhere, and go to the range coder as whole numbers. See docs/bitstream.md.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import constriction
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.symbols import DIRECT, FIRST, RAW_BITS, symbols_of
+from clrelight.codec.entropy.symbols import DIRECT, FIRST, PRIOR_WEIGHT, RAW_BITS, symbols_of
 from clrelight.errors import PayloadError
 
 # One observation adds _GAIN to a table's count; a table that weighs more than _LIMIT is halved, to follow the data.
 _GAIN = 1024
 _LIMIT = _GAIN * 8192
-_PRIOR_WEIGHT = _GAIN * 16
+
+_PRECISION = 24  # bits of the range that symbols share
 
 _MAX_RAW_BITS = 23  # constriction's Uniform takes less than 2**24 values
 
@@ -29,12 +31,13 @@ class ModelSet:
 
     Parameters
     ----------
-    prior : ndarray, shape (contexts, symbols), float64
-        Probabilities to start from.
+    prior : ndarray, shape (contexts, symbols), int64 or float64
+        Counts to start from; or probabilities, multiples of 2**-14.
     """
 
-    def __init__(self, prior: NDArray[np.float64]) -> None:
-        self.counts = np.floor(prior * _PRIOR_WEIGHT).astype(np.int64) + 1
+    def __init__(self, prior: NDArray[np.int64] | NDArray[np.float64]) -> None:
+        whole = prior.dtype == np.int64
+        self.counts = prior.copy() if whole else np.floor(prior * PRIOR_WEIGHT).astype(np.int64) + 1
 
     def copy(self) -> Self:
         """Return tables that learn apart."""
@@ -120,8 +123,8 @@ class Encoder:
         assert symbols is not None
         order, groups = _group(contexts)
         by_context = symbols[order].astype(np.int32)
-        for context, part in groups:
-            self._range.encode(by_context[part], _categorical(models.counts[context]))
+        for (_, part), shares in zip(groups, _find_shares(models, groups), strict=True):
+            self._range.encode(by_context[part], _categorical(shares))
         _learn(models, groups, by_context)
         return symbols
 
@@ -161,8 +164,8 @@ class Decoder:
         """See `Coder`."""
         order, groups = _group(contexts)
         by_context = np.empty(len(contexts), np.int32)
-        for context, part in groups:
-            by_context[part] = self._take(_categorical(models.counts[context]), part)
+        for (_, part), shares in zip(groups, _find_shares(models, groups), strict=True):
+            by_context[part] = self._take(_categorical(shares), part)
         _learn(models, groups, by_context)
         decoded = np.empty_like(by_context)
         decoded[order] = by_context
@@ -214,8 +217,22 @@ def code_integers(
     return coded
 
 
-def _categorical(counts: NDArray[np.int64]) -> object:
-    return constriction.stream.model.Categorical(counts.astype(np.float64), perfect=False)
+def _find_shares(models: ModelSet, groups: list[tuple[int, slice]]) -> NDArray[np.float64]:
+    """Return what each symbol of each group's context has of 2**24 beside the 1 that all have: whole numbers.
+
+    Symbol s begins at ``floor(scale (counts before s)) + s``, where ``scale = (2**24 - symbols) / (all counts)``.
+    """
+    ends = np.cumsum(models.counts[[context for context, _ in groups]], axis=1)
+    free = (1 << _PRECISION) - ends.shape[1]
+    shares = np.floor(ends * (free / ends[:, -1:]))
+    shares[:, -1] = free
+    shares[:, 1:] -= shares[:, :-1].copy()
+    return shares
+
+
+def _categorical(shares: NDArray[np.float64]) -> object:
+    # They add up to what constriction has to share out: it rounds nothing, and adds the 1 of each symbol.
+    return constriction.stream.model.Categorical(shares, perfect=False)
 
 
 def _learn(models: ModelSet, groups: list[tuple[int, slice]], by_context: NDArray[np.int32]) -> None:

@@ -31,15 +31,16 @@ from clrelight.codec.entropy.phases import (
 )
 from clrelight.codec.entropy.range_coding import Coder, ModelSet, code_integers
 from clrelight.codec.entropy.subband_kernel import SubbandCoder
-from clrelight.codec.entropy.symbols import CLASSES, class_floor, classify, geometric_prior
+from clrelight.codec.entropy.symbols import CLASSES, class_means, classify, even_prior, geometric_prior
 from clrelight.codec.transforms.lifting import Subband
 from clrelight.errors import PayloadError
 
 _PREDICTED = 3  # |prediction| of 0, 1, more
 # Sites: LL, details of channel 0, details of other channels; of each the first phase, and the others.
-# By site and prediction: the mean size as a part of the activity, and where the activity is 0. Only to start from.
-_SIZE_TO_EXPECT = np.array([[0.8] * 3, [0.8] * 3, [0.5] * 3, [0.8] * 3, [0.3, 0.45, 0.55], [0.55, 0.75, 0.85]])
-_SIZE_AT_REST = np.array([[2.0] * 3, [0.2, 0.5, 1.0], [0.05] * 3, [0.02] * 3, [0.02, 0.2, 0.4], [0.02, 0.15, 0.3]])
+# By site and prediction: the mean size in hundredths of the activity, and where that is 0 in hundredths. Only to start
+# from.
+_SIZE_TO_EXPECT = (80, 80, 80, 80, 80, 80, 50, 50, 50, 80, 80, 80, 30, 45, 55, 55, 75, 85)
+_SIZE_AT_REST = (200, 200, 200, 20, 50, 100, 5, 5, 5, 2, 2, 2, 2, 20, 40, 2, 15, 30)
 _UNIT = 16  # activity where all sizes are 1
 _NEARBY = 3  # weight of the neighbours, where the hints weigh 1
 _MAX_SIZE = 1 << 22
@@ -52,7 +53,7 @@ class Statistics:
 
     def __init__(self) -> None:
         self.magnitudes = ModelSet(_magnitude_prior())
-        self.signs = ModelSet(np.full((2 * _PREDICTED - 1, 2), 0.5))
+        self.signs = ModelSet(even_prior(2 * _PREDICTED - 1, 2))
         # (channel, LL or detail) -> sums of x y and x x of indices x of the previous channel and y of this
         self.products: dict[tuple[int, bool], tuple[int, int]] = {}
 
@@ -84,12 +85,9 @@ class Statistics:
 
 
 @functools.cache
-def _magnitude_prior() -> NDArray[np.float64]:
-    middle = np.array([class_floor(i) + class_floor(i + 1) for i in range(CLASSES - 2)]) / (2.0 * _UNIT)
-    middle = np.concatenate([middle, middle[-1:], middle[-1:]])
-    means = np.multiply.outer(_SIZE_TO_EXPECT, middle)
-    means[:, :, 0] = _SIZE_AT_REST
-    return geometric_prior(means.ravel())
+def _magnitude_prior() -> NDArray[np.int64]:
+    sizes = zip(_SIZE_TO_EXPECT, _SIZE_AT_REST, strict=True)
+    return geometric_prior(mean for percent, at_rest in sizes for mean in class_means(_UNIT, percent, at_rest))
 
 
 def code_indices(

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterable
+from fractions import Fraction
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +19,12 @@ ALPHABET = DIRECT + 4 * 27
 CLASSES = 64
 """Classes of `classify`: two an octave."""
 
+PRIOR_WEIGHT = 1 << 14
+"""What a table's counts weigh before anything is learnt, but for the 1 that each symbol has beside its share."""
+
 _LOOKUP = 1 << 14
+_SIMPLE = 1 << 20  # denominators of means are no larger
+_PLACES = 64  # binary places of the powers that priors are made of
 
 
 def _octaves(values: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
@@ -58,6 +68,16 @@ def class_floor(index: int) -> int:
     return index if index < 2 else (2 + index % 2) << (index // 2) >> 1
 
 
+def class_means(unit: int, percent: int, at_rest: int) -> list[Fraction]:
+    """Return the mean magnitude to expect in each class of activity, in which `unit` is a magnitude of 1.
+
+    So many per cent of the activity in the middle of the class, and so many hundredths in class 0. The last two
+    classes are never reached.
+    """
+    middles = [Fraction(class_floor(i) + class_floor(i + 1), 2 * unit) for i in range(1, CLASSES - 2)]
+    return [Fraction(at_rest, 100), *(Fraction(percent, 100) * middle for middle in [*middles, *middles[-1:] * 2])]
+
+
 def zero_order_bits(magnitudes: NDArray[np.integer]) -> float:
     """Return the zero-order entropy of integers, given their magnitudes: symbols, raw bits and signs."""
     values = magnitudes.ravel()
@@ -72,22 +92,27 @@ def zero_order_bits(magnitudes: NDArray[np.integer]) -> float:
     return entropy + float(counts @ RAW_BITS) + float(counts[1:].sum())
 
 
-def geometric_prior(means: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (len(means), ALPHABET) symbol probabilities of geometric magnitudes with these means."""
-    ratio = means / (1.0 + means)
-    tail = np.empty((len(means), ALPHABET + 1))
-    for symbol, first in enumerate(FIRST):
-        tail[:, symbol] = _power(ratio, int(first))
-    tail[:, ALPHABET] = 0.0
-    return tail[:, :-1] - tail[:, 1:]
+def even_prior(contexts: int, symbols: int) -> NDArray[np.int64]:
+    """Return counts (contexts, symbols) that expect all symbols alike."""
+    return np.full((contexts, symbols), PRIOR_WEIGHT // symbols + 1, np.int64)
 
 
-def _power(base: NDArray[np.float64], exponent: int) -> NDArray[np.float64]:
-    # np.power may differ in its last bit between machines; products do not.
-    result, square = np.ones_like(base), base.copy()
-    while exponent:
-        if exponent & 1:
-            result = result * square
-        square = square * square
-        exponent >>= 1
-    return result
+def geometric_prior(means: Iterable[Fraction | float]) -> NDArray:
+    """Return (means, ALPHABET) int64 counts that expect geometric magnitudes of these means.
+
+    Whole numbers alone are computed with, so that tables are the same wherever they are made; a float counts as the
+    simple fraction next to it.
+    """
+    return np.array([_geometric_counts(Fraction(mean).limit_denominator(_SIMPLE)) for mean in means], np.int64)
+
+
+@functools.lru_cache(maxsize=1024)
+def _geometric_counts(mean: Fraction) -> tuple[int, ...]:
+    # Magnitudes from v on have the probability (mean / (1 + mean))**v, here in units of 2**-64, rounded down.
+    power = [(mean.numerator << _PLACES) // (mean.numerator + mean.denominator)]  # to the exponents 1, 2, 4, ...
+    while len(power) <= RAW_BITS[-1]:
+        power.append(power[-1] * power[-1] >> _PLACES)
+    tails = [1 << _PLACES]
+    for symbol in range(ALPHABET - 1):
+        tails.append(tails[-1] * power[RAW_BITS[symbol]] >> _PLACES)
+    return tuple(1 + (PRIOR_WEIGHT * (this - more) >> _PLACES) for this, more in pairwise([*tails, 0]))
