@@ -1,0 +1,319 @@
+"""docs/bitstream.md against the program: decoders that know the page alone read what our encoders write."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clrelight.codec import codec_class, codec_ids, decode, encode
+from clrelight.codec.ballast import add_ballast
+from clrelight.codec.entropy import batches, planes, range_coding, subbands
+from clrelight.codec.entropy.symbols import class_floor, classify, geometric_prior
+from clrelight.codec.formats import codestream, klt_body, wavelet
+from clrelight.codec.padding import pad_body
+from clrelight.codec.transforms import principal
+from clrelight.codec.transforms.lifting import list_subbands
+from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.errors import PayloadError
+from tests.reference import entropy
+from tests.reference.bc6h import decode_bc6h
+from tests.reference.cpca import decode_cpca
+from tests.reference.klt import PlaneTables, decode_klt, decode_planes, decode_vectors, hemisphere_axes
+from tests.reference.payload import Refused, open_payload, without_ballast, without_padding
+from tests.reference.s3tc import decode_s3tc
+from tests.reference.uniform import decode_uniform
+from tests.reference.vq import decode_vq
+from tests.reference.wavelet_decoder import Learnt, decode_indices, decode_wavelet, prior_of
+
+ROOT = Path(__file__).resolve().parent
+FROZEN = sorted((ROOT / "frozen").glob("*.bin"))
+PAGE = (ROOT.parent / "docs" / "bitstream.md").read_text(encoding="utf-8")
+EPS = float(np.finfo(np.float32).eps)
+
+
+def decode_jpeg2000(body, shape):
+    n, (height, width) = shape[0] * shape[3], shape[1:3]
+    low, step = np.frombuffer(body, "<f4", 2 * n).reshape(2, n).astype(float)
+    sizes = np.frombuffer(body, "<u4", n, 8 * n)
+    at = 12 * n + (1 + 2 * (3 * min(5, min(height, width).bit_length() - 1) + 1) if sizes.any() else 0)
+    steps, maps = body[12 * n : at], np.repeat(low, height * width).reshape(n, height, width)
+    for m in np.flatnonzero(sizes):
+        maps[m] += step[m] * codestream.decode_plane(steps, body[at : at + sizes[m]], height, width)
+        at += int(sizes[m])
+    without_padding(body, at, shape)
+    return maps.reshape(shape[0], shape[3], height, width).transpose(0, 2, 3, 1)
+
+
+def decode_inside(body, shape):
+    """Return the inner codec's id, and what stands behind it."""
+    return body[1 : 1 + body[0]].decode("ascii"), body[1 + body[0] :]
+
+
+def decode_whitened(body, shape):
+    codec, body = decode_inside(body, shape)
+    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, smooth=False)[1]
+    return np.tensordot(inverse, DECODERS[codec](body, (inverse.shape[1], *shape[1:])), 1)
+
+
+def decode_principal(body, shape):
+    codec, body = decode_inside(body, shape)
+    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, smooth=True)[1]
+    count, components = int.from_bytes(body[:2], "little"), inverse.shape[1]
+    axes = np.frombuffer(body, "<f2", count * components, 2).reshape(count, components).astype(float)
+    maps = DECODERS[codec](body[2 + axes.size * 2 :], (count, *shape[1:]))
+    return np.tensordot(inverse @ axes.T, maps, 1)
+
+
+DECODERS = {
+    "half": lambda body, shape: np.frombuffer(body, "<f2").reshape(shape).astype(float),
+    "uniform": decode_uniform,
+    "s3tc": decode_s3tc,
+    "bc6h": lambda body, shape: decode_bc6h(body, shape).astype(float),
+    "vq": decode_vq,
+    "cpca": decode_cpca,
+    "jpeg2000": decode_jpeg2000,
+    "wavelet": lambda body, shape: decode_wavelet(body, shape)[1],
+    "klt": lambda body, shape: decode_klt(body, shape).coeffs,
+    "whitened": decode_whitened,
+    "principal": decode_principal,
+}
+
+
+def test_every_codec_has_its_section():
+    assert {line[3:] for line in PAGE.splitlines() if line.startswith("## ")} >= set(codec_ids())
+    assert set(DECODERS) == set(codec_ids())
+
+
+@pytest.mark.parametrize("path", FROZEN, ids=lambda path: path.stem)
+def test_frozen_payloads_decode_by_the_page(path):
+    payload, expected = open_payload(path.read_bytes()), np.load(path.with_suffix(".npy"))
+    found = DECODERS[payload.codec](payload.body, payload.shape)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=8 * EPS * np.abs(expected).max())
+
+
+def smooth_map(degree, shape, seed=0):
+    """Return waves with noise that fall with the degree, and positive in the mean, as fits are."""
+    rng = np.random.default_rng(seed)
+    k, h, w, c = np.indices(((degree + 1) ** 2, *shape))
+    waves = np.sin(0.3 * h + k) * np.cos(0.2 * w * (1 + k % 3) + 0.2 * c) + 2.0 * (k == 0)
+    values = 0.3 * waves + 0.05 * rng.standard_normal(waves.shape) * (rng.random(waves.shape) < 0.3)
+    return (values / (1 + np.sqrt(k).astype(int)) ** 2).astype(np.float32)
+
+
+@pytest.fixture
+def taken(monkeypatch):
+    """Return what our decoders hand to the dequantiser, and the vectors of klt, filled while they run."""
+    found = {"indices": [], "vectors": []}
+
+    def spy(module, name, keep):
+        original = getattr(module, name)
+
+        def run(*arguments):
+            result = original(*arguments)
+            keep(arguments, result)
+            return result
+
+        monkeypatch.setattr(module, name, run)
+
+    for module in (wavelet, klt_body):
+        spy(module, "dequantise_map", lambda arguments, _: found["indices"].append(arguments[2].copy()))
+    spy(klt_body, "code_vectors", lambda _, result: found["vectors"].append(result))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("degree", "shape", "options"),
+    [
+        (0, (1, 1, 1), {"rate": 200.0}),
+        (0, (17, 13, 3), {"rate": 30.0, "levels": 5}),  # to float32's own precision
+        (1, (9, 11, 3), {"rate": 2.0}),
+        (2, (13, 7, 1), {"rate": 4.0, "levels": 1}),
+        (2, (1, 33, 3), {"rate": 3.0, "levels": 4}),
+        (3, (5, 8, 2), {"rate": 12.0, "allocation": "global"}),
+        (6, (7, 9, 3), {"rate": 1.0, "allocation": "global"}),
+        (6, (7, 9, 1), {"rate": 6.0}),
+    ],
+)
+def test_wavelet(device, taken, degree, shape, options):
+    coeffs = smooth_map(degree, shape)
+    encoded = encode(coeffs, codec_class("wavelet").from_config(options), device)
+    indices, found = decode_wavelet(encoded.body, encoded.shape)
+    expected = decode(encoded, device)
+    codes = np.frombuffer(encoded.body, "<u2", len(coeffs), 3 + len(coeffs))
+    order = [k for k in np.argsort(codes != 0, kind="stable") if codes[k] != 65535]
+    assert order
+    assert len(taken["indices"]) == len(order)
+    for k, index in zip(order, taken["indices"], strict=True):
+        np.testing.assert_array_equal(indices[k], index)
+    scale = np.abs(expected).max(axis=(1, 2, 3), keepdims=True)
+    assert (np.abs(found - expected) <= 16 * EPS * encoded.body[0] * scale).all()
+
+
+@pytest.mark.parametrize("transfer", ["linear", "srgb"])
+@pytest.mark.parametrize(
+    ("degree", "shape", "step"),
+    [
+        (0, (1, 1, 1), 2.0**-6),
+        (0, (13, 9, 3), 2.0**-8),
+        (1, (9, 11, 3), 2.0**-12),
+        (2, (33, 1, 3), 2.0**-7),
+        (3, (11, 10, 1), 2.0**-16),
+        (4, (8, 7, 2), 2.0**-6),
+        (5, (7, 9, 3), 2.0**-5),
+        (6, (9, 9, 3), 2.0**-9),
+    ],
+)
+def test_klt(device, taken, degree, shape, step, transfer):
+    options = {"step": step, "transfer": transfer}
+    encoded = encode(smooth_map(degree, shape), codec_class("klt").from_config(options), device)
+    for seen in taken.values():
+        seen.clear()  # encoding may have decoded to compare
+    found, expected = decode_klt(encoded.body, encoded.shape), decode(encoded, device)
+    mean, axes = taken["vectors"]
+    np.testing.assert_array_equal(found.mean, mean[0])
+    np.testing.assert_array_equal(found.axes, axes)
+    assert len(found.indices) or step >= 2.0**-6
+    for index in taken["indices"]:
+        np.testing.assert_array_equal(found.indices, index)
+    if transfer == "linear":
+        np.testing.assert_allclose(found.coeffs, expected, rtol=0, atol=64 * EPS * np.abs(expected).max())
+    # Behind the curve float32's roundings are multiplied by its slope, and projected back, which magnifies what no image
+    # shows.
+    forward = hemisphere_axes(degree, smooth=False)[0]
+    shown, error = (np.tensordot(forward, values, 1) for values in (expected, found.coeffs - expected))
+    assert np.abs(error).max() <= (64 if transfer == "linear" else 256) * EPS * np.abs(shown).max()
+
+
+def test_a_klt_payload_behind_the_curve_is_among_those(device):
+    codec = codec_class("klt").from_config({"step": 2.0**-5, "transfer": "srgb"})
+    assert encode(smooth_map(2, (12, 12, 3)), codec, device).body[12] == 1
+
+
+SHAPES = [(1, 1, 1), (3, 1, 1), (1, 1, 17), (3, 13, 1), (5, 6, 7), (8, 4, 4)]
+
+
+def random_indices(shape, scale):
+    rng = np.random.default_rng(shape[0])
+    return np.rint(np.clip(rng.laplace(scale=scale, size=shape), -(2**29), 2**29)).astype(np.int32)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("scale", [0.1, 3.0, 1e4, 1e8])
+def test_indices_of_any_size(shape, scale):
+    bands = list_subbands(*shape[1:], 3)
+    maps = [random_indices(shape, scale), np.full(shape, -(1 << 29), np.int32), random_indices(shape, scale)[::-1]]
+    for pairs in (False, True):
+        encoder, learnt = range_coding.Encoder(), subbands.Statistics()
+        for index in maps:
+            subbands.code_indices(encoder, learnt, bands, shape, index, group=2 if pairs else 1)
+        decoder, learnt = entropy.RangeDecoder(encoder.to_bytes()), Learnt()
+        for index in maps:
+            np.testing.assert_array_equal(decode_indices(decoder, learnt, shape, 3, pairs), index)
+        decoder.finish()
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, (23, 5, 3)])
+@pytest.mark.parametrize("scale", [0.02, 0.5, 1e4, 1e8])
+def test_planes_of_any_size(shape, scale):
+    bands = list_subbands(*shape[1:], 3)
+    for index in (random_indices(shape, scale), np.zeros(shape, np.int32)):
+        encoder = range_coding.Encoder()
+        planes.code_planes(encoder, bands, shape, index.copy())
+        decoder = entropy.RangeDecoder(encoder.to_bytes())
+        np.testing.assert_array_equal(decode_planes(decoder, shape, 3), index)
+        decoder.finish()
+
+
+def test_vectors_of_any_size():
+    rng = np.random.default_rng(7)
+    entries = np.rint(np.clip(rng.laplace(scale=[[[1.0]], [[1e3]], [[1e6]]], size=(3, 3, 16)), -(2**24), 2**24))
+    encoder = range_coding.Encoder()
+    principal.code_vectors(encoder, entries.shape, entries.astype(np.int64))
+    decoder = entropy.RangeDecoder(encoder.to_bytes())
+    np.testing.assert_array_equal(decode_vectors(decoder, *entries.shape), entries)
+    decoder.finish()
+
+
+def test_tables_are_those_of_the_page():
+    plane_tables = PlaneTables()
+    quiet, counts, gaps = batches._priors()
+    for ours, theirs in (
+        (subbands._magnitude_prior(), prior_of),
+        (planes._prior(), plane_tables.loud.prior),
+        (quiet, plane_tables.quiet.prior),
+        (counts, plane_tables.counts.prior),
+        (gaps, plane_tables.gaps.prior),
+    ):
+        assert [ours[context].tolist() for context in range(len(ours))] == [
+            theirs(context) for context in range(len(ours))
+        ]
+    assert subbands.Statistics().signs.counts.tolist() == [[8193, 8193]] * 5
+
+
+def test_a_float_is_the_fraction_it_stands_for():
+    exact = geometric_prior([Fraction(9, 20) * 7, Fraction(3, 20)])
+    np.testing.assert_array_equal(geometric_prior([0.45 * 7, 0.15]), exact)
+
+
+def test_bounds_are_those_of_the_page():
+    rng = np.random.default_rng(3)
+    for symbols in (2, 124):
+        counts = rng.integers(1, 2 ** rng.integers(1, 17, (200, 1)), (200, symbols))
+        counts[:50] = counts[:50, :1]  # sums that divide each other
+        models = range_coding.ModelSet(counts)
+        shares = range_coding._find_shares(models, [(context, slice(0)) for context in range(200)])
+        for row, share in zip(counts.tolist(), shares, strict=True):
+            left = np.append(0, np.cumsum(share + 1)).astype(int)
+            assert entropy.bounds(row) == left.tolist()
+
+
+def test_classes_are_those_of_the_page():
+    activity = np.concatenate([np.arange(5000), 2 ** np.arange(13, 31), [2**31 - 1]])
+    assert [entropy.class_of(int(a)) for a in activity] == classify(activity).tolist()
+    assert [entropy.floor_of(i) for i in range(62)] == [class_floor(i) for i in range(62)]
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_the_metric_is_that_of_the_page(smooth):
+    for degree in range(9):
+        ours = hemisphere_metric((degree + 1) ** 2, "smooth" if smooth else "singular")
+        forward, inverse = hemisphere_axes(degree, smooth)
+        tolerance = 1e-6 if degree < 7 else 1e-3
+        np.testing.assert_allclose(forward @ ours.inverse_kj, np.eye(len(forward)), rtol=0, atol=tolerance)
+        np.testing.assert_allclose(inverse, ours.inverse_kj, rtol=0, atol=tolerance * np.abs(inverse).max())
+
+
+def test_the_page_counts_the_components():
+    counts = [len(hemisphere_metric((degree + 1) ** 2).forward_jk) for degree in range(11, 41)]
+    assert " ".join(map(str, counts)) in PAGE
+
+
+@pytest.mark.parametrize("shape", [(1, 1 << 12, 1 << 12, 1), (4, 1 << 11, 1 << 11, 2), (1, 1 << 13, 1 << 13, 1)])
+def test_ballast_and_padding_are_those_of_the_page(shape):
+    for body in (b"", bytes(range(1, 100)), b"\1" * 5000):
+        assert without_ballast(add_ballast(body, shape), shape) == body
+        assert without_padding(pad_body(body, 4096), len(body), (1, 64, 64, 1)) == body
+    with pytest.raises(Refused):
+        without_ballast(b"\1\0\0\0\2\0\0\0" * 1000, (1, 1 << 13, 1 << 13, 1))
+
+
+@pytest.mark.parametrize("codec", ["wavelet", "klt"])
+def test_both_refuse_or_read_alike_what_is_damaged(device, codec):
+    options = {"rate": 6.0} if codec == "wavelet" else {"step": 2.0**-6, "transfer": "linear"}
+    encoded = encode(smooth_map(1, (5, 6, 1)), codec_class(codec).from_config(options), device)
+    body, rng, refused = bytes(encoded.body), np.random.default_rng(2), 0
+    for _ in range(40):
+        damaged = bytearray(body)
+        damaged[rng.integers(len(body))] ^= 1 << rng.integers(8)
+        damaged = bytes(damaged[: len(damaged) - int(rng.choice([0, 0, 4]))])
+        try:
+            expected = codec_class(codec).decode_body(damaged, encoded.shape, device)
+        except PayloadError:
+            refused += 1
+            with pytest.raises(Refused):
+                DECODERS[codec](damaged, encoded.shape)
+        else:
+            found = DECODERS[codec](damaged, encoded.shape)
+            assert np.abs(found - expected).max() <= 1e-4 * np.abs(expected).max()
+    assert refused
