@@ -2,7 +2,7 @@
 
 Run by hand when a codec is new, never by a test and never over a payload that a release has written: the files
 prove that what was encoded once still decodes to the same values. A codec whose bytes are made differently now has
-another payload, with the version of its body behind its name, such as klt.3.
+another payload, with the version of its body behind its name, such as klt.3; other maps and options follow behind that.
 """
 
 import sys
@@ -14,17 +14,35 @@ from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.device import open_device
 
 # Codes that cross bytes; tables and streams; planes that are not empty.
-OPTIONS = {"uniform": {"bits": 7}, "jpeg2000": {"rate": 8}, "klt": {"step": 0.015625}, "klt.3": {"step": 0.0009765625}}
+OPTIONS = {
+    "uniform": {"bits": 7},
+    "jpeg2000": {"rate": 8},
+    "klt": {"step": 0.015625},
+    "klt.3": {"step": 0.0009765625},
+    "klt.3.srgb": {"step": 2.0**-7, "transfer": "srgb"},
+    "klt.3.grey": {"step": 2.0**-6},
+    "klt.3.fine": {"step": 2.0**-19},
+    "wavelet.global": {"rate": 3.0, "allocation": "global", "levels": 5},
+    "wavelet.fine": {"rate": 30.0},
+}
+SHAPES = {"klt.3.srgb": (9, 13, 10, 3), "klt.3.grey": (49, 9, 12, 1), "wavelet.global": (9, 13, 10, 1)}
 FOLDER = Path(__file__).resolve().parent
 
 
-def frozen_map():
-    """Return a (4, 9, 11, 3) map of exact binary fractions: waves of integers, one constant plane, one outlier."""
-    k, h, w, c = np.indices((4, 9, 11, 3))
+def frozen_map(shape=(4, 9, 11, 3)):
+    """Return a map of exact binary fractions: waves of integers, one constant plane, one outlier."""
+    k, h, w, c = np.indices(shape)
     values = ((h * h + 3 * w * (k + 1) + 5 * c + h * w) % 61 - 30) / 8.0
     values[2] = -0.375
-    values[3, 4, 5, 1] = 200.0
+    values[3, 4, 5, -2 % shape[3]] = 200.0
     return values.astype(np.float32)
+
+
+def smooth_map(shape):
+    """Return a map such as pictures have, about between 0 and 1: slopes, an edge, less of higher degrees."""
+    k, h, w, c = np.indices(shape)
+    values = (3 * h + 2 * w + 4 * c + 24 * (h > w)) * (k % 4 == 0) + (h - w) * (k % 3 == 1) + (h * w % 5) * (k == 2)
+    return (values / 128.0 / (1 + np.sqrt(k).astype(int)) ** 2).astype(np.float32)
 
 
 def main(names):
@@ -36,7 +54,9 @@ def main(names):
             print(f"{payload.name} exists and is kept")
             continue
         codec = name.partition(".")[0]
-        encoded = encode(frozen_map(), codec_class(codec).from_config(OPTIONS.get(name, {})), device).to_bytes()
+        make_map = smooth_map if name == "klt.3.srgb" else frozen_map
+        coeffs = make_map(SHAPES.get(name, (4, 9, 11, 3)))
+        encoded = encode(coeffs, codec_class(codec).from_config(OPTIONS.get(name, {})), device).to_bytes()
         payload.write_bytes(encoded)
         np.save(FOLDER / f"{name}.npy", decode(encoded, device))
         print(f"{payload.name}: {len(encoded)} bytes")

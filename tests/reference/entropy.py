@@ -49,6 +49,41 @@ class RangeDecoder:
         require(self.range == ALL or (self.point - self.lower & ALL) < 2**33 - 1, "symbols left")
 
 
+class RangeEncoder:
+    def __init__(self):
+        self.lower, self.range, self.words = 0, ALL, []
+
+    def put(self, left, symbol):
+        scale = self.range >> 24
+        self.lower += scale * left[symbol]
+        self.range = scale * (left[symbol + 1] - left[symbol])
+        if self.lower > ALL:
+            self.lower -= ALL + 1
+            self.words = self.carried()
+        if self.range < WORD:
+            self.words.append(self.lower >> 32)
+            self.lower, self.range = self.lower << 32 & ALL, self.range << 32
+
+    def carried(self):
+        """Return the words, as one number, and 1."""
+        words, i = list(self.words), len(self.words) - 1
+        while words[i] == WORD - 1:
+            words[i] = 0
+            i -= 1
+        words[i] += 1
+        return words
+
+    def to_bytes(self):
+        if self.range == ALL:
+            return b""
+        point = self.lower + WORD - 1
+        words = self.carried() if point > ALL else list(self.words)
+        words.append((point & ALL) >> 32)
+        if (self.lower + self.range & ALL) >> 32 == words[-1]:
+            words.append(0)
+        return b"".join(word.to_bytes(4, "little") for word in words)
+
+
 class EvenBounds:
     """Bounds of integers of some bits, which are too many to be listed."""
 
