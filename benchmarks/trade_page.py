@@ -17,8 +17,9 @@ from pathlib import Path
 
 from clrelight.cli.progress import progress_bar
 from clrelight.device import open_device
+from clrelight.experiment.axes import Axes
 from clrelight.experiment.front import Trial
-from clrelight.experiment.trade import Axes, sweep_trade
+from clrelight.experiment.trade import sweep_trade
 from clrelight.ingest import ingest_folder
 from clrelight.report import canvas
 from clrelight.report.markup import to_markdown

@@ -7,7 +7,8 @@ import pytest
 
 from clrelight.errors import InputError
 from clrelight.experiment import bench, load_experiment, paper_experiment, run_experiment
-from clrelight.fit import fit
+from clrelight.experiment.row import row_key
+from clrelight.jobs.fit import fit
 from clrelight.report import summary_rows, write_report
 from clrelight.store import read_results, write_stack
 from datasets_synth.ring import render_ring
@@ -69,7 +70,7 @@ def test_what_was_asked_by_name_is_another_row_than_the_same_chosen(tmp_path):
     named = auto_grid(methods=(chosen["method"].decode(),), degrees=(int(chosen["degree"]), "auto"))
     table = run_experiment(named, tmp_path / "r.h5").table
     assert len(table) == 2 + 2 * 2
-    assert len({bench.row_key(row) for row in table}) == 6
+    assert len({row_key(row) for row in table}) == 6
     assert len({row["psnr_pooled_holdout"] for row in table if row["codec"] == b"none"}) == 1
     # The lights held out are part of the question.
     assert len(run_experiment(auto_grid(holdout=6), tmp_path / "r.h5").table) == 8
@@ -96,7 +97,7 @@ def test_an_interrupted_grid_goes_on(tmp_path, choices, monkeypatch):
     assert len(first) == 1
     whole = run_experiment(grid, tmp_path / "r.h5").table
     assert (len(whole), whole[:1].tobytes()) == (8, first.tobytes())
-    assert len({bench.row_key(row) for row in whole}) == 8
+    assert len({row_key(row) for row in whole}) == 8
     assert choices == [("auto", "auto"), ("auto", "auto"), ("auto", 2), ("cls", "auto"), ("cls", 2)]
 
 

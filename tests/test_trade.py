@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from clrelight.dataset import split_lights
 from clrelight.errors import InputError
 from clrelight.experiment import load_experiment, make_settings
+from clrelight.experiment.axes import Axes
 from clrelight.experiment.front import Limits, Model, Trial, front, near_front
 from clrelight.experiment.grid import CodecSetting, Experiment
 from clrelight.experiment.toml import experiment_text
-from clrelight.experiment.trade import Axes
 from clrelight.fit import method_class
 from clrelight.holdout import split_chosen
 from clrelight.results import ROW_DTYPE, TIME_FIELDS

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -21,10 +20,10 @@ from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.experiment.grid import CodecSetting, Experiment
 from clrelight.experiment.provenance import software_versions, source_commit
+from clrelight.experiment.row import append, fill, fixed, json_text, without_quality
 from clrelight.experiment.scenes import Survey, shrink_picture, survey_stack
-from clrelight.fit import FitMethod
+from clrelight.fit import FitMethod, FitReport, collect_fit, prepare_fit
 from clrelight.fit.precision import MIXED, check_precision
-from clrelight.fit.run import FitReport, collect_fit, prepare_fit
 from clrelight.fit.selection import AUTO
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import split_chosen
@@ -44,46 +43,6 @@ _BUILDING = 3.0
 """The same of a fit, whose first run may build a kernel that the first row did not need."""
 
 Made = TypeVar("Made")
-
-_IDENTITY = (
-    "scene",
-    "method",
-    "degree",
-    "fit_config",
-    "codec",
-    "codec_config",
-    "n_light",
-    "n_holdout",
-    "height",
-    "width",
-    "channel",
-    "seed",
-)
-
-
-_ASKED_ALWAYS = ("auto", "weights", "sampling", "precision", "lights", "holdout_by", "stack")
-"""What `fit_config` holds beside a method's own options."""
-
-
-def row_key(row: np.void) -> tuple:
-    """Return what a row was asked for: rows that share it are one measurement."""
-    asked = {name: row[name] for name in _IDENTITY}
-    config = _asked_config(row["fit_config"])
-    chosen = str(config.get("auto", ""))
-    if "degree" in chosen:
-        asked["degree"] = AUTO
-    if "method" in chosen:
-        # What was chosen, with its options, is no part of the question.
-        asked["method"], asked["fit_config"] = AUTO, _json({name: config.get(name) for name in _ASKED_ALWAYS})
-    return tuple(asked.values())
-
-
-def _asked_config(fit_config: bytes) -> dict[str, Any]:
-    try:
-        config = json.loads(fit_config)
-    except ValueError:  # cut off at the field's length
-        return {}
-    return config if isinstance(config, dict) else {}
 
 
 class _RefusalError(InputError):
@@ -130,14 +89,14 @@ class Bench:
     def check_device(self, results: Results, out: str | os.PathLike[str]) -> None:
         """Raise InputError if rows of this name were timed on another device: their seconds do not compare."""
         for row in self._own_rows(results):
-            if row["device"] != _fixed(self.device.info.label, ROW_DTYPE["device"]):
+            if row["device"] != fixed("device", self.device.info.label):
                 raise InputError(
                     f"{out} holds times of another device ({row['device'].decode()}): choose another --out, "
                     "or start anew with --force"
                 )
 
     def _own_rows(self, results: Results) -> NDArray:
-        return results.table[results.table["scene"] == _fixed(self.stack.name, ROW_DTYPE["scene"])]
+        return results.table[results.table["scene"] == fixed("scene", self.stack.name)]
 
     def identity(self, method: FitMethod | str, degree: int | str, setting: CodecSetting) -> np.void:
         """Return the row with all that is known before measuring; a choice left to the fit is ``"auto"`` and -1."""
@@ -146,7 +105,7 @@ class Bench:
             "scene": self.stack.name,
             **self._model_fields(method, degree, _chosen_by_auto(method, degree)),
             "codec": setting.id,
-            "codec_config": _json(setting.config),
+            "codec_config": json_text(setting.config),
             "rate": setting.rate,
             "n_light": len(self.fitted),
             "n_holdout": len(self.held),
@@ -158,11 +117,9 @@ class Bench:
             "versions": software_versions(),
             "commit": source_commit(),
         }
-        row = np.zeros(1, ROW_DTYPE)
-        for name, kind in ROW_DTYPE.fields.items() if ROW_DTYPE.fields else ():
-            if name in values:
-                row[0][name] = _fixed(values[name], kind[0])
-        return row[0]
+        row = np.zeros(1, ROW_DTYPE)[0]
+        fill(row, values)
+        return row
 
     def _model_fields(self, method: FitMethod | str, degree: int | str, auto: str) -> dict[str, Any]:
         """Return the fields of a row that say what is fitted; `auto` names what the fit chooses, or has chosen."""
@@ -180,7 +137,7 @@ class Bench:
         }
         known = -1 if isinstance(degree, str) else degree
         name = method if isinstance(method, str) else method.id
-        return {"method": name, "degree": known, "fit_config": _json(config), "n_coeff": coefficient_count(known)}
+        return {"method": name, "degree": known, "fit_config": json_text(config), "n_coeff": coefficient_count(known)}
 
     def measure(
         self, results: Results, row: np.void, asked: FitMethod | str, asked_degree: int | str, setting: CodecSetting
@@ -191,10 +148,9 @@ class Bench:
             degree = coefficients.degree
         except _RefusalError as refusal:
             row["mean_energy"] = row["seconds_fit"] = math.nan
-            return _append(results, _without_quality(row, str(refusal)))
+            return append(results, without_quality(row, str(refusal)))
         if auto := _chosen_by_auto(asked, asked_degree):
-            for name, value in self._model_fields(method, degree, auto).items():
-                row[name] = _fixed(value, ROW_DTYPE[name])
+            fill(row, self._model_fields(method, degree, auto))
         row["mean_energy"] = _mean_energy(coefficients.coeffs_khwc)
         row["entropy_bits"] = math.nan
         row["bits_per_coefficient"], row["encoded_bytes"] = 32.0, coefficients.coeffs_khwc.nbytes
@@ -207,13 +163,12 @@ class Bench:
                 noise = predict_noise(coeffs_khwc, codec, self.device)
                 encoded, row["seconds_encode"] = self._timed(lambda: encode(coeffs_khwc, codec, self.device))
             except InputError as error:
-                return _append(results, _without_quality(row, str(error)))
+                return append(results, without_quality(row, str(error)))
             # From the bytes alone, so that nothing the encoder knows can leak into the measurement.
             decoded_khwc, row["seconds_decode"] = self._timed(lambda: decode(encoded.to_bytes(), self.device))
             row["bits_per_coefficient"], row["encoded_bytes"] = encoded.bits_per_coefficient, encoded.encoded_bytes
             row["entropy_bits"] = encoded.info.get("entropy_bits", math.nan)
-            for name, value in coding_psnr(noise, coeffs_khwc, decoded_khwc).items():
-                row[name] = value
+            fill(row, coding_psnr(noise, coeffs_khwc, decoded_khwc))
             coefficients = replace(coefficients, coeffs_khwc=decoded_khwc)
         start = time.perf_counter()
         mse_i = measure_errors(coefficients, self.stack, device=self.device)
@@ -227,11 +182,11 @@ class Bench:
             row["psnr_mean_holdout"], row["psnr_pooled_holdout"] = at_held.psnr_mean, at_held.psnr_pooled
             notes["held out"] = at_held.note
         told = "; ".join(f"{lights}: {note}" for lights, note in notes.items() if note)
-        row["note"] = _fixed(told, ROW_DTYPE["note"])
+        row["note"] = fixed("note", told)
         if not self.illustrated:
-            return _append(results, row)
+            return append(results, row)
         pictures, profiles = self._illustrate(results, coefficients, method, degree, setting)
-        return replace(_append(results, row), pictures=pictures, profiles=profiles)
+        return replace(append(results, row), pictures=pictures, profiles=profiles)
 
     def _coefficients(self, method: FitMethod | str, degree: int | str) -> tuple[CoefficientMap, FitMethod, float]:
         """Return the fit, its method, and its seconds, those of a choice included."""
@@ -306,32 +261,6 @@ def _chosen_by_auto(method: FitMethod | str, degree: int | str) -> str:
     return " and ".join(name for name, value in (("method", method), ("degree", degree)) if value == AUTO)
 
 
-def _append(results: Results, row: np.void) -> Results:
-    return replace(results, table=np.concatenate([results.table, np.array([row], ROW_DTYPE)]))
-
-
-def _without_quality(row: np.void, reason: str) -> np.void:
-    """Return the row of a fit or codec that refused: a result too, with the reason as its note."""
-    unknown = ("bits_per_coefficient", "entropy_bits", "seconds_encode", "seconds_decode", "seconds_measure")
-    of_coding = ("coding_psnr_independent", "coding_psnr_predicted", "coding_psnr")
-    for name in (*unknown, *of_coding, "psnr_mean", "psnr_pooled", "psnr_mean_holdout", "psnr_pooled_holdout"):
-        row[name] = math.nan
-    row["encoded_bytes"] = 0
-    row["note"] = _fixed(reason, ROW_DTYPE["note"])
-    return row
-
-
 def _mean_energy(coeffs_khwc: NDArray[np.float32]) -> float:
     planes = (np.vdot(plane.astype(np.float64), plane.astype(np.float64)) for plane in coeffs_khwc)
     return float(sum(planes)) / float(np.prod(coeffs_khwc.shape[1:]))
-
-
-def _json(config: Mapping[str, Any]) -> str:
-    return json.dumps(config, sort_keys=True, separators=(",", ":"))
-
-
-def _fixed(value: Any, dtype: np.dtype) -> Any:
-    if dtype.kind != "S":
-        return value
-    encoded = str(value).encode("utf-8")
-    return encoded[: dtype.itemsize].decode("utf-8", "ignore").encode("utf-8")

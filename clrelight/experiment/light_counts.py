@@ -10,9 +10,10 @@ from clrelight.dataset import LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.fit.plan import is_sphere
-from clrelight.fit.run import fit
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import split_chosen
+from clrelight.jobs.fit import fit
+from clrelight.jobs.report import Report
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.plan_lights import LightQuality, assess_lights, choose_lights
 
@@ -56,7 +57,7 @@ def measure_choices(
     """Fit every count and choice of the lights by every method, and measure at every `holdout`-th light of the stack.
 
     No choice ever holds one of the lights that are measured. Parameters are those of `clrelight.plan_lights` and
-    `clrelight.fit.run.fit`; without `counts`, a quarter, half and all of the lights that are not held out.
+    `clrelight.fit`; without `counts`, a quarter, half and all of the lights that are not held out.
 
     Raises
     ------
@@ -95,5 +96,5 @@ def measure_choices(
 def _measure(seen: LightStack, unseen: LightStack, method: str, degree: int, device: Device) -> float:
     if method in _UNBOUNDED and seen.n_light < coefficient_count(degree):
         return math.nan
-    coefficients = fit(seen, method, degree, device=device)
+    coefficients = fit(seen, method, degree, device=device, measure=False, report=Report())
     return summarize_errors(measure_errors(coefficients, unseen, device=device)).psnr_pooled

@@ -12,8 +12,9 @@ import numpy as np
 
 from clrelight.device import Device, open_device
 from clrelight.durable import claiming, no_locks
-from clrelight.experiment.bench import Bench, row_key
+from clrelight.experiment.bench import Bench
 from clrelight.experiment.grid import RING, Experiment
+from clrelight.experiment.row import row_key
 from clrelight.experiment.scenes import check_names, open_scene, scene_name
 from clrelight.holdout import describe_distance
 from clrelight.results import ROW_DTYPE, Results

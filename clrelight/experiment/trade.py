@@ -5,32 +5,27 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from clrelight.dataset import LightStack
 from clrelight.device import Device, open_device
 from clrelight.durable import claiming, no_locks
 from clrelight.errors import InputError
-from clrelight.experiment.bench import Bench, row_key
+from clrelight.experiment.axes import HALF, LEAST_LIGHTS, Axes
+from clrelight.experiment.bench import Bench
 from clrelight.experiment.front import Model, Trial, near_front, storage_label
-from clrelight.experiment.grid import CodecSetting, Experiment, make_methods, make_settings
+from clrelight.experiment.grid import CodecSetting, Experiment, make_settings
+from clrelight.experiment.row import row_key
 from clrelight.experiment.run import Progress, earlier_results
 from clrelight.experiment.scenes import survey_stack
 from clrelight.fit import method_class
-from clrelight.fit.cls import CONVERGED_AFTER, ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED, check_precision, differing_precisions
-from clrelight.fit.selection import DEGREES, METHODS
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.decomposition import decompose
 from clrelight.harmonics.index import coefficient_count
-from clrelight.holdout import split_chosen
-from clrelight.results import NO_CODEC
 from clrelight.store import write_results
 
 REPEATS = 3
-HALF = "half"
-LEAST_LIGHTS = 10
-"""Fewer lights to fit make no sweep."""
 
 _MAX_CONDITION = 1e6
 """Of the basis matrix, up to which unbounded fits are tried."""
@@ -46,87 +41,6 @@ _THINNED, _CODED, _RECKONED = 4, 2, 1
 _MEMORY = 1 << 30
 """Bytes of images up to which a stack is held in memory, so that no time is one of reading."""
 REFERENCE_DEGREE = 6
-
-
-@dataclass(frozen=True)
-class Axes:
-    """What is varied.
-
-    Attributes
-    ----------
-    methods : tuple of str
-        By default those that ``auto`` chooses from.
-    degrees : tuple of int
-        Tried upwards; by default those of ``auto``.
-    iterations : tuple of int
-        Steps of the bisection of ``cls``, tried beside its Newton search.
-    newton_steps : tuple of int
-        Steps of the Newton search, tried beside the one that ends by itself.
-    precisions : tuple of str
-        Tried beside mixed; empty: all whose kernels differ.
-    lights : tuple of int
-        Numbers of lights fitted beside all, well spread; empty: a half and a quarter.
-    codecs : tuple of str
-        Beside float32.
-    rates : tuple of float
-        Bits per coefficient of the codecs that take a rate, tried downwards.
-    holdout : int
-        Every `holdout`-th light is in no fit, and measures them all.
-    holdout_by : str
-        Which ones, one of `clrelight.holdout.HOLDOUTS`.
-    """
-
-    methods: tuple[str, ...] = METHODS
-    degrees: tuple[int, ...] = DEGREES
-    iterations: tuple[int, ...] = (4, 8, 16, 32)
-    newton_steps: tuple[int, ...] = (1, 2, 4, 8)
-    precisions: tuple[str, ...] = ()
-    lights: tuple[int, ...] = ()
-    codecs: tuple[str, ...] = (HALF, "klt", "wavelet", "s3tc")
-    rates: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
-    holdout: int = 5
-    holdout_by: str = "index"
-
-    def __post_init__(self) -> None:
-        # Makes every setting once, so that what is unknown is said before anything is measured.
-        plain = tuple(method for name in self.methods for method in make_methods(name, {}))
-        if any(isinstance(method, str) for method in plain):
-            raise InputError("the sweep chooses by measuring: leave auto out of the methods")
-        codecs = tuple(setting for ladder in self.ladders() for setting in ladder)
-        for precision in self.precisions or (MIXED,):
-            Experiment(
-                methods=plain,
-                degrees=self.degrees,
-                codecs=codecs or (CodecSetting(),),
-                holdout=self.holdout,
-                holdout_by=self.holdout_by,
-                precision=precision,
-            )
-        self.searches()
-        most = CONVERGED_AFTER["newton"] - 1
-        if ending := [steps for steps in self.newton_steps if steps > most]:
-            raise InputError(
-                f"newton steps must be at most {most}, got {ending[0]}: with more it ends by itself, as it does anyway"
-            )
-        if bad := [number for number in self.lights if number < LEAST_LIGHTS]:
-            raise InputError(f"numbers of lights must be at least {LEAST_LIGHTS}, got {bad[0]}")
-
-    def ladders(self) -> list[list[CodecSetting]]:
-        """Return the settings of each codec, generous rates first; a codec without a rate has one."""
-        found = []
-        for name in self.codecs:
-            if name == NO_CODEC:
-                continue
-            settings = make_settings(name, {})
-            if not math.isnan(settings[0].rate) and "rate" in settings[0].config:
-                settings = make_settings(name, {"rate": sorted(set(self.rates), reverse=True)})
-            found.append(settings)
-        return found
-
-    def searches(self) -> list[ConstrainedLeastSquares]:
-        """Return ``cls`` by bisection and by Newton with each number of steps."""
-        asked = (("bisection", self.iterations), ("newton", self.newton_steps))
-        return [ConstrainedLeastSquares(solver=name, iterations=steps) for name, each in asked for steps in each]
 
 
 def sweep_trade(
@@ -190,7 +104,7 @@ class _Sweep:
     ) -> None:
         self.stack, self.scene, self.out, self.axes, self.device = _in_memory(stack), scene, out, axes, device
         self.report = progress or (lambda what, count, total: None)
-        n_fit = len(split_chosen(stack.directions_i3, axes.holdout, by=axes.holdout_by)[0])
+        n_fit = len(axes.split(stack.directions_i3)[0])
         if n_fit < LEAST_LIGHTS:
             raise InputError(
                 f"{stack.name} has {stack.n_light} lights, of which holdout {axes.holdout} leaves {n_fit} to fit: "

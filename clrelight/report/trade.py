@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from clrelight.experiment.axes import HALF
 from clrelight.experiment.front import Trial, front, search_label, storage_label
-from clrelight.experiment.trade import HALF, find_reference
+from clrelight.experiment.trade import find_reference
 from clrelight.fit.cls import ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED
 from clrelight.report import canvas
