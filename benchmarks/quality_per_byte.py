@@ -1,6 +1,6 @@
 """Print quality at equal bytes, and bytes at equal quality, at held-out lights.
 
-    python -m benchmarks.quality_per_byte STACK.h5 ... [--markdown README.md] [--picture FILE.png]
+    python -m benchmarks.quality_per_byte STACK.h5 ... [--markdown docs/codecs.md] [--picture FILE.png]
 
 Every fifth light is kept out of all fits. Beside ours (`auto` fit, `klt` codec): the paper's constrained least squares
 at degree 6 through S3TC and through the same wavelet coder with one step for all maps, and the RTI way (8-bit planes
@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from clrelight.baseline import measure_rti
+from benchmarks.rti_baseline import measure_rti
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.codec import codec_class, decode, encode
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import open_device
-from clrelight.fit.run import fit
 from clrelight.holdout import split_chosen
+from clrelight.jobs.fit import fit
 from clrelight.jobs.target import encode_to_quality
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.relight import relight, to_display

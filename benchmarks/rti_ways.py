@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rti_stacks import Case
+from benchmarks.rti_tools import BASES, fit_rti
 from benchmarks.similarity import Score, score_images
-from clrelight.baseline import BASES, fit_rti
 from clrelight.codec import codec_class, decode, encode
 from clrelight.conventions import linear_to_srgb
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.fit import fit, method_ids
+from clrelight.fit import method_ids
+from clrelight.jobs.fit import fit
 from clrelight.relight import relight
 
 BITS_PER_PIXEL = (1.0, 4.0, 16.0)
@@ -159,7 +160,7 @@ class _Model:
 
 def _fit(way: Way, case: Case, device: Device) -> _Model:
     method, degree, options = way.parts
-    fitted = fit(case.seen, method, degree, options=options, device=device)
+    fitted = fit(case.seen, method, degree, **options, device=device)
     height, width, channel = case.stack.image_shape
 
     def images(coefficients: CoefficientMap) -> Relit:

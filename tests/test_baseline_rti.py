@@ -5,8 +5,9 @@ import sys
 import numpy as np
 import pytest
 
-from clrelight.baseline import BASES, fit_rti, measure_rti
-from clrelight.baseline.rti import compress_planes, hsh_basis, ptm_basis
+from benchmarks.jpeg_planes import compress_planes
+from benchmarks.rti_baseline import measure_rti
+from benchmarks.rti_tools import BASES, fit_rti, hsh_basis, ptm_basis
 from clrelight.dataset import LightStack, split_lights
 from clrelight.errors import InputError
 

@@ -30,7 +30,7 @@ FLOORS = [
     {"fit", "codec", "lighting", "metrics", "relight"},
     {"store", "export", "ingest", "results", "selftest", "selftest_photographs", "truth"},
     {"jobs"},
-    {"baseline", "experiment"},
+    {"experiment"},
     {"report", "speed"},
     {"cli"},
     {"__main__"},

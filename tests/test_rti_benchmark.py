@@ -8,9 +8,9 @@ from click.testing import CliRunner
 
 from benchmarks import rti
 from benchmarks.rti_stacks import find_stacks, read_case
+from benchmarks.rti_tools import BASES
 from benchmarks.rti_ways import Way, default_ways
 from benchmarks.similarity import score_images, similarity
-from clrelight.baseline import BASES
 from clrelight.errors import InputError
 from clrelight.fit import method_ids
 

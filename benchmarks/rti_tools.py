@@ -6,20 +6,17 @@ scaled to 8 bits over the central 99.5% of its values, and written as JPEG.
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.jpeg_planes import compress_planes
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.metrics import psnr_of, summarize_errors
 
-RANGE_PERCENT = 99.5
 _PCA_SAMPLES = 16384
 _TIES = 1e-9
 """Smoothing of what goes through all lights, so that photographs of one and the same light are averaged."""
@@ -95,32 +92,6 @@ class RtiFit:
         return size + self.table_bytes, decoded
 
 
-@dataclass(frozen=True)
-class RtiQuality:
-    """What one setting costs and gives.
-
-    Attributes
-    ----------
-    basis : str
-    quality : int or None
-        Of the JPEG planes; None where planes stay float32.
-    encoded_bytes : int
-        JPEG files, scales, and tables of the basis.
-    psnr_pooled, psnr_mean : float
-        At the lights held out, of values clipped to [0, peak] in the stack's own transfer, in decibel: of the pooled
-        squared error, and the mean over images.
-    psnr_pooled_fitted : float
-        The first at the fitted lights.
-    """
-
-    basis: str
-    quality: int | None
-    encoded_bytes: int
-    psnr_pooled: float
-    psnr_mean: float
-    psnr_pooled_fitted: float
-
-
 def fit_rti(stack: LightStack, fitted_i: NDArray[np.intp], basis: str) -> RtiFit:
     """Fit some lights of a stack, which is read whole into memory as float32.
 
@@ -150,97 +121,6 @@ def fit_rti(stack: LightStack, fitted_i: NDArray[np.intp], basis: str) -> RtiFit
         return image_p.reshape(height, width, channel)
 
     return RtiFit(planes, relight_planes, table_bytes, mask_hw, (0.0, 1.0) if basis == _PHOTOGRAPHS else None)
-
-
-def measure_rti(
-    stack: LightStack,
-    fitted_i: NDArray[np.intp],
-    held_out_i: NDArray[np.intp],
-    basis: str,
-    qualities: tuple[int | None, ...] = (95,),
-) -> list[RtiQuality]:
-    """Fit at some lights, compress at each quality, decode, and compare at both sets of lights.
-
-    Parameters
-    ----------
-    stack : LightStack
-        Read whole into memory as float32.
-    fitted_i, held_out_i : ndarray of int
-        Lights, as `split_lights` gives them.
-    basis : str
-        One of `BASES`.
-    qualities : tuple
-        JPEG qualities, 1 to 100, or None for planes left in float32.
-
-    Returns
-    -------
-    list of RtiQuality
-        One for each quality.
-
-    Raises
-    ------
-    InputError
-        If the basis is unknown, there are fewer lights than functions, a quality is impossible, or Pillow is absent.
-    """
-    for quality in qualities:
-        if quality is not None and not (isinstance(quality, int) and 1 <= quality <= 100):
-            raise InputError(f"a JPEG quality must be 1 to 100, got {quality!r}")
-    if not (len(fitted_i) and len(held_out_i)):
-        raise InputError("there must be lights to fit and lights held out")
-    fitted = fit_rti(stack, fitted_i, basis)
-    given_ihwc = stack.read_rows(0, stack.image_shape[0])
-
-    def errors(decoded: list[NDArray[np.float32]], lights_i: NDArray[np.intp]) -> NDArray[np.float64]:
-        mse = []
-        for i in lights_i:
-            given_hwc = np.clip(given_ihwc[i] / np.float32(stack.peak), 0, 1)
-            difference_hwc = np.clip(fitted.relight(decoded, int(i)), 0, 1) - given_hwc
-            mse.append(np.square(difference_hwc[fitted.mask_hw], dtype=np.float64).mean())
-        return np.array(mse)
-
-    found = []
-    for quality in qualities:
-        size, decoded = fitted.compress(quality)
-        held_out = summarize_errors(errors(decoded, held_out_i))
-        seen = float(psnr_of(float(errors(decoded, fitted_i).mean())))
-        found.append(RtiQuality(basis, quality, size, held_out.psnr_pooled, held_out.psnr_mean, seen))
-    return found
-
-
-def compress_planes(
-    planes: list[NDArray[np.float32]],
-    quality: int | None,
-    mask_hw: NDArray[np.bool_] | None = None,
-    span: tuple[float, float] | None = None,
-) -> tuple[int, list[NDArray[np.float32]]]:
-    """Return the bytes of planes (h, w, 1 or 3) as scaled JPEG files, and the planes that come back from them.
-
-    Colours are stored without subsampling. Scales are two float32 for each channel of each plane, unless all have the
-    same `span`. Pixels outside the mask do not count: they are black in the files, and cost next to nothing.
-    """
-    mask_hw = np.ones(planes[0].shape[:2], bool) if mask_hw is None else mask_hw
-    if quality is None:
-        return sum(int(mask_hw.sum()) * plane.shape[2] * plane.itemsize for plane in planes), planes
-    image_module = _pillow()
-    size, decoded = 0, []
-    for plane_hwc in planes:
-        if span is None:
-            outside = (100.0 - RANGE_PERCENT) / 2.0
-            low_c, high_c = np.percentile(plane_hwc[mask_hw], [outside, 100.0 - outside], axis=0).astype(np.float32)
-        else:
-            low_c, high_c = (np.full(plane_hwc.shape[2], end, np.float32) for end in span)
-        step_c = np.where(high_c > low_c, high_c - low_c, np.float32(1)) / np.float32(255)
-        codes_hwc = np.clip(np.rint((plane_hwc - low_c) / step_c), 0, 255).astype(np.uint8)
-        codes_hwc[~mask_hw] = 0
-        file = io.BytesIO()
-        single = codes_hwc.shape[2] == 1
-        image = image_module.fromarray(codes_hwc[:, :, 0] if single else codes_hwc)
-        image.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)
-        size += len(file.getvalue()) + (low_c.nbytes + step_c.nbytes if span is None else 0)
-        with image_module.open(io.BytesIO(file.getvalue())) as read:
-            back_hwc = np.array(read).reshape(codes_hwc.shape)
-        decoded.append((low_c + back_hwc * step_c).astype(np.float32))
-    return size, decoded
 
 
 def _fit_fixed(
@@ -301,11 +181,3 @@ def _fit_pca(
 def _to_8_bits(row_d: NDArray[np.float64]) -> NDArray[np.float64]:
     low, step = row_d.min(), max(np.ptp(row_d), 1e-12) / 255.0
     return low + np.rint((row_d - low) / step) * step
-
-
-def _pillow() -> Any:
-    try:
-        from PIL import Image
-    except ImportError:
-        raise InputError("JPEG planes need Pillow: pip install 'clrelight[codecs]'") from None
-    return Image
