@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -34,18 +35,9 @@ def main(out: Path, height: int, width: int, lights: int, dtype: str) -> None:
     scene = render_ring(size=_TILE, lights=lights, dtype=dtype)
     # The band is made once; the rows of any other are some of its rows.
     wide_ihwc = np.tile(scene.images_ihwc, (1, 1, -(-width // _TILE), 1))[:, :, :width]
-    with (
-        progress_bar("writing") as progress,
-        create_stack(
-            out,
-            shape_ihwc=(lights, height, width, 3),
-            dtype=dtype,
-            directions_i3=scene.directions_i3,
-            peak=scene.peak,
-            transfer=scene.transfer,
-            name="big",
-        ) as sink,
-    ):
+    blank_ihwc = np.broadcast_to(np.zeros((), dtype), (lights, height, width, 3))
+    big = replace(scene, images_ihwc=blank_ihwc, name="big")
+    with progress_bar("writing") as progress, create_stack(out, big) as sink:
         chunk_rows = sink.chunks[1]
         step = chunk_rows * max(1, _BAND_BYTES // (chunk_rows * wide_ihwc[:, :1].nbytes))
         for first in range(0, height, step):

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,9 @@ import numpy as np
 from benchmarks.commands import run_command
 from clrelight.cli.options import ByteCount, Names, Numbers, whole_number
 from clrelight.cli.tables import print_table
+from clrelight.dataset import FitRecord
 from clrelight.errors import InputError
-from clrelight.fit import fit
+from clrelight.jobs.fit import fit
 from clrelight.speed.job import peak_memory
 from clrelight.store import create_fit
 from datasets_synth.ring import render_ring
@@ -44,17 +46,7 @@ def write_tiled_fit(path: Path, size: int, degree: int) -> None:
     """Write a fit of a small rendering, tiled to a large view."""
     small = fit(render_ring(size=_TILE, lights=_LIGHTS), "cls", degree)
     wide_khwc = np.tile(small.coeffs_khwc, (1, 1, -(-size // _TILE), 1))[:, :, :size]
-    with create_fit(
-        path,
-        degree=degree,
-        image_shape=(size, size, 3),
-        method=small.method,
-        peak=small.peak,
-        transfer=small.transfer,
-        directions_i3=small.directions_i3,
-        config=small.config,
-        name="tiled",
-    ) as sink:
+    with create_fit(path, replace(FitRecord.of(small), name="tiled"), (size, size, 3)) as sink:
         for first in range(0, size, _TILE):
             rows_khwc = np.ascontiguousarray(wide_khwc[:, : min(_TILE, size - first)])
             sink.write_rows(first, rows_khwc, None, None)

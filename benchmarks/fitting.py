@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmarks import exact
 from benchmarks.workload import Workload
 from clrelight.dataset import CoefficientMap
-from clrelight.fit.run import PreparedFit, collect_fit, prepare_fit
+from clrelight.fit import PreparedFit, collect_fit, prepare_fit
 from clrelight.matmul import SampleCurve, apply_operator, multiply_columns, pack_operator
 from clrelight.speed.peers import NewtonFit, RootFit
 from clrelight.speed.stage import Stage

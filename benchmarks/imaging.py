@@ -12,8 +12,8 @@ from benchmarks.coding import KLT_RATE
 from benchmarks.workload import Workload
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.conventions import linear_to_srgb
-from clrelight.fit import fit
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.jobs.fit import fit
 from clrelight.metrics import measure_errors, psnr_of
 from clrelight.relight import relight
 from clrelight.speed.peers import squared_errors

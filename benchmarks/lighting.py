@@ -22,8 +22,8 @@ from clrelight.cli.tables import print_table
 from clrelight.dataset import LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
-from clrelight.fit.run import fit
 from clrelight.ingest import ingest_folder
+from clrelight.jobs.fit import fit
 from clrelight.lighting import layouts
 from clrelight.lighting.environment import Environment, read_environment
 from clrelight.lighting.irradiance import compare_irradiance, evaluate_irradiance, integrate_irradiance

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.commands import run_command
+from clrelight.arrays import read_rows_into
 from clrelight.cli.options import ByteCount, whole_number
 from clrelight.cli.tables import print_table
-from clrelight.dataset import read_rows_into
 from clrelight.errors import InputError
 from clrelight.fit import fit_tiles, prepare_fit
 from clrelight.speed.job import peak_memory

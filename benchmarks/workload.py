@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
-from clrelight.fit import fit
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.jobs.fit import fit
 from datasets_synth.ring import render_ring
 
 _CHECKED_COLUMNS = 4099

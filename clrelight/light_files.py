@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.durable import replacing
 from clrelight.errors import InputError
+from clrelight.light_columns import find_axes, read_directions, refuse_angles
 from clrelight.text_rows import NUMBER, read_lines, split_fields
-
-UNIT_TOLERANCE = 0.01
 
 _LONGEST_NAMED_LINE = 1 << 13
 _TRAILING_COMMENT = re.compile(r"(?:#|%|//).*")
@@ -22,7 +23,6 @@ _NAME_HEADING = re.compile(r"name|file|image|img|photo|picture", re.IGNORECASE)
 _IMAGE_NAME = re.compile(r".+\.[a-z][a-z0-9]{1,4}", re.IGNORECASE)
 _QUOTED_NAME = re.compile(r"""(["'])(?P<name>.+?)\1[\s,;]*(?P<rest>.*)""")
 _COUNT = re.compile(r"[^0-9]*?([0-9]{1,9})[^0-9]*")
-_AXIS = re.compile(r"(?:.*[\W_])?(?:l|n|d|v|p|dir|light|pos|direction|position)?([xyz])(?:\W.*)?", re.IGNORECASE)
 _ANGLES = re.compile(r"azim|elev|theta|phi|zenith|inclin|altitude|colat|longitude|latitude|polar|degree", re.IGNORECASE)
 
 
@@ -98,16 +98,23 @@ def read_light_file(path: Path) -> LightFile:
     if not rows:
         raise InputError(f"{path} names no image" if named else f"{path} holds no numbers")
     values = _numbers(path, rows, named)
-    directions_i3, column_notes = _directions(path, values, heading, named)
+    directions_i3, column_notes = read_directions(path, values, heading, named)
     names = tuple(row.name for row in rows) if named else ()
     by_line = len(directions_i3) == len(rows) and (named or values.shape != (3, 3))
-    _refuse_angles(path, directions_i3)
+    refuse_angles(path, directions_i3)
     if announced is not None and abs(announced - len(directions_i3)) > 1:
         raise InputError(
             f"{path} announces {announced} lights, but lists {len(directions_i3)}; expected as many as announced"
         )
     at = tuple(row.line for row in rows) if by_line else ()
     return LightFile(path, names, directions_i3, at, announced, (*notes, *column_notes))
+
+
+def write_lp(path: str | os.PathLike[str], names: Sequence[str], directions_i3: NDArray[np.float64]) -> None:
+    """Write an ``.lp`` file as `read_light_file` reads it, directions to 1e-9; InputError if it cannot be written."""
+    lines = [f"{name} {x:.9f} {y:.9f} {z:.9f}\n" for name, (x, y, z) in zip(names, directions_i3, strict=True)]
+    with replacing(path) as part:
+        part.write("".join([f"{len(lines)}\n", *lines]).encode("utf-8"))
 
 
 def read_table(path: Path) -> NDArray[np.float64]:
@@ -225,14 +232,8 @@ def _heading(path: Path, row: _Row, named: bool) -> tuple[str, ...] | None:
         # What is before the name, such as a number of the line, is read with the name.
         name = next((i for i, word in enumerate(words) if _NAME_HEADING.search(word)), 0)
         words = words[:name] if name == len(words) - 1 else words[name + 1 :]
-        return tuple(words) if _axes(words) else None
+        return tuple(words) if find_axes(words) else None
     return tuple(words)
-
-
-def _axes(words: Sequence[str]) -> list[int] | None:
-    """Return where x, y and z are among the words of a heading, or None where each is not there once."""
-    axes = [found[1].lower() if (found := _AXIS.fullmatch(word)) else "" for word in words]
-    return [axes.index(axis) for axis in "xyz"] if all(axes.count(axis) == 1 for axis in "xyz") else None
 
 
 def _numbers(path: Path, rows: list[_Row], named: bool) -> NDArray[np.float64]:
@@ -247,75 +248,3 @@ def _numbers(path: Path, rows: list[_Row], named: bool) -> NDArray[np.float64]:
         if len(row.fields) != len(rows[0].fields):
             raise InputError(f"{path} line {row.line}: expected {len(rows[0].fields)} numbers, got {len(row.fields)}")
     return np.array([[float(field.lower().replace("d", "e")) for field in row.fields] for row in rows])
-
-
-def _directions(
-    path: Path, values: NDArray[np.float64], heading: tuple[str, ...] | None, named: bool
-) -> tuple[NDArray[np.float64], list[str]]:
-    """Return the directions in a table of N lines, or of 3 where a column is a light, and notes."""
-    count, width = values.shape
-    if heading is not None and len(heading) == width - 1 and _counts_lines(values[:, 0]):
-        heading = ("index", *heading)  # programs leave the name of this column out
-    if heading is not None and (axes := _axes(heading)) is not None:
-        if len(heading) != width:
-            raise InputError(f"{path} has {len(heading)} columns of numbers in its heading, but {width} below it")
-        unused = [word for i, word in enumerate(heading) if i not in axes]
-        notes = [f"{path.name}: column {word!r} is not used" for word in unused]
-        if axes != sorted(axes):
-            notes.append(f"{path.name}: x, y, z are columns {', '.join(str(i + 1) for i in axes)} as its heading says")
-        return values[:, axes], notes
-    if named or count != 3:
-        return _three_columns(path, values)
-    if width == 3:
-        # One light a line, unless the columns alone are unit vectors.
-        return (values.T.copy() if _all_unit(values.T) and not _all_unit(values) else values), []
-    if not _all_unit(values.T) and width in (4, 5):
-        try:
-            columns = _three_columns(path, values)
-        except InputError:
-            return values.T.copy(), []
-        if _all_unit(columns[0]):
-            return columns
-    return values.T.copy(), []
-
-
-def _three_columns(path: Path, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[str]]:
-    """Return x, y and z of a table with a line a light: without a column of line numbers, or of one value."""
-    count, width = values.shape
-    if width == 3:
-        return values, []
-    if width in (4, 5):
-        kept = []
-        if _counts_lines(values[:, 0]):
-            kept.append((values[:, 1:], f"{path.name}: the first column numbers the lines"))
-        if np.all(values[:, -1] == values[0, -1]):
-            kept.append((values[:, :-1], f"{path.name}: the last column is {values[0, -1]:g} everywhere and not used"))
-        if width == 5 and kept:
-            further, notes = _three_columns(path, kept[0][0])
-            return further, [kept[0][1], *notes]
-        if kept:
-            # Where both could be, the one that leaves unit vectors.
-            columns, note = next((each for each in kept if _all_unit(each[0])), kept[0])
-            return columns, [note]
-    hints = {
-        2: " (two numbers a light look like angles)",
-        4: " (the fourth number of each light differs from line to line: what it means is not known)",
-    }
-    raise InputError(f"{path} holds {count}×{width} numbers, expected N×3 or 3×N{hints.get(width, '')}")
-
-
-def _counts_lines(column: NDArray[np.float64]) -> bool:
-    return len(column) > 1 and any(np.array_equal(column, np.arange(start, start + len(column))) for start in (0, 1))
-
-
-def _refuse_angles(path: Path, directions_i3: NDArray[np.float64]) -> None:
-    """Refuse azimuth, elevation and a radius common to all: as x y z they would put nearly all at the horizon."""
-    across, radius = np.abs(directions_i3[:, :2]), directions_i3[:, 2]
-    if len(radius) < 4 or not np.all(radius == radius[0]) or not 2 < across.max() <= 360:
-        return
-    if np.mean(radius < 0.1 * np.linalg.norm(across, axis=1)) > 0.75:
-        raise InputError(f"{path} holds what looks like two angles and the radius {radius[0]:g}, expected x y z")
-
-
-def _all_unit(vectors: NDArray[np.float64]) -> bool:
-    return bool(np.all(np.abs(np.linalg.norm(vectors, axis=1) - 1.0) <= UNIT_TOLERANCE))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import is_radiance
+from clrelight.arrays import is_radiance
 from clrelight.errors import InputError
 
 TINY = 1e-3

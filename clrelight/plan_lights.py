@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import check_directions
+from clrelight.arrays import check_directions
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.decomposition import decompose

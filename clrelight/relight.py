@@ -7,8 +7,9 @@ import itertools
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clrelight.arrays import as_float64, check_directions
 from clrelight.conventions import linear_to_srgb
-from clrelight.dataset import CoefficientMap, as_float64, check_directions
+from clrelight.dataset import CoefficientMap
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis

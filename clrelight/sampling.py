@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import check_directions
+from clrelight.arrays import check_directions
 from clrelight.errors import InputError
 
 PATTERNS = ("uniform", "grid", "scattered")

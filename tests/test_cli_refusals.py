@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clrelight.dataset import LightStack
+from clrelight.dataset import FitRecord, LightStack
 from clrelight.images import write_image
 from clrelight.sampling import make_pattern
 from clrelight.store import create_fit, write_stack
@@ -37,7 +37,7 @@ def made(tmp_path_factory):
     infinite[1, 2, 3, 0] = np.inf
     for name, coeffs in (("overflow.h5", large), ("infinite.h5", infinite)):
         about = {"method": "uls", "peak": 1.0, "transfer": "linear", "directions_i3": DIRECTIONS, "name": "x"}
-        with create_fit(folder / name, degree=3, image_shape=(16, 16, 3), config={}, **about) as sink:
+        with create_fit(folder / name, FitRecord(3, config={}, **about), (16, 16, 3)) as sink:
             sink.coeffs_khwc[:] = coeffs
     return folder
 
@@ -139,8 +139,8 @@ ENCODES = [
 RELIGHTS = [
     ("fit.h5 @o.png", "give the light by --light X,Y,Z or by --lights FILE"),
     ("fit.h5 @o.png --light 0,0,1 --lights lights.lp", "give the light by"),
-    ("fit.h5 @o.png --light 0,0,0", "light 0 has the direction [0. 0. 0.]"),
-    ("fit.h5 @o%d.png --lights zero.txt", "light 1 has the direction [0. 0. 0.]"),
+    ("fit.h5 @o.png --light 0,0,0", "light 0 has direction 0 0 0, expected a vector towards the light"),
+    ("fit.h5 @o%d.png --lights zero.txt", "line 2 has direction 0 0 0, expected a vector"),
     ("fit.h5 @o.png --light nan,0,1", "expected 3 numbers separated by commas, such as X,Y,Z, got 'nan,0,1'"),
     ("fit.h5 @o.png --light 0,1", "expected 3 numbers"),
     ("fit.h5 @o.png --light a,b,c", "expected 3 numbers"),

@@ -21,7 +21,7 @@ from clrelight.codec import (
     predict_noise_of,
 )
 from clrelight.codec.streams import PARTS
-from clrelight.dataset import CoefficientMap
+from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.index import degree_of
 from clrelight.store import create_fit, open_fit, scratch, write_fit, write_stack
@@ -292,19 +292,9 @@ def test_memory_does_not_grow_with_the_height(tmp_path, device):
     rows = np.random.default_rng(0).standard_normal((16, 64, 256, 3)).astype(np.float32)
     peaks = {}
     for height in (2048, 64, 2048):  # the first builds the kernels, which takes memory of its own
-        about = make_map((16, 1, 1, 1))
+        record = replace(FitRecord.of(make_map((16, 1, 1, 1))), method="cls", name="tall")
         path = tmp_path / f"{height}.h5"
-        with create_fit(
-            path,
-            degree=3,
-            image_shape=(height, 256, 3),
-            method="cls",
-            peak=1.0,
-            transfer="linear",
-            directions_i3=about.directions_i3,
-            config={},
-            name="tall",
-        ) as sink:
+        with create_fit(path, record, (height, 256, 3)) as sink:
             for first in range(0, height, 64):
                 sink.write_rows(first, rows, None, None)
         coded, limit = tmp_path / "coded.h5", ["--memory", "8MiB"]

@@ -3,13 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clrelight.dataset import (
-    CoefficientMap,
-    LightStack,
-    check_directions,
-    check_radiance,
-    split_lights,
-)
+from clrelight.arrays import check_directions, check_radiance
+from clrelight.dataset import CoefficientMap, LightStack, split_lights
 from clrelight.errors import InputError
 
 UP = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])

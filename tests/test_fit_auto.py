@@ -9,13 +9,14 @@ from clrelight.cli.app import cli
 from clrelight.conventions import linear_to_srgb
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.fit import collect_fit, fit, method_class, prepare_fit
+from clrelight.fit import collect_fit, method_class, prepare_fit
 from clrelight.fit.places import spread_points
 from clrelight.fit.prediction import Trials, try_method
 from clrelight.fit.samples import Samples
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.holdout import split_chosen
 from clrelight.ingest import ingest_folder
+from clrelight.jobs.fit import fit
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.sampling import make_pattern
 from clrelight.store import open_stack, write_stack
@@ -178,7 +179,7 @@ def test_smooth_domes(device, shade, dtype, least, below):
     if below:
         grid = [("spline", n, {"lam": lam}) for n in (4, 8, 15) for lam in (1e-5, 3e-4, 1e-3)]
         grid += [("cls", n, {}) for n in (2, 3, 4, 6, 9)] + [("uls", 2, {}), ("uls", 3, {}), ("ceb", 3, {})]
-        best = max(mean_psnr(fit(stack, method, n, options=options), unseen) for method, n, options in grid)
+        best = max(mean_psnr(fit(stack, method, n, **options), unseen) for method, n, options in grid)
         assert reached > best - below
     predicted = prepared.choice.chosen.predicted
     assert (predicted is None) == (prepared.choice.why_unknown is not None)
@@ -189,7 +190,7 @@ def test_as_many_coefficients_as_lights_are_not_taken_on_trust(device, n_light):
     """A scene rougher than so many lights can hold, at lights in its gaps."""
     stack, unseen = make_scene(9, n_light, noise=0.0), make_scene(9, 101, noise=0.0)
     prepared = prepare_fit(stack, "auto", "auto")
-    spline = mean_psnr(fit(stack, "spline", 15, options={"lam": 1e-3}), unseen)
+    spline = mean_psnr(fit(stack, "spline", 15, lam=1e-3), unseen)
     assert mean_psnr(collect_fit(prepared), unseen) > spline - 0.7
     side = int(np.sqrt(n_light)) - 1
     saturated = [c for c in prepared.choice.tried if c.method.id == "uls" and c.degree == side]
@@ -296,7 +297,7 @@ def test_samples_above_the_peak(device):
     assert 0.005 < (stack.images_ihwc > 1).mean() < 0.9
     prepared = prepare_fit(stack, "auto", "auto")
     reached = mean_psnr(collect_fit(prepared), unseen)
-    best = max(mean_psnr(fit(stack, "spline", n, options={"lam": 1e-3}), unseen) for n in (4, 6, 15))
+    best = max(mean_psnr(fit(stack, "spline", n, lam=1e-3), unseen) for n in (4, 6, 15))
     assert reached > best - 0.3
 
 
@@ -328,7 +329,7 @@ def test_photographs_are_foretold(device, real_data, tmp_path):
             prepared = prepare_fit(stack.select(kept), "auto", "auto", device=device)
             rest = stack.select(np.setdiff1d(np.arange(stack.n_light), kept))
             reached = mean_psnr(collect_fit(prepared), rest)
-            spline = mean_psnr(fit(stack.select(kept), "spline", 15, options={"lam": 1e-3}), rest)
+            spline = mean_psnr(fit(stack.select(kept), "spline", 15, lam=1e-3), rest)
             assert reached > spline - 0.15
             assert prepared.choice.chosen.predicted == pytest.approx(reached, abs=3.0 if count == 9 else 1.5)
 
@@ -351,10 +352,7 @@ def test_objects_are_foretold_or_said_to_be_unknown(device, real_data, tmp_path,
         assert "it depends on where the light is" in prepared.choice.note
     else:
         assert predicted == pytest.approx(reached, abs=1.5)
-        assert (
-            reached
-            > max(mean_psnr(fit(seen, "spline", 15, options={"lam": lam}), unseen) for lam in (3e-4, 1e-3)) - 0.3
-        )
+        assert reached > max(mean_psnr(fit(seen, "spline", 15, lam=lam), unseen) for lam in (3e-4, 1e-3)) - 0.3
 
 
 def test_held_out_lights_are_not_seen(device):

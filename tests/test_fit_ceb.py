@@ -3,8 +3,9 @@ import pytest
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.fit import fit, prepare_fit
+from clrelight.fit import prepare_fit
 from clrelight.fit.ceb import step_ends
+from clrelight.jobs.fit import fit
 from clrelight.sampling import make_pattern
 from tests.reference import basis
 from tests.reference import fit as reference
@@ -62,20 +63,20 @@ def test_against_float64_on_a_gpu(device, columns, method):
 @pytest.mark.parametrize("factor", [1e-3, 0.4, 3.0])
 def test_energy_factor(device, factor, method):
     stack = make_stack()
-    share_p = check(stack, fit(stack, method, 4, options={"energy": factor}), factor=factor)
+    share_p = check(stack, fit(stack, method, 4, energy=factor), factor=factor)
     assert method == "ceb-crossing" or (share_p <= 1 + 1e-5).all()
 
 
 def test_a_bound_below_the_first_term_leaves_nothing(device):
     stack = make_stack()
-    fitted = fit(stack, "ceb", 4, options={"energy": 1e-6})
+    fitted = fit(stack, "ceb", 4, energy=1e-6)
     assert (fitted.rank_hwc.ravel()[VARYING] == 0).mean() > 0.9
     assert (fitted.coeffs_khwc[:, fitted.rank_hwc == 0] == 0).all()
 
 
 def test_a_bound_above_all_terms_keeps_least_squares(device):
     stack = make_stack()
-    fitted = fit(stack, "ceb", 2, options={"energy": 1e6})
+    fitted = fit(stack, "ceb", 2, energy=1e6)
     assert (fitted.rank_hwc == 9).all()
     basis_ik = basis.real_harmonics(stack.directions_i3, 2)
     exact_kp = reference.least_squares(basis_ik, samples_of(stack), np.ones(90))
@@ -166,7 +167,7 @@ def test_lights_turned_around_their_axis_give_the_same_image(device, heights, co
     for angle in (0.0, 1.0, *np.random.default_rng(degree).uniform(0, 2 * np.pi, 4)):
         turned = turn(lights, angle).round(digits)
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-        fitted = fit(LightStack(stack.images_ihwc, turned, stack.peak), method, degree, options={"energy": 0.3})
+        fitted = fit(LightStack(stack.images_ihwc, turned, stack.peak), method, degree, energy=0.3)
         images.append(basis.real_harmonics(turned, degree) @ columns_of(fitted))
     assert np.abs(np.array(images[1:]) - images[0]).max() <= 1e-4 * np.max(samples_of(stack))
     ranks = fitted.rank_hwc.ravel()[VARYING]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from clrelight.errors import InputError
-from clrelight.fit import fit, prepare_fit
+from clrelight.fit import prepare_fit
+from clrelight.jobs.fit import fit
 from clrelight.sampling import make_pattern
 from tests.reference import basis
 from tests.reference import fit as reference
@@ -36,7 +37,7 @@ def check(stack, fitted, weight_i=None, factor=1.0, rtol=1e-4):
 @pytest.mark.parametrize("degree", [0, 2, 4, 6, 8])
 def test_against_float64(device, degree, solver):
     stack = make_stack()
-    bent = check(stack, fit(stack, "cls", degree, options={"solver": solver}))
+    bent = check(stack, fit(stack, "cls", degree, solver=solver))
     assert bent > (100 if degree in (2, 4, 6) else -1)
 
 
@@ -44,7 +45,7 @@ def test_against_float64(device, degree, solver):
 @pytest.mark.parametrize(("solver", "degree"), [("bisection", 2), ("newton", 2), ("newton", 8)])  # 81 in memory
 def test_against_float64_on_a_gpu(device, degree, solver):
     stack = make_stack()
-    bent = check(stack, fit(stack, "cls", degree, options={"solver": solver}))
+    bent = check(stack, fit(stack, "cls", degree, solver=solver))
     assert bent > (100 if degree == 2 else -1)
 
 
@@ -52,14 +53,14 @@ def test_against_float64_on_a_gpu(device, degree, solver):
 @pytest.mark.parametrize("columns", [2, 127, 128, 129])  # about a group, and the last one of padding alone
 def test_any_number_of_columns_on_a_gpu(device, columns):
     stack = make_stack(shape_hwc=(1, columns, 1))
-    check(stack, fit(stack, "cls", 2, options={"solver": "newton"}))
+    check(stack, fit(stack, "cls", 2, solver="newton"))
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("factor", [1e-4, 0.3, 3.0, 1e3])
 def test_energy_factor(device, factor, solver):
     stack = make_stack()
-    check(stack, fit(stack, "cls", 4, options={"energy": factor, "solver": solver}), factor=factor)
+    check(stack, fit(stack, "cls", 4, energy=factor, solver=solver), factor=factor)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -67,7 +68,7 @@ def test_solid_angle_weights(device, solver):
     # Weights over three decades, as clustered lights have them.
     weights = 10.0 ** np.random.default_rng(0).uniform(-3, 0, 90)
     stack = make_stack(weights_i=weights)
-    fitted = fit(stack, "cls", 4, weights="solid-angle", options={"solver": solver})
+    fitted = fit(stack, "cls", 4, weights="solid-angle", solver=solver)
     assert check(stack, fitted, weights) > 100
     assert fitted.config["weights"] == "solid-angle"
 
@@ -78,7 +79,7 @@ def test_solid_angle_weights(device, solver):
 def test_the_search_as_the_paper_prints_it(device, steps, precision, factor):
     stack = make_stack(40)
     options = {"solver": "paper", "iterations": steps, "energy": factor}
-    fitted = fit(stack, "cls", 4, options=options, precision=precision)
+    fitted = fit(stack, "cls", 4, **options, precision=precision)
     basis_ik, sample_ip = basis.real_harmonics(stack.directions_i3, 4), samples_of(stack)
     exact_kp, lambda_p = reference.constrained_as_printed(basis_ik, sample_ip, np.ones(40), steps, factor)
     found_p = fitted.lambda_hwc.ravel()
@@ -105,7 +106,7 @@ def test_a_few_heavy_lights(device):
 def test_newton_agrees_with_bisection_run_to_convergence(device, width, count):
     stack = make_stack(count, shape_hwc=(1, width, 1))
     newton = fit(stack, "cls", 4)
-    halved = fit(stack, "cls", 4, options={"solver": "bisection", "iterations": 64})
+    halved = fit(stack, "cls", 4, solver="bisection", iterations=64)
     assert newton.config["solver"] == "newton"
     image_ip = basis.real_harmonics(stack.directions_i3, 4) @ (columns_of(newton) - columns_of(halved))
     assert np.abs(image_ip).max() < 1e-6
@@ -126,7 +127,7 @@ def test_fewer_lights_than_coefficients(device, solver):
     stack = make_stack(20)
     prepared = prepare_fit(stack, "cls", 4)
     assert prepared.report.notes == ["20 lights for 25 coefficients: the bound alone settles the others"]
-    check(stack, fit(stack, "cls", 4, options={"solver": solver}))
+    check(stack, fit(stack, "cls", 4, solver=solver))
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -135,7 +136,7 @@ def test_equal_lights(device, solver):
     notes = prepare_fit(stack, "cls", 4).report.notes
     assert notes == ["only 20 of 25 components can be told from zero in float64"]
     # The three photographs of a light share its weight, and so lambda is a third of what it would be.
-    fitted = fit(stack, "cls", 4, options={"solver": solver})
+    fitted = fit(stack, "cls", 4, solver=solver)
     check(stack, replace(fitted, lambda_hwc=3.0 * fitted.lambda_hwc))
 
 
@@ -154,7 +155,7 @@ def test_singular_values_over_twelve_decades(device, solver):
     stack = make_stack(directions_i3=make_patch(9, 10, 0.0012))
     prepared = prepare_fit(stack, "cls", 4)
     assert prepared.plan.condition > 1e10
-    fitted = fit(stack, "cls", 4, options={"solver": solver})
+    fitted = fit(stack, "cls", 4, solver=solver)
     assert np.isfinite(fitted.coeffs_khwc).all()
     check(stack, fitted)
 
@@ -191,7 +192,7 @@ def test_scattered_samples(device, solver, weights):
     scale_k = np.sqrt(angle_i @ basis_ik**2)
     energy_p = angle_i @ sample_ip**2
     root_i = np.sqrt(angle_i / angle_i.mean())
-    fitted = fit(stack, "cls", 3, sampling="scattered", weights=weights, options={"solver": solver})
+    fitted = fit(stack, "cls", 3, sampling="scattered", weights=weights, solver=solver)
     found_kp, lambdas = columns_of(fitted), fitted.lambda_hwc.ravel()
     assert (np.sum((scale_k[:, None] * found_kp) ** 2, axis=0) <= energy_p * (1 + 1e-5)).all()
     bent = np.flatnonzero(lambdas > 1e-3)[:10]
@@ -225,7 +226,7 @@ def test_few_halvings_end_where_the_bound_holds(device, iterations):
     stack = make_stack()
     basis_ik, sample_ip = basis.real_harmonics(stack.directions_i3, 4), samples_of(stack)
     _, lambda_p, _ = reference.constrained(basis_ik, sample_ip, np.ones(90))
-    fitted = fit(stack, "cls", 4, options={"solver": "bisection", "iterations": iterations})
+    fitted = fit(stack, "cls", 4, solver="bisection", iterations=iterations)
     assert fitted.config["iterations"] == iterations
     energy_p = reference.bound(sample_ip, np.ones(90))
     assert (np.sum(columns_of(fitted) ** 2, axis=0) <= energy_p * (1 + 1e-5)).all()
@@ -239,11 +240,7 @@ def test_more_halvings_are_closer(device):
     _, lambda_p, _ = reference.constrained(basis_ik, samples_of(stack), np.ones(90))
     bent = lambda_p > 0
     error = [
-        np.median(
-            fit(stack, "cls", 4, options={"solver": "bisection", "iterations": n}).lambda_hwc.ravel()[bent]
-            / lambda_p[bent]
-            - 1
-        )
+        np.median(fit(stack, "cls", 4, solver="bisection", iterations=n).lambda_hwc.ravel()[bent] / lambda_p[bent] - 1)
         for n in (1, 6, 10, 16)
     ]
     assert error[0] > 10 * error[1] > 100 * error[2] > 1000 * error[3]

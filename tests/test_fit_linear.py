@@ -3,7 +3,8 @@ import pytest
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.fit import fit, prepare_fit
+from clrelight.fit import prepare_fit
+from clrelight.jobs.fit import fit
 from tests.reference import basis
 from tests.reference import fit as reference
 from tests.stacks import columns_of, make_stack, samples_of
@@ -31,7 +32,7 @@ def test_projection_is_the_quadrature(device, degree, fill, weights):
     basis_ik = basis.real_harmonics(stack.directions_i3, degree)
     if fill == "mirror":
         basis_ik = basis_ik + basis.real_harmonics(stack.directions_i3 * [1, 1, -1], degree)
-    fitted = fit(stack, "project", degree, options={"fill": fill}, weights=weights)
+    fitted = fit(stack, "project", degree, fill=fill, weights=weights)
     sample_ip = samples_of(stack)
     size_kp = np.abs(angle_i[:, None] * basis_ik).T @ sample_ip
     error_kp = np.abs(columns_of(fitted) - reference.project(basis_ik, sample_ip, angle_i))
@@ -58,7 +59,7 @@ def test_mirrored_projection_finds_an_even_function(device):
     even = np.concatenate([(l + np.arange(-l, l + 1)) % 2 == 0 for l in range(4)])
     exact = even * np.concatenate([[3.0], 0.3 * np.random.default_rng(1).standard_normal(15)])
     stack = band_limited(directions[upper], weights[upper], exact)
-    found = fit(stack, "project", 3, options={"fill": "mirror"}, weights="solid-angle")
+    found = fit(stack, "project", 3, fill="mirror", weights="solid-angle")
     np.testing.assert_allclose(found.coeffs_khwc.ravel(), exact, atol=2e-6)
 
 
@@ -67,7 +68,7 @@ def test_uniform_weights_over_the_sphere_cover_all_of_it(device):
     ones = LightStack(np.ones((len(directions), 1, 1, 1), np.float32), directions, 1.0)
     np.testing.assert_allclose(fit(ones, "project", 0).coeffs_khwc.item(), 2 * np.sqrt(np.pi), rtol=1e-6)
     with pytest.raises(InputError, match="lights below the horizon, so fill must be zero"):
-        fit(ones, "project", 0, options={"fill": "mirror"})
+        fit(ones, "project", 0, fill="mirror")
 
 
 @pytest.mark.parametrize("weights", ["uniform", "solid-angle"])

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from clrelight.errors import InputError
-from clrelight.fit import fit, prepare_fit
+from clrelight.fit import prepare_fit
+from clrelight.jobs.fit import fit
 from clrelight.sampling import make_pattern
 from tests.reference import basis
 from tests.reference import fit as reference
@@ -28,7 +29,7 @@ def norm_at(stack, degree, lambda_p):
 @pytest.mark.parametrize("steps", STEPS)
 def test_few_steps_end_on_the_bound(device, steps, degree, precision):
     stack = make_stack()
-    fitted = fit(stack, "cls", degree, options={"iterations": steps}, precision=precision)
+    fitted = fit(stack, "cls", degree, iterations=steps, precision=precision)
     assert (fitted.config["iterations"], fitted.config["solver"]) == (steps, "newton")
     lambda_p = fitted.lambda_hwc.ravel().astype(np.float64)
     norm_p, energy_p = norm_at(stack, degree, lambda_p)
@@ -51,7 +52,7 @@ def test_more_steps_are_closer(device, precision):
     bent = lambda_p > 1e-3
     off_image, off_lambda = [], []
     for steps in (1, 2, 4, 8, 15, 32):
-        fitted = fit(stack, "cls", 6, options={"iterations": steps}, precision=precision)
+        fitted = fit(stack, "cls", 6, iterations=steps, precision=precision)
         off_image.append(np.abs(basis_ik @ (columns_of(fitted) - exact_kp)).max())
         found_p = fitted.lambda_hwc.ravel()[bent]
         off_lambda.append(np.median(np.abs(found_p / lambda_p[bent] - 1)))
@@ -70,10 +71,7 @@ def test_the_one_pass_kernel_starts_so_near_that_two_steps_are_all(device):
     stack = make_stack(256)
     basis_ik, sample_ip = basis.real_harmonics(stack.directions_i3, 6), samples_of(stack)
     exact_kp, _, _ = reference.constrained(basis_ik, sample_ip, np.ones(256))
-    one, two = (
-        np.abs(basis_ik @ (columns_of(fit(stack, "cls", 6, options={"iterations": n})) - exact_kp)).max()
-        for n in (1, 2)
-    )
+    one, two = (np.abs(basis_ik @ (columns_of(fit(stack, "cls", 6, iterations=n)) - exact_kp)).max() for n in (1, 2))
     assert two < 1e-6 < one < 2e-4
 
 
@@ -84,7 +82,7 @@ def test_the_bound_of_scattered_samples_holds_too(device, steps):
     stack = make_stack(directions_i3=make_pattern("scattered", 90, seed=5), shape_hwc=(5, 7, 1))
     basis_ik, angle = basis.real_harmonics(stack.directions_i3, 3), 2 * np.pi / 90
     scale_k = np.sqrt(angle * np.sum(basis_ik**2, axis=0))
-    fitted = fit(stack, "cls", 3, sampling="scattered", options={"iterations": steps})
+    fitted = fit(stack, "cls", 3, sampling="scattered", iterations=steps)
     energy_p = angle * np.sum(samples_of(stack) ** 2, axis=0)
     assert (np.sum((scale_k[:, None] * columns_of(fitted)) ** 2, axis=0) <= energy_p * (1 + 1e-5)).all()
 

@@ -9,9 +9,10 @@ from clrelight import device as device_module
 from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError, KernelBuildError
-from clrelight.fit import collect_fit, fit, fit_tiles, method_class, prepare_fit
+from clrelight.fit import collect_fit, fit_tiles, method_class, prepare_fit
 from clrelight.fit.precision import differing_precisions
 from clrelight.fit.run import rows_per_tile
+from clrelight.jobs.fit import fit
 from clrelight.kernel_source import read_kernel_source
 from clrelight.opencl.devices import loaded_devices
 from clrelight.sampling import make_pattern
@@ -77,7 +78,7 @@ CASES = [
 @pytest.mark.parametrize(("method", "options", "degree"), CASES)
 def test_double_is_off_by_the_rounding_of_its_result(device, method, options, degree):
     stack = make_stack()
-    fitted = fit(stack, method, degree, options=options, precision="double")
+    fitted = fit(stack, method, degree, **options, precision="double")
     assert fitted.config["precision"] == "double"
     found_kp, (exact_kp, lambda_p) = columns_of(fitted), exact(stack, method, degree, options)
     # A constant pixel's energy is its bound: chance decides on the last component.
@@ -195,8 +196,8 @@ def test_single_builds_without_any_float64(device, without_double):
     stack = make_stack(shape_hwc=(1, 9, 1))
     bare = with_limits(device)
     for method, options in (("project", {}), ("cls", {}), ("cls", {"solver": "bisection"}), ("ceb", {})):
-        fit(stack, method, 2, options=options, precision="single", device=bare)
-    fit(stack, "spline", 2, options={"per": "channel"}, precision="single", device=bare)
+        fit(stack, method, 2, **options, precision="single", device=bare)
+    fit(stack, "spline", 2, per="channel", precision="single", device=bare)
     with pytest.raises(KernelBuildError, match="float64_is_used_here"):
         fit(stack, "cls", 2, precision="double", device=bare)
     if device.style == "cpu":
@@ -208,7 +209,7 @@ def test_single_builds_without_any_float64(device, without_double):
 @pytest.mark.parametrize("options", [{}, {"solver": "bisection"}])
 def test_single_keeps_image_and_bound(device, options):
     stack = make_stack()
-    single, mixed = (fit(stack, "cls", 4, options=options, precision=name) for name in ("single", "mixed"))
+    single, mixed = (fit(stack, "cls", 4, **options, precision=name) for name in ("single", "mixed"))
     basis_ik, sample_ip = basis.real_harmonics(stack.directions_i3, 4), samples_of(stack)
     exact_kp, lambda_p = exact(stack, "cls", 4)
     energy_p = reference.bound(sample_ip, np.ones(90))

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clrelight.fit import fit
 from clrelight.ingest import ingest_folder
+from clrelight.jobs.fit import fit
 from clrelight.store.stacks import open_stack
 from tests.reference import basis
 from tests.reference import fit as reference
@@ -43,7 +43,7 @@ def check_linear(stack, method, degree):
 
 def check_cls(stack, degree, solver):
     basis_ik, sample_ip = basis.real_harmonics(stack.directions_i3, degree), samples_of(stack)
-    fitted = fit(stack, "cls", degree, options={"solver": solver})
+    fitted = fit(stack, "cls", degree, solver=solver)
     check_bound(stack, fitted)
     some = slice(None, None, 5)
     exact_kp, lambda_p, free_p = reference.constrained(basis_ik, sample_ip[:, some], np.ones(stack.n_light))

@@ -6,11 +6,13 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from clrelight.dataset import LightStack, LightSubset
+from clrelight.arrays import LightSubset
+from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.fit import FitMethod, fit, fit_tiles, method_class, method_ids, prepare_fit, register
+from clrelight.fit import FitMethod, fit_tiles, method_class, method_ids, prepare_fit, register
 from clrelight.fit.run import collect_fit, rows_per_tile
+from clrelight.jobs.fit import fit
 from clrelight.opencl import devices as device_module
 from clrelight.sampling import make_pattern
 from tests.reference.basis import real_harmonics
@@ -106,7 +108,7 @@ def test_a_row_beyond_the_memory_budget():
     # 90 samples that are read and 90 that are fitted, 9 components, the bound and its doubt, 9 coefficients, a lambda.
     row = 61 * 3 * 4 * (90 + 90 + 9 + 2 + 9 + 1)
     with pytest.raises(InputError, match=f"this fit takes {row} bytes, more than the memory budget {row - 1}"):
-        fit(make_stack(90, (3, 61, 3)), "uls", 2, memory_bytes=row - 1)
+        fit(make_stack(90, (3, 61, 3)), "uls", 2, memory=row - 1)
 
 
 def with_limits(device, **changed):
@@ -119,16 +121,16 @@ def with_limits(device, **changed):
 def test_a_device_with_its_own_memory(device, method):
     # Newton on a CPU is one kernel of its own, equal but for rounding: see test_fit_cls.py.
     options = {"solver": "bisection"} if method == "cls" else {}
-    there = fit(make_stack(), method, 4, options=options, device=with_limits(device, kind="gpu"))
-    assert_same(there, fit(make_stack(), method, 4, options=options, device=device))
+    there = fit(make_stack(), method, 4, **options, device=with_limits(device, kind="gpu"))
+    assert_same(there, fit(make_stack(), method, 4, **options, device=device))
 
 
 @pytest.mark.parametrize("solver", ["bisection", "newton"])
 def test_a_device_without_float64(device, solver):
     stack = make_stack()
     options = {"solver": solver}
-    single = fit(stack, "cls", 4, options=options, device=with_limits(device, float64=False))
-    double = fit(stack, "cls", 4, options=options, device=device)
+    single = fit(stack, "cls", 4, **options, device=with_limits(device, float64=False))
+    double = fit(stack, "cls", 4, **options, device=device)
     assert (single.lambda_hwc != double.lambda_hwc).any()
     image_ip = real_harmonics(stack.directions_i3, 4) @ (columns_of(single) - columns_of(double))
     assert np.abs(image_ip).max() < 1e-5
@@ -209,7 +211,7 @@ def test_datasets_are_read_like_arrays(device, holdout):
 
 def test_a_map_knows_how_it_was_made(device):
     stack = replace(make_stack(), peak=2.0, name="vase")
-    fitted = fit(stack, "cls", 2, options={"energy": 0.5}, weights="solid-angle")
+    fitted = fit(stack, "cls", 2, energy=0.5, weights="solid-angle")
     assert (fitted.method, fitted.degree, fitted.peak, fitted.name) == ("cls", 2, 2.0, "vase")
     assert fitted.config == {
         "energy": 0.5,
@@ -245,8 +247,8 @@ def test_stages_are_timed(device):
         ({"weights": "area"}, "weights must be one of uniform, solid-angle, got 'area'"),
         ({"precision": "half"}, "precision must be one of mixed, single, double, got 'half'"),
         ({"sampling": "sphere"}, "sampling must be one of hemisphere, scattered, got 'sphere'"),
-        ({"method": "project", "options": {"fill": "noise"}}, "fill must be zero or mirror, got 'noise'"),
-        ({"options": {"energie": 2}}, "method cls has no option 'energie'"),
+        ({"method": "project", "fill": "noise"}, "fill must be zero or mirror, got 'noise'"),
+        ({"energie": 2}, "method cls has no option 'energie'"),
         ({"holdout": 1}, "holdout must be at least 2"),
         ({"holdout": 91}, "holdout 91 keeps no light out of 90; use at most 90"),
     ],
@@ -266,4 +268,4 @@ def test_wrong_samples_are_named(device):
     stack = make_stack(9, (4, 5, 3))
     stack.images_ihwc[6, 3, 2, 1] = np.nan
     with pytest.raises(InputError, match="image 6 is nan at row 3, column 2, channel 1"):
-        fit(stack, "cls", 2, memory_bytes=4000)
+        fit(stack, "cls", 2, memory=4000)

@@ -3,13 +3,14 @@ import pytest
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.fit import collect_fit, fit, method_class, prepare_fit
+from clrelight.fit import collect_fit, method_class, prepare_fit
 from clrelight.fit.left_out import PRIOR_MEAN, Objective, solve_zones
 from clrelight.fit.places import find_places, find_zones, spread_points
 from clrelight.fit.plan import make_lighting
 from clrelight.fit.zonal import Theta, ZonalModel, degree_variances
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.ingest import ingest_folder
+from clrelight.jobs.fit import fit
 from clrelight.metrics import measure_errors
 from clrelight.sampling import make_pattern
 from clrelight.store import open_stack
@@ -87,7 +88,7 @@ def test_the_map_is_the_posterior_mean(device, n_light, precision):
     if precision == "double" and not device.info.float64:
         pytest.skip(f"{device.info.name} has no float64")
     stack = make_stack(n_light, columns=60)
-    fitted = fit(stack, "spectrum", 25, options=GIVEN, precision=precision)
+    fitted = fit(stack, "spectrum", 25, **GIVEN, precision=precision)
     a_l = reference.variances(0.4, 2.2, 0.05, 0.02)
     exact_kp = reference.operator(a_l, 1e-3, real_harmonics(stack.directions_i3, 25)) @ columns_of(stack)
     assert np.abs(fitted.coeffs_khwc.reshape(676, -1) - exact_kp).max() < 2e-5
@@ -112,7 +113,7 @@ def test_photographs_of_one_light_count_as_so_many(device):
 @pytest.mark.parametrize(("degree", "most"), [(8, 4e-3), (15, 5e-4), (26, 1e-6)])
 def test_lower_degrees_are_near_the_whole_on_the_hemisphere(device, degree, most):
     stack = make_stack(50)
-    whole, cut = (fit(stack, "spectrum", n, options=GIVEN) for n in (25, degree))
+    whole, cut = (fit(stack, "spectrum", n, **GIVEN) for n in (25, degree))
     targets = spread_points(300, False)
     first = evaluate_basis(targets, 25) @ whole.coeffs_khwc.reshape(676, -1)
     second = evaluate_basis(targets, degree) @ cut.coeffs_khwc.reshape((degree + 1) ** 2, -1)
@@ -124,9 +125,9 @@ def test_what_is_learnt_stands_in_the_config_and_what_is_given_stays(device):
     learnt = fit(stack, "spectrum", 6)
     values = {name: learnt.config[name] for name in GIVEN}
     assert all(value is not None for value in values.values())
-    again = fit(stack, "spectrum", 6, options=values)
+    again = fit(stack, "spectrum", 6, **values)
     np.testing.assert_array_equal(again.coeffs_khwc, learnt.coeffs_khwc)
-    fixed = fit(stack, "spectrum", 6, options={"slope": 3.0, "noise": 0.01})
+    fixed = fit(stack, "spectrum", 6, slope=3.0, noise=0.01)
     assert fixed.config["slope"] == pytest.approx(3.0, rel=1e-12)
     assert fixed.config["noise"] == pytest.approx(0.01, rel=1e-12)
 
@@ -173,7 +174,7 @@ def test_a_light_of_no_weight_is_none(device):
 )
 def test_bad_options(device, options, message):
     with pytest.raises(InputError, match=message):
-        fit(make_stack(9), "spectrum", 3, options=options)
+        fit(make_stack(9), "spectrum", 3, **options)
     assert method_class("spectrum")().noise is None
 
 
@@ -185,7 +186,7 @@ def test_photographs_are_foretold_as_well_as_by_the_best_spline(device, real_dat
         rest = stack.select(np.setdiff1d(np.arange(stack.n_light), kept))
         chosen = stack.select(kept)
         reached = mean_psnr(fit(chosen, "spectrum", 15), rest)
-        assert reached > mean_psnr(fit(chosen, "spline", 15, options={"lam": 1e-3}), rest) - 0.1
+        assert reached > mean_psnr(fit(chosen, "spline", 15, lam=1e-3), rest) - 0.1
 
 
 def test_rendered_domes_are_foretold_better_than_by_splines(device, real_data, tmp_path):
@@ -196,4 +197,4 @@ def test_rendered_domes_are_foretold_better_than_by_splines(device, real_data, t
         ingest_folder(folder / name, tmp_path / f"{name}.h5")
     with open_stack(tmp_path / "Dome.h5") as dome, open_stack(tmp_path / "Test.h5") as test:
         reached = mean_psnr(fit(dome, "spectrum", 15), test)
-        assert reached > mean_psnr(fit(dome, "spline", 15, options={"lam": 1e-3}), test) + 0.5
+        assert reached > mean_psnr(fit(dome, "spline", 15, lam=1e-3), test) + 0.5

@@ -5,11 +5,12 @@ import pytest
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.fit import fit, method_class, prepare_fit
+from clrelight.fit import method_class, prepare_fit
 from clrelight.fit.plan import make_lighting
 from clrelight.fit.samples import Samples
 from clrelight.fit.spline import SmoothingSpline, minimize_gcv
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.jobs.fit import fit
 from clrelight.sampling import make_pattern
 from tests.reference import spline as reference
 from tests.styles import both_styles
@@ -44,7 +45,7 @@ def test_spline_is_the_dense_solution(device, degree, weights, lam):
     stack = make_stack(weights_i=uneven(70))
     weights_i = stack.weights_i if weights == "solid-angle" else np.ones(70)
     prepared = prepare_fit(stack, "spline", degree, options={"lam": lam}, weights=weights, device=device)
-    found_kp = fit(stack, "spline", degree, options={"lam": lam}, weights=weights).coeffs_khwc.reshape(-1, 4 * 23 * 3)
+    found_kp = fit(stack, "spline", degree, lam=lam, weights=weights).coeffs_khwc.reshape(-1, 4 * 23 * 3)
     basis_ik = evaluate_basis(stack.directions_i3, degree)
     exact_kp = reference.operator(basis_ik, reference.penalty(degree), lam, weights_i) @ columns(stack)
     size_kp = np.abs(prepared.plan.synthesis_kr) @ (np.abs(prepared.plan.analysis_ri) @ columns(stack))
@@ -57,7 +58,7 @@ def test_spline_is_the_dense_solution(device, degree, weights, lam):
 def test_each_channel_may_have_its_own_lambda(device):
     lam = (1e-4, 1e-1, 10.0)
     stack = make_stack(shape_hwc=(3, 37, 3))
-    fitted = fit(stack, "spline", 5, options={"lam": list(lam), "per": "channel"})
+    fitted = fit(stack, "spline", 5, lam=list(lam), per="channel")
     assert fitted.config["lam"] == list(lam)
     basis_ik, penalty_kk = evaluate_basis(stack.directions_i3, 5), reference.penalty(5)
     for c in range(3):
@@ -152,7 +153,7 @@ def test_scattered_sampling_changes_nothing(device):
 def test_what_is_recorded_fits_again(device):
     stack = make_stack()
     for per in ("stack", "channel"):
-        fitted = fit(stack, "spline", 7, options={"per": per})
+        fitted = fit(stack, "spline", 7, per=per)
         config = json.loads(json.dumps(fitted.config))
         again = method_class("spline").from_config({name: config[name] for name in ("lam", "per")})
         assert again.to_config() == {name: config[name] for name in ("lam", "per")}

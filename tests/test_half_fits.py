@@ -16,7 +16,7 @@ from clrelight import store
 from clrelight.cli.trade import _commands
 from clrelight.codec import Half, encode
 from clrelight.codec.rounding import rounding_rows
-from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.experiment.grid import CodecSetting
@@ -372,7 +372,7 @@ def test_python_refuses_what_vanishes(tmp_path, scale):
 @pytest.mark.parametrize("dtype", ["float64", ">f2", ">f4", "int16", "two", None])
 def test_other_types_are_not_stored(tmp_path, dtype):
     about = {"method": "uls", "peak": 1.0, "transfer": "linear", "directions_i3": UP, "name": "x", "config": {}}
-    opening = store.create_fit(tmp_path / "f.h5", degree=2, image_shape=(3, 4, 3), dtype=dtype, **about)
+    opening = store.create_fit(tmp_path / "f.h5", FitRecord(2, **about), (3, 4, 3), dtype=dtype)
     with pytest.raises(InputError, match="coefficients are stored as float32 or float16, not as"), opening:
         pass
     assert contents(tmp_path) == {}

@@ -11,21 +11,13 @@ import clrelight
 
 ROOT = Path(clrelight.__file__).parent
 FLOORS = [
-    {"errors", "conventions", "configurable", "text_rows", "interrupts", "streaming", "statements"},
+    {"arrays", "errors", "conventions", "configurable", "text_rows", "interrupts", "streaming", "statements"},
     {"harmonics", "durable"},
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {
-        *("dataset", "holdout", "lights", "light_files", "masks", "negatives", "plan_lights", "sampling"),
-        *(
-            "image_bands",
-            "image_header",
-            "image_names",
-            "image_parts",
-            "image_set",
-            "image_sink",
-            "images",
-            "radiance_header",
-        ),
+        *("dataset", "directions", "holdout", "lights", "light_columns", "light_files", "masks", "negatives"),
+        *("plan_lights", "sampling", "image_bands", "image_header", "image_names", "image_parts", "image_set"),
+        *("image_sink", "images", "radiance_header"),
     },
     {"fit", "codec", "lighting", "metrics", "relight"},
     {"store", "export", "ingest", "results", "selftest", "selftest_photographs", "truth"},

@@ -11,7 +11,8 @@ from PIL import Image
 from clrelight.errors import InputError
 from clrelight.image_header import ImageHeader
 from clrelight.images import write_image
-from clrelight.ingest import ingest_folder
+from clrelight.ingest import ingest_folder, photographs
+from clrelight.ingest.filling import plan_memory
 from clrelight.store import check_output
 
 ingest = sys.modules[ingest_folder.__module__]
@@ -42,12 +43,15 @@ def written(monkeypatch):
     last = SimpleNamespace(images=None, settings=None, began=False)
 
     @contextmanager
-    def create_stack(path, *, shape_ihwc, dtype, chunk_lights, **settings):
+    def create_stack(path, stack, *, chunk_lights):
         last.began = True
-        recorder = last.recorder = Recorder(shape_ihwc, dtype, chunk_lights)
+        recorder = last.recorder = Recorder(stack.images_ihwc.shape, stack.images_ihwc.dtype, chunk_lights)
         yield recorder
         assert np.all(recorder.filled == 1)
-        last.images, last.settings = recorder.values, SimpleNamespace(path=path, chunk_lights=chunk_lights, **settings)
+        last.images, last.settings = (
+            recorder.values,
+            SimpleNamespace(path=path, chunk_lights=chunk_lights, **vars(stack)),
+        )
 
     monkeypatch.setitem(
         sys.modules, "clrelight.store", SimpleNamespace(create_stack=create_stack, check_output=check_output)
@@ -284,8 +288,8 @@ def test_memory_stays_within_the_budget(tmp_path, written, monkeypatch, kind, cr
             bands.append(band.nbytes)
             yield row, band
 
-    read_bands = ingest.read_bands
-    monkeypatch.setattr(ingest, "read_bands", counting)
+    read_bands = photographs.read_bands
+    monkeypatch.setattr(photographs, "read_bands", counting)
     monkeypatch.setattr(os, "cpu_count", lambda: 3)
     ingest_folder(folder, tmp_path / "o.h5", crop=crop, memory_bytes=budget)
     expected = images[:, y : y + height, x : x + width]
@@ -310,32 +314,34 @@ def test_memory_stays_within_the_budget(tmp_path, written, monkeypatch, kind, cr
 
 def test_plan_counts_every_thread(tmp_path, monkeypatch):
     header = ImageHeader(tmp_path, 8192, 8192, 3, np.dtype(np.uint8), (0, 0), 1)
-    window = ingest._Window(0, 0, 8192, 8192)
-    source = ingest._Source([header] * 200, window, ingest._Values(np.dtype(np.uint8), 255.0))
+    window = photographs.Window(0, 0, 8192, 8192)
+    source = photographs.Photographs([header] * 200, window, photographs.Values(np.dtype(np.uint8), 255.0))
     for cores in (1, 4, 64, 500):
         monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
         for budget in (1 << 17, 1 << 24, 1 << 30, 3 << 30, 1 << 37):
-            plan = ingest._plan_memory(source, budget)
+            plan = plan_memory(source, budget)
             assert 1 <= plan.workers <= min(cores, 200)
             assert plan.band_bytes >= header.row_bytes
             assert 4 * plan.workers * plan.band_bytes + plan.n_held * 8192 * 8192 * 3 <= budget
-    assert ingest._plan_memory(source, 1 << 30).n_held >= 3
-    assert ingest._plan_memory(source, 1 << 37).n_held == 200
+    assert plan_memory(source, 1 << 30).n_held >= 3
+    assert plan_memory(source, 1 << 37).n_held == 200
     with pytest.raises(InputError, match="expected at least 98304"):
-        ingest._plan_memory(source, 98303)
+        plan_memory(source, 98303)
 
 
 def test_blocks_are_of_nearly_equal_size(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     header = ImageHeader(tmp_path, 1000, 1000, 1, np.dtype(np.uint8), (0, 0), 1)
-    source = ingest._Source([header] * 21, ingest._Window(0, 0, 1000, 1000), ingest._Values(np.dtype(np.uint8), 255.0))
-    assert ingest._plan_memory(source, 27_000_000).n_held == 11
+    source = photographs.Photographs(
+        [header] * 21, photographs.Window(0, 0, 1000, 1000), photographs.Values(np.dtype(np.uint8), 255.0)
+    )
+    assert plan_memory(source, 27_000_000).n_held == 11
 
 
 def test_bad_images_are_named_before_anything_is_decoded(tmp_path, written, monkeypatch):
     images = random_images()
     folder = make_folder(tmp_path / "a", images)
-    monkeypatch.setattr(ingest, "read_bands", None)
+    monkeypatch.setattr(photographs, "read_bands", None)
 
     def attempt(name, values, message):
         old = (folder / name).read_bytes()

@@ -5,8 +5,8 @@ import pytest
 
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
-from clrelight.fit.run import fit
 from clrelight.harmonics.hemisphere import hemisphere_autocorrelation, project_onto_hemisphere
+from clrelight.jobs.fit import fit
 from clrelight.lighting.environment import Environment, read_environment
 from clrelight.lighting.light import Light, share_below
 from clrelight.lighting.projection import project_environment

@@ -1,14 +1,11 @@
 import numpy as np
 import pytest
 
+from clrelight.directions import count_duplicates, horizon_note, length_note, unit_directions
 from clrelight.errors import InputError
 from clrelight.lights import (
-    count_duplicates,
     find_lights,
-    horizon_note,
-    length_note,
     parse_subset,
-    unit_directions,
 )
 
 

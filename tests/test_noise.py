@@ -11,7 +11,7 @@ from clrelight.codec.formats.half import rounding_variance
 from clrelight.codec.rate.noise import Noise, measure_image_error, sample_blocks, sample_columns
 from clrelight.codec.streams import ArraySource
 from clrelight.errors import InputError
-from clrelight.fit import fit
+from clrelight.jobs.fit import fit
 from tests.commands import succeed
 from tests.reference.basis import real_harmonics
 from tests.stacks import ring_stack

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PROGRAM = """
 import numpy as np
 from clrelight.dataset import LightStack
-from clrelight.fit import fit
+from clrelight.jobs.fit import fit
 from clrelight.kernel_source import kernel_folder
 stack = LightStack(np.ones((1, 1, 1, 1), np.uint8), np.array([[0.0, 0.0, 1.0]]), 1.0)
 print(kernel_folder(), fit(stack, "cls", 0).coeffs_khwc.item())

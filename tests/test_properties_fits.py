@@ -9,7 +9,7 @@ from clrelight.codec.registry import Encoded
 from clrelight.dataset import LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError
-from clrelight.fit import fit
+from clrelight.jobs.fit import fit
 from clrelight.sampling import make_pattern
 from tests.reference import fit as reference
 from tests.stacks import columns_of, samples_of

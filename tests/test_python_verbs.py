@@ -412,7 +412,7 @@ def test_a_verb_that_is_left_leaves_nothing(folder, tmp_path):
 
 def test_verbs_keep_their_names_beside_modules():
     code = (
-        "import clrelight as cr, clrelight.ingest, clrelight.export, clrelight.relight, clrelight.fit.run, types\n"
+        "import clrelight as cr, clrelight.ingest, clrelight.export, clrelight.relight, clrelight.fit.tile, types\n"
         "print([callable(getattr(cr, v)) and not isinstance(getattr(cr, v), types.ModuleType)"
         " for v in ('ingest', 'fit', 'encode', 'decode', 'relight', 'measure', 'export')])"
     )

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from clrelight import durable, store
+from clrelight.dataset import LightStack
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store import writing
 from clrelight.store.blocks import Blocks, BlockWriter, box_of
@@ -111,7 +112,7 @@ def write_rows(path, steps=(0, 4, 5, 8, 11)):
     rows = make_rows()
     about = {"degree": 1, "method": "cls", "peak": 255.0, "transfer": "srgb", "config": {}, "name": "x"}
     maps = {"has_lambda": True, "has_rank": True}
-    with store.create_fit(path, image_shape=(11, 5, 3), directions_i3=np.eye(3), **maps, **about) as sink:
+    with store.create_fit(path, store.FitRecord(directions_i3=np.eye(3), **about), (11, 5, 3), **maps) as sink:
         for first, end in itertools.pairwise(steps):
             sink.write_rows(first, rows[0][:, first:end], rows[1][first:end], rows[2][first:end])
         out = np.empty((4, 7, 5, 3), np.float32)
@@ -134,9 +135,7 @@ def test_a_file_has_the_same_bytes_in_whatever_tiles_it_comes(tmp_path, monkeypa
 
 def write_chunked(path, images):
     """Write a stack of three chunks, each of 2 x 3 x 5 x 3 bytes, and return where the second lies."""
-    with store.create_stack(
-        path, shape_ihwc=images.shape, dtype=np.uint8, directions_i3=np.eye(3)[:2], peak=255.0, transfer="srgb"
-    ) as sink:
+    with store.create_stack(path, LightStack(images, np.eye(3)[:2], 255.0, "srgb")) as sink:
         assert sink.chunks == (2, 3, 5, 3)
         sink[...] = images
     with h5py.File(path, "r") as file:
@@ -175,9 +174,7 @@ def test_zeros_that_become_ones_are_seen(tmp_path):
     path = tmp_path / "s.h5"
     images = np.zeros((2, 50, 40, 3), np.uint8)
     images[1] = 255
-    with store.create_stack(
-        path, shape_ihwc=images.shape, dtype=np.uint8, directions_i3=np.eye(3)[:2], peak=255.0, transfer="srgb"
-    ) as sink:
+    with store.create_stack(path, LightStack(images, np.eye(3)[:2], 255.0, "srgb")) as sink:
         sink[...] = images
     good = path.read_bytes()
     at = good.index(b"\xff" * 2000)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clrelight.dataset import is_radiance
+from clrelight.arrays import is_radiance
 from clrelight.errors import InputError
 from clrelight.fit import fit_tiles, prepare_fit
 from clrelight.fit.run import rows_per_tile
@@ -153,8 +153,8 @@ def test_tiles_are_whole_chunks_where_there_is_room(device):
 def write_big(path, height, dtype="float16", width=64, n_light=30):
     """Write a stack piece by piece; only its first two rows differ from the others."""
     stack = make_stack(n_light, (4, width, 3))
-    about = {"directions_i3": stack.directions_i3, "peak": 1.0, "transfer": "linear"}
-    with create_stack(path, shape_ihwc=(n_light, height, width, 3), dtype=dtype, **about) as sink:
+    blank_ihwc = np.broadcast_to(np.zeros((), dtype), (n_light, height, width, 3))
+    with create_stack(path, replace(stack, images_ihwc=blank_ihwc)) as sink:
         step = sink.chunks[1]
         for first in range(0, height, step):
             rows = np.minimum(np.arange(first, min(first + step, height)), 3)
@@ -179,8 +179,7 @@ def test_the_budget_changes_no_byte_of_the_file(tmp_path, monkeypatch, streamed,
 def test_a_bad_sample_in_a_tile_read_ahead_leaves_the_old_file(tmp_path, row):
     stack = make_stack(30, (301, 8, 3))
     stack.images_ihwc[7, row, 5, 1] = np.nan
-    about = {"directions_i3": stack.directions_i3, "peak": 1.0, "transfer": "linear"}
-    with create_stack(tmp_path / "s.h5", shape_ihwc=stack.images_ihwc.shape, dtype="float32", **about) as sink:
+    with create_stack(tmp_path / "s.h5", stack) as sink:
         sink[...] = stack.images_ihwc
     (tmp_path / "f.h5").write_bytes(b"old")
     before = contents(tmp_path)

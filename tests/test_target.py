@@ -7,8 +7,8 @@ from clrelight.cli.app import run
 from clrelight.codec import decode, encode
 from clrelight.codec.formats.klt import Klt
 from clrelight.errors import InputError
-from clrelight.fit.run import fit
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.jobs.fit import fit
 from clrelight.jobs.target import TOLERANCE, encode_to_quality
 from clrelight.store import read_encoded, write_fit, write_stack
 from datasets_synth.ring import render_ring

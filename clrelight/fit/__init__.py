@@ -2,8 +2,10 @@
 
 from clrelight.fit import linear  # noqa: F401, I001 - the order of registration is the order of tables
 from clrelight.fit import cls, ceb, spline, spectrum  # noqa: F401
+from clrelight.fit.prepare import FitReport, PreparedFit, prepare_fit
 from clrelight.fit.registry import FitMethod, method_class, method_ids, register
-from clrelight.fit.run import FitReport, FittedTile, PreparedFit, collect_fit, fit, fit_tiles, prepare_fit
+from clrelight.fit.run import collect_fit, fit_tiles
+from clrelight.fit.tile import FittedTile
 
 __all__ = [
     "FitMethod",
@@ -11,7 +13,6 @@ __all__ = [
     "FittedTile",
     "PreparedFit",
     "collect_fit",
-    "fit",
     "fit_tiles",
     "method_class",
     "method_ids",

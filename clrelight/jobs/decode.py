@@ -21,8 +21,9 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, fits
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
+from clrelight.store import create_fit
 from clrelight.store.coding import RowTarget
-from clrelight.store.encodings import create_decoded, stage_encoded
+from clrelight.store.encodings import stage_encoded
 from clrelight.store.scratch import ScratchRoom, scratch_room
 from clrelight.streaming import writing_behind
 
@@ -87,10 +88,8 @@ def decode(
     InputError
         If a file is damaged or none of ours, `memory` does not do, or `out` cannot be written.
     """
-    kept, room_bytes = report_for(report), DEFAULT_MEMORY if memory is None else count_bytes(memory)
-    limit = None if memory is None else room_bytes
-    targets = [] if out is None else [out]
-    with claimed(targets, paths_among(source), kept), opened_on(device, kept) as opened:
+    kept, limit = report_for(report), None if memory is None else count_bytes(memory)
+    with claimed([out], paths_among(source), kept), opened_on(device, kept) as opened:
         since = time.perf_counter()
         if out is None:
             encoded, record = take_encoded(source)
@@ -100,7 +99,7 @@ def decode(
                 coefficients = record.to_map(decode_payload(encoded, opened))
             kept.add("decode", since)
             return coefficients
-        with scratch_room(Path(os.fsdecode(out)).parent, room_bytes) as room:
+        with scratch_room(Path(os.fsdecode(out)).parent, limit or DEFAULT_MEMORY) as room:
             encoded, record = take_encoded(source) if isinstance(source, Encoded) else stage_encoded(source, room)
             kept.add("read", since)
             _tell(encoded, limit, kept)
@@ -124,7 +123,7 @@ def _write(
     progress: Progress | None,
 ) -> None:
     """Decode to a file, which stands once it is whole."""
-    with create_decoded(out, encoded, record) as sink:
+    with create_fit(out, record, encoded.shape[1:]) as sink:
 
         def write(rows: tuple[int, NDArray[np.float32]]) -> None:
             sink.write_rows(*rows, None, None)

@@ -136,13 +136,13 @@ def encode(
     kept = report_for(report)
     budget = None if bytes is None else count_bytes(bytes)
     wanted = _ask(codec, basis, budget, target_psnr, stack is not None, options)
-    room_bytes = DEFAULT_MEMORY if memory is None else count_bytes(memory)
-    limit = None if memory is None else room_bytes
+    limit = None if memory is None else count_bytes(memory)
+    folder = tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent
     with (
-        claimed([] if out is None else [out], paths_among(source, stack), kept),
+        claimed([out], paths_among(source, stack), kept),
         opened_on(device, kept) as opened,
         lend_fit(source) as coefficients,
-        scratch_room(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, room_bytes) as room,
+        scratch_room(folder, limit or DEFAULT_MEMORY) as room,
     ):
         encoded = _Encode(coefficients, wanted, opened, room, limit, kept, progress).run(stack)
         if out is None:
@@ -240,8 +240,7 @@ class _Encode:
             encoded = self._to_quality(stack, self.wanted.target_psnr)
         else:
             encoded, noise = self._by_codec()
-        clamped = int(encoded.info.get("clamped", 0))
-        if clamped:
+        if clamped := int(encoded.info.get("clamped", 0)):
             report.note(f"{clamped} coefficients were clamped")
         report.facts |= {**size_facts(encoded), "config": dict(encoded.config)}
         report.facts["coding_noise"] = predicted_psnr(noise)

@@ -16,17 +16,9 @@ from numpy.typing import NDArray
 from clrelight.codec.rounding import rounding_rows
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
-from clrelight.fit import FitMethod
+from clrelight.fit import FitMethod, FittedTile, PreparedFit, fit_tiles, prepare_fit
 from clrelight.fit.precision import MIXED
-from clrelight.fit.run import (
-    DEFAULT_MEMORY,
-    FittedTile,
-    PreparedFit,
-    collect_fit,
-    collect_tiles,
-    fit_tiles,
-    prepare_fit,
-)
+from clrelight.fit.run import DEFAULT_MEMORY, collect_tiles
 from clrelight.fit.selection import AUTO, WITHIN
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
@@ -171,9 +163,8 @@ def fit(
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     every = None if holdout is None else whole(holdout, "holdout")
     count = None if lights is None else whole(lights, "lights")
-    targets = [] if out is None else [out]
     with (
-        claimed(targets, paths_among(source), kept),
+        claimed([out], paths_among(source), kept),
         opened_on(device, kept) as opened,
         lend_stack(source, kept) as stack,
     ):
@@ -239,38 +230,24 @@ class _Fit:
 
     def to_file(self, out: str | os.PathLike[str], measured: bool) -> None:
         """Write the fit tile by tile."""
-        prepared, method = self.prepared, self.prepared.method
-        about: dict[str, Any] = {
-            "degree": prepared.degree,
-            "method": method.id,
-            "peak": self.stack.peak,
-            "transfer": self.stack.transfer,
-            "directions_i3": prepared.stack.directions_i3,
-            "config": prepared.config,
-            "name": self.stack.name,
-        }
-        maps: dict[str, Any] = {"has_lambda": method.has_lambda, "has_rank": method.has_rank}
-        with create_fit(out, image_shape=self.stack.image_shape, dtype=self.dtype, **maps, **about) as sink:
+        prepared = self.prepared
+        has_lambda, has_rank = prepared.method.has_lambda, prepared.method.has_rank
+        creating = create_fit(
+            out, prepared.record, self.stack.image_shape, has_lambda=has_lambda, has_rank=has_rank, dtype=self.dtype
+        )
+        with creating as sink:
             self._fill(sink)
             # Before the file stands: where measuring fails, or is interrupted, an old file stays.
             if measured:
-                self._measure(CoefficientMap(sink.coeffs_khwc, **about))
+                self._measure(prepared.record.to_map(sink.coeffs_khwc))
             since = time.perf_counter()
         self.report.add("write", since)
-        self.report.facts = {
-            "file": os.fsdecode(out),
-            **self.report.facts,
-            "bytes_on_disk": os.stat(out).st_size,
-        }
+        self.report.facts = {"file": os.fsdecode(out), **self.report.facts, "bytes_on_disk": os.stat(out).st_size}
 
     def to_map(self, measured: bool) -> CoefficientMap:
         """Return the fit."""
-        with stage(self.progress, self._title) as tell:
-            if self.dtype == np.float32:
-                fitted = collect_fit(self.prepared, memory_bytes=self.memory, progress=tell)
-            else:
-                with closing(_float16_tiles(self.prepared, self.memory, 1)) as tiles:
-                    fitted = collect_tiles(self.prepared, tiles, dtype=self.dtype, progress=tell)
+        with stage(self.progress, self._title) as tell, closing(self._tiles()) as tiles:
+            fitted = collect_tiles(self.prepared, tiles, dtype=self.dtype, progress=tell)
         if measured:
             self._measure(fitted)
         return fitted
@@ -285,12 +262,16 @@ class _Fit:
     def _title(self) -> str:
         return f"fitting {self.prepared.method.title}"
 
+    def _tiles(self, held: int = 1, row_step: int = 1) -> Generator[FittedTile, None, None]:
+        if self.dtype == np.float16:
+            return _float16_tiles(self.prepared, self.memory, row_step)
+        return fit_tiles(self.prepared, memory_bytes=self.memory, held=held, row_step=row_step)
+
     def _fill(self, sink: FitSink) -> None:
         def write(tile: FittedTile) -> None:
             sink.write_rows(tile.first, tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc)
 
-        make = _float32_tiles if self.dtype.itemsize == 4 else _float16_tiles
-        tiles = make(self.prepared, self.memory, sink.coeffs_khwc.chunks[1])
+        tiles = self._tiles(held=2, row_step=sink.coeffs_khwc.chunks[1])
         with stage(self.progress, self._title) as tell, closing(tiles):
             with writing_behind(write) as put:
                 for tile in tiles:
@@ -299,10 +280,6 @@ class _Fit:
                     since = self.report.add("write", since)
                     tell(tile.end, self.stack.image_shape[0])
             self.report.add("write", since)
-
-
-def _float32_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:
-    return fit_tiles(prepared, memory_bytes=memory, held=2, row_step=row_step)
 
 
 def _float16_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:

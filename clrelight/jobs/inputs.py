@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.arrays import read_rows_into
 from clrelight.codec import Encoded, decode
-from clrelight.dataset import CoefficientMap, FitRecord, LightStack, read_rows_into
+from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, stage

@@ -14,16 +14,17 @@ from clrelight.store import check_output
 
 @contextmanager
 def claimed(
-    names: Sequence[str | os.PathLike[str]], inputs: Sequence[str | os.PathLike[str]], report: Report
+    names: Sequence[str | os.PathLike[str] | None], inputs: Sequence[str | os.PathLike[str]], report: Report
 ) -> Iterator[None]:
     """Keep every other program from files while the block works for them.
 
-    InputError if one cannot be written as it looks now, or is one of the inputs.
+    InputError if one cannot be written as it looks now, or is one of the inputs. None is no file.
     """
-    for name in names:
+    wanted = [name for name in names if name is not None]
+    for name in wanted:
         check_output(path_text(name, "a file to write"), inputs)
     with ExitStack() as claims:
-        for name in names[:1]:  # and so the others: two programs share all of them, or none
+        for name in wanted[:1]:  # and so the others: two programs share all of them, or none
             if not claims.enter_context(claiming(name)):
                 report.note(no_locks(name))
         yield

@@ -12,8 +12,9 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clrelight.conventions import TRANSFERS
+from clrelight.arrays import check_transfer
 from clrelight.device import Device
+from clrelight.directions import unit_directions
 from clrelight.errors import InputError
 from clrelight.jobs.frames import DirectedFrames, Frames, LightFrames, Rotation, turn_light
 from clrelight.jobs.inputs import FittedLike, Path, opened_on, path_text, paths_among, whole
@@ -171,8 +172,8 @@ class _How:
 
     def check(self, target: str | None) -> None:
         """Raise InputError if the file that is written, if any, is none for these options, or one is unknown."""
-        if self.transfer is not None and self.transfer not in TRANSFERS:
-            raise InputError(f"transfer must be one of {', '.join(TRANSFERS)}, got {self.transfer!r}")
+        if self.transfer is not None:
+            check_transfer(self.transfer)
         if self.tonemap is not None and self.tonemap not in TONEMAPS:
             raise InputError(f"tone mapping must be one of {', '.join(TONEMAPS)}, got {self.tonemap!r}")
         for option, value in (("--transfer", self.transfer), ("--tonemap", self.tonemap)):
@@ -238,28 +239,12 @@ def _directions(light: ArrayLike | None, lights: Path | None, report: Report) ->
     given = light is not None and not (isinstance(light, Sized) and len(light) == 0)
     if given == (lights is not None):
         raise InputError("give the light by --light X,Y,Z or by --lights FILE")
-    flat = False
     if lights is None:
         numbers = _numbers(light)
-        directions_i3, flat = numbers.reshape(-1, 3), numbers.ndim == 1
-    else:
-        directions_i3, notes = _read_directions(pathlib.Path(path_text(lights, "directions")))
-        report.note(*notes)
-    # Scaled by the largest component first, whose square could be beyond float64's range.
-    largest = np.max(np.abs(directions_i3), axis=1, keepdims=True)
-    bad = np.flatnonzero(~(np.isfinite(largest[:, 0]) & (largest[:, 0] > 0)))
-    if bad.size:
-        raise InputError(
-            f"light {bad[0]} has the direction {directions_i3[bad[0]]}, expected finite numbers that are not all zero"
-        )
-    directions_i3 = directions_i3 / largest
-    return directions_i3 / np.linalg.norm(directions_i3, axis=1, keepdims=True), flat
-
-
-def _read_directions(path: pathlib.Path) -> tuple[NDArray[np.float64], list[str]]:
-    """Return directions of a file as they are written, and what to say of them."""
-    file = read_light_file(path)
-    return file.directions_i3, [*file.notes, *file.count_notes()]
+        return unit_directions(numbers.reshape(-1, 3), "light {}".format, allow_below=True), numbers.ndim == 1
+    file = read_light_file(pathlib.Path(path_text(lights, "directions")))
+    report.note(*file.notes, *file.count_notes())
+    return unit_directions(file.directions_i3, file.label, allow_below=True), False
 
 
 def _numbers(light: ArrayLike | None) -> NDArray[np.float64]:

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.conventions import TRANSFERS, default_peak, srgb_to_linear
+from clrelight.arrays import check_transfer
+from clrelight.conventions import default_peak, srgb_to_linear
 from clrelight.errors import InputError
 from clrelight.image_header import ImageHeader
 from clrelight.images import read_header, read_image
@@ -115,8 +116,7 @@ def read_environment(
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     if layout is not None and layout not in layouts.LAYOUTS:
         raise InputError(f"layout must be one of {', '.join(layouts.LAYOUTS)}, got {layout!r}")
-    if transfer not in TRANSFERS:
-        raise InputError(f"transfer must be one of {', '.join(TRANSFERS)}, got {transfer!r}")
+    check_transfer(transfer)
     layouts.parse_axes(axes)
     if len(files) not in (1, 6):
         raise InputError(f"an environment is one picture or the six faces of a cube, got {len(files)} files")

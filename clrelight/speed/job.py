@@ -153,13 +153,10 @@ def measure_point(
             first=first,
             fewest_rounds=1,
         )
-    samples = {
-        way: {stage: np.array([taken[stage] for taken in seconds[way]]) for stage in (*STAGES, TOTAL)} for way in ways
-    }
     result: dict[str, Any] = {
         "rounds": len(seconds[ways[0]]),
         "first_seconds": first,
-        "seconds": {way: {stage: quartiles(values) for stage, values in samples[way].items()} for way in ways},
+        **_compare(seconds),
         "psnr": quality,
         "memory": most_resident,
         "bytes": {"stack": stack.stat().st_size},
@@ -167,9 +164,21 @@ def measure_point(
     if OURS in ways:
         for name in ("fit", "encoded"):
             result["bytes"][name] = (folder / OURS / f"{name}.h5").stat().st_size
-    if len(ways) > 1:
-        result["speed"] = {stage: quartiles(samples[NUMPY][stage] / samples[OURS][stage]) for stage in samples[OURS]}
     return result
+
+
+def _compare(seconds: Mapping[str, list[dict[str, float]]]) -> dict[str, Any]:
+    """Return quartiles of the seconds by way and stage, and of the rounds' own ratios where there are two ways."""
+    stages = (*STAGES, TOTAL)
+    samples = {
+        way: {stage: np.array([one[stage] for one in runs]) for stage in stages} for way, runs in seconds.items()
+    }
+    found: dict[str, Any] = {
+        "seconds": {way: {stage: quartiles(each[stage]) for stage in stages} for way, each in samples.items()}
+    }
+    if len(samples) > 1:
+        found["speed"] = {stage: quartiles(samples[NUMPY][stage] / samples[OURS][stage]) for stage in stages}
+    return found
 
 
 def peak_memory() -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clrelight.codec.transforms.lifting import forward_transform, inverse_transform
 from clrelight.dataset import LightStack
 from clrelight.device import Device
-from clrelight.fit.run import PreparedFit, collect_fit, prepare_fit
+from clrelight.fit import PreparedFit, collect_fit, prepare_fit
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.matmul import apply_operator, pack_operator
 from clrelight.speed.job import FIT_OPTIONS

@@ -7,6 +7,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.dataset import LightStack
 from clrelight.sampling import make_pattern
 from clrelight.store import create_stack
 
@@ -37,15 +38,8 @@ def write_scene(path: str | os.PathLike[str], size: int, lights: int) -> None:
     across = -(-size // side)
     # Neighbouring tiles differ in brightness, so that coders find no exact repetition.
     gain_tt = np.random.default_rng(1).integers(0, len(_GAINS), (across, across))
-    with create_stack(
-        path,
-        shape_ihwc=(lights, size, size, 1),
-        dtype=np.float16,
-        directions_i3=directions_i3,
-        peak=1.0,
-        transfer="linear",
-        name="rings",
-    ) as sink:
+    blank_ihwc = np.broadcast_to(np.float16(0), (lights, size, size, 1))
+    with create_stack(path, LightStack(blank_ihwc, directions_i3, 1.0, name="rings")) as sink:
         step = sink.chunks[1]
         for first in range(0, size, step):
             rows = np.arange(first, min(first + step, size))

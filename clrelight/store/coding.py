@@ -8,10 +8,10 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.arrays import read_rows_into
 from clrelight.codec.finite import all_finite
 from clrelight.codec.registry import check_decoded, refuse_infinite
 from clrelight.codec.streams import Room, Source, Target, buffers
-from clrelight.dataset import read_rows_into
 from clrelight.device import Device
 from clrelight.store.stored import StoredArray
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +11,7 @@ from clrelight.codec.registry import Encoded
 from clrelight.codec.streams import Body
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError, StoreFormatError
-from clrelight.store.fits import FitSink, create_fit
+from clrelight.store.fits import read_record, write_record
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import ENCODED
 from clrelight.store.scratch import ScratchBody, ScratchRoom
@@ -21,23 +19,6 @@ from clrelight.store.writing import CHUNK_BYTES, Draft, config_text, drafting
 
 _PIECE_BYTES = 4 * CHUNK_BYTES
 """Of a payload that are copied at a time."""
-
-
-@contextmanager
-def create_decoded(path: str | os.PathLike, encoded: Encoded, record: FitRecord) -> Iterator[FitSink]:
-    """Write the fit of an encoding piece by piece, as `create_fit` does."""
-    with create_fit(
-        path,
-        degree=record.degree,
-        image_shape=encoded.shape[1:],
-        method=record.method,
-        peak=record.peak,
-        transfer=record.transfer,
-        directions_i3=record.directions_i3,
-        config=record.config,
-        name=record.name,
-    ) as sink:
-        yield sink
 
 
 def write_encoded(path: str | os.PathLike, encoded: Encoded, source: CoefficientMap | None = None) -> None:
@@ -67,9 +48,7 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
         draft.attributes({"codec": encoded.codec, "config": config_text(encoded.config)})
         draft.attributes({"encoded_bytes": encoded.encoded_bytes})
         draft.attributes({"bits_per_coefficient": float(encoded.bits_per_coefficient)})
-        draft.attributes({"method": record.method, "degree": int(record.degree), "peak": float(record.peak)})
-        draft.attributes({"transfer": record.transfer, "name": record.name, "fit_config": config_text(record.config)})
-        draft.dataset("directions", record.directions_i3, ("light", "xyz"))
+        write_record(draft, record, "fit_config")
         draft.dataset("header", header)
         _write_payload(draft, encoded)
         draft.attributes({key: float(value) for key, value in sorted(encoded.info.items())}, of="payload")
@@ -139,15 +118,7 @@ def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRe
     ):
         if held[name] != value:
             raise StoreFormatError(f"attribute {name} is {held[name]!r}, but its payload says {value!r}")
-    record = FitRecord(
-        held["degree"],
-        held["method"],
-        held["peak"],
-        held["transfer"],
-        opened.arrays["directions"][...],
-        parse_config(held["fit_config"], "fit_config"),
-        held["name"],
-    )
+    record = read_record(opened, held, "fit_config")
     record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # checks the record, takes no memory
     config, info = parse_config(held["config"], "config"), opened.floats("payload")
     return replace(encoded, config=config, info=info, record=record), record

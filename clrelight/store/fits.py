@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from clrelight.arrays import COEFFICIENT_DTYPES
 from clrelight.codec.rounding import rounding_rows
-from clrelight.dataset import COEFFICIENT_DTYPES, CoefficientMap
+from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import FIT
-from clrelight.store.writing import Sink, chunk_shape, config_text, drafting, padded_bytes
+from clrelight.store.writing import Draft, Sink, chunk_shape, config_text, drafting, padded_bytes
 
 _IMAGE_AXES = ("height", "width", "channel")
 _MAX_DEGREE = 1 << 15  # far beyond use; keeps the count of coefficients within every integer
@@ -65,15 +66,9 @@ class FitSink:
 @contextmanager
 def create_fit(
     path: str | os.PathLike,
-    *,
-    degree: int,
+    record: FitRecord,
     image_shape: tuple[int, int, int],
-    method: str,
-    peak: float,
-    transfer: str,
-    directions_i3: NDArray[np.float64],
-    config: Mapping[str, Any],
-    name: str,
+    *,
     has_lambda: bool = False,
     has_rank: bool = False,
     dtype: DTypeLike = np.float32,
@@ -86,8 +81,7 @@ def create_fit(
     ----------
     path : path
         Where the file is to stand.
-    degree, method, peak, transfer, directions_i3, config, name
-        As of `CoefficientMap`.
+    record : FitRecord
     image_shape : tuple of int
         (height, width, channel).
     has_lambda, has_rank : bool
@@ -100,19 +94,17 @@ def create_fit(
     InputError
         If the arguments make no coefficient map, or the file cannot be written.
     """
-    if not 0 <= degree <= _MAX_DEGREE:
-        raise InputError(f"degree must be within 0 and {_MAX_DEGREE}, got {degree}")
-    shape, stored = (coefficient_count(degree), *image_shape), coefficient_dtype(dtype)
+    if not 0 <= record.degree <= _MAX_DEGREE:
+        raise InputError(f"degree must be within 0 and {_MAX_DEGREE}, got {record.degree}")
+    shape, stored = (coefficient_count(record.degree), *image_shape), coefficient_dtype(dtype)
     blank = np.broadcast_to(stored.type(0), shape)  # takes no memory, carries shape and type to the checks
-    CoefficientMap(blank, degree, method, peak, transfer, directions_i3, config, name=name)
+    record.to_map(blank)
     chunks = chunk_shape(shape, stored.itemsize)
     map_chunks = chunks[1:]  # written and read together
     n_bytes = padded_bytes(shape, chunks, stored.itemsize)
     n_bytes += (has_lambda + has_rank) * padded_bytes(image_shape, map_chunks, 4)
     with drafting(path, FIT, n_bytes) as draft:
-        draft.attributes({"method": method, "degree": int(degree), "peak": float(peak), "transfer": transfer})
-        draft.attributes({"name": name, "config": config_text(config)})
-        draft.dataset("directions", directions_i3, ("light", "xyz"))
+        write_record(draft, record, "config")
         yield FitSink(
             draft.sink("coefficients", shape, stored, ("coefficient", *_IMAGE_AXES), chunks),
             draft.sink("lambda", image_shape, np.float32, _IMAGE_AXES, map_chunks) if has_lambda else None,
@@ -162,14 +154,8 @@ def write_fit(
     rounding = rounding_rows(device or open_device()) if rounds else nullcontext()
     sinking = create_fit(
         path,
-        degree=coefficients.degree,
-        image_shape=coefficients.image_shape,
-        method=coefficients.method,
-        peak=coefficients.peak,
-        transfer=coefficients.transfer,
-        directions_i3=coefficients.directions_i3,
-        config=coefficients.config,
-        name=coefficients.name,
+        FitRecord.of(coefficients),
+        coefficients.image_shape,
         has_lambda=coefficients.lambda_hwc is not None,
         has_rank=coefficients.rank_hwc is not None,
         dtype=stored,
@@ -219,16 +205,18 @@ def fit_of(opened: Opened, array: Callable[[str], Any]) -> CoefficientMap:
 
     Raises StoreFormatError or InputError if it is not sound.
     """
-    attributes = opened.attributes()
-    return CoefficientMap(
-        array("coefficients"),
-        attributes["degree"],
-        attributes["method"],
-        attributes["peak"],
-        attributes["transfer"],
-        opened.arrays["directions"][...],
-        parse_config(attributes["config"], "config"),
-        array("lambda"),
-        array("rank"),
-        attributes["name"],
-    )
+    record = read_record(opened, opened.attributes(), "config")
+    return record.to_map(array("coefficients"), array("lambda"), array("rank"))
+
+
+def write_record(draft: Draft, record: FitRecord, config: str) -> None:
+    """Write the record of a fit; its options become an attribute of the name `config`."""
+    draft.attributes({"method": record.method, "degree": int(record.degree), "peak": float(record.peak)})
+    draft.attributes({"transfer": record.transfer, "name": record.name, config: config_text(record.config)})
+    draft.dataset("directions", record.directions_i3, ("light", "xyz"))
+
+
+def read_record(opened: Opened, held: Mapping[str, Any], config: str) -> FitRecord:
+    """Return the record of a fit in an open file, whose attributes are `held`."""
+    about = {name: held[name] for name in ("degree", "method", "peak", "transfer", "name")}
+    return FitRecord(**about, directions_i3=opened.arrays["directions"][...], config=parse_config(held[config], config))

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.arrays import sample_dtype, to_samples
 from clrelight.conventions import default_peak
-from clrelight.dataset import LightStack, sample_dtype, to_samples
+from clrelight.dataset import LightStack
 from clrelight.errors import StoreFormatError
 from clrelight.store.blocks import box_of
 from clrelight.store.opening import Opened

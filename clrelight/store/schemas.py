@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from clrelight.dataset import COEFFICIENT_DTYPES, SAMPLE_DTYPES
+from clrelight.arrays import COEFFICIENT_DTYPES, SAMPLE_DTYPES
 from clrelight.results import ROW_DTYPE
 
 SCHEMA_ATTRIBUTE = "clrelight_schema"

@@ -6,7 +6,7 @@ Coefficients are in units of the peak; errors in the image at the fitted lights 
 import numpy as np
 
 from clrelight.dataset import LightStack
-from clrelight.fit import fit
+from clrelight.jobs.fit import fit
 from tests.reference import basis
 from tests.reference import fit as reference
 from tests.stacks import columns_of, make_samples, samples_of
@@ -44,8 +44,8 @@ def image_error(stack, fitted, exact_kp):
 
 def judge(stack, method, degree, factor=1.0, *, precision="mixed", bound=BOUND, **options):
     """Fit, check that all is finite and the bound holds, and return the error of the image."""
-    asked = {"energy": factor, **options} if factor != 1.0 or options else None
-    fitted = fit(stack, method, degree, options=asked, precision=precision)
+    asked = {"energy": factor, **options} if factor != 1.0 else options
+    fitted = fit(stack, method, degree, **asked, precision=precision)
     found_kp, sample_ip = columns_of(fitted), samples_of(stack)
     assert np.isfinite(found_kp).all()
     energy_p = factor * reference.bound(sample_ip, np.ones(stack.n_light))

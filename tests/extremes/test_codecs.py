@@ -8,7 +8,7 @@ from clrelight.codec.registry import Encoded
 from clrelight.codec.transforms.lifting import forward_transform, inverse_transform
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.fit import fit
+from clrelight.jobs.fit import fit
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.sampling import make_pattern
 from tests.styles import both_styles

@@ -5,9 +5,10 @@ import pytest
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.fit import fit, prepare_fit
+from clrelight.fit import prepare_fit
 from clrelight.fit.linear import LARGEST_CONDITION
 from clrelight.fit.plan import IMAGE_ROUNDING
+from clrelight.jobs.fit import fit
 from clrelight.sampling import make_pattern
 from tests.extremes.judge import IMAGE, cap, image_error, judge, stack_of
 from tests.reference import basis
@@ -120,7 +121,7 @@ def test_the_norm_falls_as_lambda_grows():
     for degree in (4, 12):
         norms, lambdas = [], []
         for factor in 10.0 ** np.arange(-12, 4, 1.5):
-            fitted = fit(stack, "cls", degree, options={"energy": factor})
+            fitted = fit(stack, "cls", degree, energy=factor)
             norms.append(np.sum(columns_of(fitted) ** 2, axis=0)[1:])
             lambdas.append(fitted.lambda_hwc.ravel()[1:])
         assert (np.diff(norms, axis=0) >= -1e-6 * np.array(norms[1:])).all()
@@ -176,10 +177,10 @@ def test_the_order_of_lights_and_pixels_does_not_matter(method):
         1e3 if method == "uls" else 1
     )
     mixed = LightStack(stack.images_ihwc[:, :, order_p], stack.directions_i3, 1.0)
-    options = {"lam": 0.1} if method == "spline" else None  # found on samples in their order
+    options = {"lam": 0.1} if method == "spline" else {}  # found on samples in their order
     np.testing.assert_array_equal(
-        fit(mixed, method, 5, options=options).coeffs_khwc,
-        fit(stack, method, 5, options=options).coeffs_khwc[:, :, order_p],
+        fit(mixed, method, 5, **options).coeffs_khwc,
+        fit(stack, method, 5, **options).coeffs_khwc[:, :, order_p],
     )
 
 

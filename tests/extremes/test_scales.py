@@ -5,8 +5,8 @@ import pytest
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.fit import fit
 from clrelight.fit.scaling import TileScaling, column_peaks
+from clrelight.jobs.fit import fit
 from clrelight.sampling import make_pattern
 from tests.extremes.judge import IMAGE, cap, judge, stack_of, with_images
 from tests.reference import basis
@@ -49,9 +49,9 @@ def test_peaks_of_other_types(dtype, peak):
 @pytest.mark.parametrize("scale", [1e-30, 1e30])
 def test_linear_methods_scale(method, scale):
     # Rounded to float32 the samples are not multiples of each other, but nearly.
-    options = {"lam": 0.1} if method == "spline" else None
-    plain = columns_of(fit(stack_of(LIGHTS), method, 4, options=options))
-    scaled = columns_of(fit(stack_of(LIGHTS, scale), method, 4, options=options)) / scale
+    options = {"lam": 0.1} if method == "spline" else {}
+    plain = columns_of(fit(stack_of(LIGHTS), method, 4, **options))
+    scaled = columns_of(fit(stack_of(LIGHTS, scale), method, 4, **options)) / scale
     assert np.abs(scaled - plain).max() < 1e-5 * np.abs(plain).max()
 
 
@@ -101,12 +101,12 @@ def test_tiles_are_the_same_as_the_whole(tmp_path):
     stack = LightStack(images, LIGHTS, 1.0)
     before = images.copy()
     whole = fit(stack, "cls", 4)
-    np.testing.assert_array_equal(fit(stack, "cls", 4, memory_bytes=20_000).coeffs_khwc, whole.coeffs_khwc)
+    np.testing.assert_array_equal(fit(stack, "cls", 4, memory=20_000).coeffs_khwc, whole.coeffs_khwc)
     np.testing.assert_array_equal(images, before)  # a stack in memory is the caller's
     write_stack(tmp_path / "s.h5", stack)
     with open_stack(tmp_path / "s.h5") as opened:
         for memory in (20_000, 1 << 28):
-            np.testing.assert_array_equal(fit(opened, "cls", 4, memory_bytes=memory).coeffs_khwc, whole.coeffs_khwc)
+            np.testing.assert_array_equal(fit(opened, "cls", 4, memory=memory).coeffs_khwc, whole.coeffs_khwc)
 
 
 def test_float32_bounds_what_coefficients_can_be():
@@ -188,7 +188,7 @@ def test_bad_samples_are_refused_by_position(dtype, bad, scale):
     stack = LightStack(images, LIGHTS, 1.0)
     for memory in (1 << 28, 20_000):
         with pytest.raises(InputError, match=r"image 31 is \S+ at row 4, column 2, channel 1: radiance must be finite"):
-            fit(stack, "cls", 2, memory_bytes=memory)
+            fit(stack, "cls", 2, memory=memory)
 
 
 def test_held_out_lights_do_not_shift_the_name_of_a_bad_image():

@@ -1,0 +1,146 @@
+"""Prepare a fit: check what is asked for, choose where that is left open, and make the matrices."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.dataset import FitRecord, LightStack
+from clrelight.device import Device, open_device
+from clrelight.errors import InputError
+from clrelight.fit.plan import FitPlan, make_lighting
+from clrelight.fit.precision import MIXED, SINGLE, check_precision
+from clrelight.fit.registry import FitMethod, method_class
+from clrelight.fit.samples import Samples
+from clrelight.fit.selection import AUTO, DEGREES, METHODS, WITHIN, Choice, choose_model
+from clrelight.fit.threads import on_one_thread
+from clrelight.harmonics.basis import MAX_DEGREE
+
+
+@dataclass
+class FitReport:
+    """What a fit cost and what the user should know.
+
+    Attributes
+    ----------
+    seconds : dict
+        Per stage: ``plan``, ``read``, ``project``, ``shrink``, ``synthesize``; or ``fit`` for the last three, where a
+        method has them in one kernel. Of reading it is what was waited for.
+    notes : list of str
+    condition : float
+        Condition of the weighted basis matrix.
+    """
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    condition: float = 1.0
+
+    def add(self, stage: str, since: float) -> float:
+        """Add the time since `since` to a stage, and return now."""
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - since
+        return now
+
+
+@dataclass(frozen=True)
+class PreparedFit:
+    """A fit of one stack, ready to run: what is the same for all tiles."""
+
+    stack: LightStack
+    method: FitMethod
+    degree: int
+    config: Mapping[str, Any]
+    plan: FitPlan
+    device: Device
+    report: FitReport
+    choice: Choice | None = None
+    precision: str = MIXED
+
+    @property
+    def record(self) -> FitRecord:
+        """What the fit holds beside its maps."""
+        stack = self.stack
+        return FitRecord(
+            self.degree, self.method.id, stack.peak, stack.transfer, stack.directions_i3, self.config, stack.name
+        )
+
+
+def prepare_fit(
+    stack: LightStack,
+    method: str | FitMethod,
+    degree: int | str,
+    *,
+    options: Mapping[str, Any] | None = None,
+    weights: str = "uniform",
+    sampling: str = "hemisphere",
+    precision: str = MIXED,
+    within: float = WITHIN,
+    device: Device | None = None,
+    unseen_t3: NDArray[np.float64] | None = None,
+) -> PreparedFit:
+    """Check the request and make the matrices; see `fit` for the parameters.
+
+    `unseen_t3` are directions that the choice's prediction is for, such as those of held-out lights; they change
+    nothing else.
+    """
+    device = device or open_device()
+    check_precision(precision, device)
+    if not 0.0 <= within < math.inf:
+        raise InputError(f"within must be 0 or more decibels, got {within!r}")
+    methods, degrees = _check_model(method, degree, options or {})
+    lighting = make_lighting(stack, weights, sampling)
+    samples = Samples(stack)
+    report = FitReport(notes=list(stack.notes))
+    start = time.perf_counter()
+    choice = None
+    if AUTO in (method, degree):
+        with on_one_thread():
+            choice = choose_model(samples, methods, degrees, weights, sampling, within, unseen_t3)
+        report.notes.append(choice.note)
+        methods, degrees = [choice.settled or choice.chosen.method], [choice.chosen.degree]
+        start = report.add("choose", start)
+    method, degree = methods[0].settle(lighting, degrees[0], samples), degrees[0]
+    plan = method.plan(lighting, degree)
+    report.notes += [*plan.notes, *_note_precision(method, plan, precision, device)]
+    report.condition = plan.condition
+    report.add("plan", start)
+    config = {**method.to_config(), "weights": weights, "sampling": sampling, "precision": precision}
+    return PreparedFit(stack, method, degree, config, plan, device, report, choice, precision)
+
+
+def _note_precision(method: FitMethod, plan: FitPlan, precision: str, device: Device) -> list[str]:
+    notes = []
+    if precision == MIXED and method.is_refined and not device.info.float64:
+        notes.append(f"{device.info.name} has no float64: mixed precision is single precision here")
+        precision = SINGLE
+    note = method.note_precision(plan, precision)
+    return notes if note is None else [*notes, note]
+
+
+def _check_model(
+    method: str | FitMethod, degree: int | str, options: Mapping[str, Any]
+) -> tuple[list[FitMethod], list[int]]:
+    """Return the methods and degrees asked for: one of each, or those that auto chooses from."""
+    if degree == AUTO:
+        degrees = list(DEGREES)
+    elif isinstance(degree, str) or not 0 <= degree <= MAX_DEGREE:
+        raise InputError(f"degree must be auto or 0 to {MAX_DEGREE}, got {degree!r}")
+    else:
+        degrees = [degree]
+    if method == AUTO:
+        if options:
+            raise InputError(f"auto chooses the options too; {', '.join(options)} needs a method by name")
+        return [method_class(name)() for name in METHODS], degrees
+    if isinstance(method, str):
+        method = method_class(method).from_config(options)
+    elif options:
+        raise InputError(f"options belong to a method given by its id; this {method.id} has its own: {method}")
+    if degree == AUTO and not method.is_regression:
+        raise InputError(f"degree auto needs a method that fits samples, such as cls or spline; {method.id} does not")
+    return [method], degrees
