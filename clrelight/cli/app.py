@@ -17,8 +17,9 @@ from clrelight.cli import (
     files,
     fitting,
     images,
+    irradiance,
+    light,
     light_plans,
-    lighting,
     machines,
     quality,
     trade,
@@ -43,7 +44,20 @@ def cli() -> None:
     """
 
 
-for module in (machines, files, light_plans, fitting, coding, images, export, lighting, quality, experiments, trade):
+for module in (
+    machines,
+    files,
+    light_plans,
+    fitting,
+    coding,
+    images,
+    export,
+    light,
+    irradiance,
+    quality,
+    experiments,
+    trade,
+):
     for command in module.COMMANDS:
         cli.add_command(command)
 

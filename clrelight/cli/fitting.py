@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -11,6 +11,7 @@ from clrelight.cli.options import (
     device_option,
     holdout_by_option,
     holdout_option,
+    is_given,
     json_option,
     memory_option,
 )
@@ -19,9 +20,8 @@ from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import psnr_lines
 from clrelight.errors import InputError
 
-if TYPE_CHECKING:
-    from clrelight.experiment import Experiment
-    from clrelight.fit import FitMethod
+_BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "memory", "device", "as_json")
+"""What a file that says what to fit leaves open."""
 
 
 @click.command()
@@ -80,21 +80,12 @@ def fit(
     context: click.Context,
     stack: str,
     out: str,
-    method: str,
-    degree: int | str,
-    holdout: int | None,
-    holdout_by: str | None,
-    within: float,
-    weights: str,
-    sampling: str,
-    precision: str,
     config: str | None,
-    store: str,
+    holdout_by: str | None,
     measured: bool,
-    memory: int,
     device: str | None,
     as_json: bool,
-    **options: Any,
+    **asked: Any,
 ) -> None:
     """Fit SH coefficients to every pixel of a stack.
 
@@ -111,36 +102,12 @@ def fit(
     from clrelight.store import check_output
 
     check_output(out, [stack, *([config] if config else [])])
-    model: str | FitMethod = method
-    lights = None
+    asked["holdout_by"] = holdout_by or "index"
     if config is not None:
-        settled = [*options, "method", "degree", "holdout", "holdout_by", "weights", "sampling", "precision"]
-        asked = _read_config(context, config, settled)
-        model, degree, holdout, lights = asked.methods[0], asked.degrees[0], asked.holdout, asked.lights
-        weights, sampling, precision = asked.weights, asked.sampling, asked.precision
-        holdout_by = asked.holdout_by
+        asked.update(_read_config(context, config))
     report = Report()
     with progress_bar("preparing") as bar:
-        run_fit(
-            stack,
-            model,
-            degree,
-            out=out,
-            holdout=holdout,
-            holdout_by=holdout_by or "index",
-            within=within,
-            lights=lights,
-            weights=weights,
-            sampling=sampling,
-            precision=precision,
-            store=store,
-            measure=measured,
-            memory=memory,
-            device=device,
-            progress=bar,
-            report=report,
-            **options,
-        )
+        run_fit(stack, out=out, measure=measured, device=device, progress=bar, report=report, **asked)
     if as_json:
         print_json(report.to_json())
         return
@@ -150,7 +117,7 @@ def fit(
         {
             "fit": out,
             "method": f"{method_class(facts['method']).title}, degree {facts['degree']}, {facts['n_light']} lights",
-            "stored": f"{store}, {facts['bytes_on_disk']} bytes",
+            "stored": f"{facts['dtype']}, {facts['bytes_on_disk']} bytes",
             "condition": f"{facts['condition']:.3g}",
             **psnr_lines(report.psnr),
             "time": seconds_line(report.seconds),
@@ -159,18 +126,19 @@ def fit(
     )
 
 
-def _read_config(context: click.Context, config: str, settled: list[str]) -> Experiment:
+def _read_config(context: click.Context, config: str) -> dict[str, Any]:
     """Return the one fit that a TOML file asks for; InputError if it asks for several, or the command line does too."""
     from clrelight.experiment import load_experiment
 
-    for name in settled:
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+    for name in context.params:
+        if name not in _BESIDE_CONFIG and is_given(context, name):
             raise InputError(f"--{name.replace('_', '-')}: {config} says itself what to fit")
     asked = load_experiment(config)
     for what, values in (("method", asked.methods), ("degree", asked.degrees)):
         if len(values) != 1:
             raise InputError(f"{config} holds {len(values)} {what}s, a fit has one")
-    return asked
+    same = ("holdout", "holdout_by", "lights", "weights", "sampling", "precision")
+    return {"method": asked.methods[0], "degree": asked.degrees[0], **{name: getattr(asked, name) for name in same}}
 
 
 COMMANDS = (fit,)

@@ -8,8 +8,7 @@ from typing import Any
 import click
 
 from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
-from clrelight.cli.lighting import Exposure
-from clrelight.cli.options import Numbers, device_option, json_option, whole_number
+from clrelight.cli.options import Exposure, Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError

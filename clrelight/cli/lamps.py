@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clrelight.cli.options import Numbers
+from clrelight.cli.options import Numbers, gather
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
@@ -119,7 +119,8 @@ class Lamp:
 
 
 def lamp_options(command: Any) -> Any:
-    """Add the options that `Lamp` holds."""
+    """Add the options that `Lamp` holds, which the command gets as `lamp`."""
+    command = gather(Lamp, "lamp")(command)
     for option in reversed(
         (
             click.option(
@@ -189,19 +190,20 @@ def make_lamp(lamp: Lamp, degree: int | None) -> Light:
     return blend_lights(lights, positions_i3, np.array(lamp.at), power)
 
 
-def note_horizon(lamp: Lamp, rotation: Rotation | None, notes: list[str]) -> None:
-    """Say that fits of a hemisphere will not see the light, or a part of it, as it lies once rotated."""
+def note_horizon(lamp: Lamp, rotation: Rotation | None) -> list[str]:
+    """Return a note that fits of a hemisphere will not see the light, or a part of it, as it lies once rotated."""
     from clrelight.harmonics.rotation import rotation_matrix
 
     if lamp.extent is None:
-        return
+        return []
     (x, y, z), angle = lamp.extent
     if rotation is not None:
         x, y, z = rotation_matrix(*rotation) @ (x, y, z)
     elevation = math.degrees(math.atan2(z, math.hypot(x, y)))
-    if elevation - angle < -_ROUNDING:
-        what = "the light" if elevation + angle <= _ROUNDING else "a part of the light"
-        notes.append(f"{what} is below the horizon (z < 0): relighting a fit of the hemisphere cuts it")
+    if elevation - angle >= -_ROUNDING:
+        return []
+    what = "the light" if elevation + angle <= _ROUNDING else "a part of the light"
+    return [f"{what} is below the horizon (z < 0): relighting a fit of the hemisphere cuts it"]
 
 
 def rotate_by(light: Light, rotation: Rotation) -> Light:

@@ -124,7 +124,7 @@ def plan_lights(
       clrelight plan-lights --lights dome.lp --degree 6 --count 40 fewer.lp
       clrelight plan-lights stack.h5 --degree 6 --counts 64,128 --measure
     """
-    from clrelight.lights import write_lp
+    from clrelight.light_files import write_lp
 
     stack, out = _stack_and_out(files)
     if too_many := [n for n in counts or () if not 1 <= n <= _MOST]:
@@ -177,9 +177,9 @@ def _stack_and_out(files: Sequence[str]) -> tuple[str | None, str | None]:
 
 
 def _open_lights(stack: str | None, lights: str | None, degree: int, seed: int, below: bool) -> _Lights:
+    from clrelight.directions import horizon_note, unit_directions
     from clrelight.fit.plan import is_sphere
     from clrelight.light_files import read_light_file
-    from clrelight.lights import horizon_note, unit_directions
     from clrelight.store import open_stack
 
     if stack is not None:

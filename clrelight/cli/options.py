@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any, TypeVar
 
 import click
@@ -28,6 +30,21 @@ class ByteCount(click.ParamType):
 
         try:
             return count_bytes(value)
+        except InputError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Exposure(click.ParamType):
+    """Stops, or auto."""
+
+    name = "STOPS|auto"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
+        """Return the stops, None for auto."""
+        from clrelight.jobs.written import count_stops
+
+        try:
+            return count_stops(value)
         except InputError as error:
             self.fail(str(error), param, ctx)
 
@@ -171,6 +188,20 @@ def memory_option(default: str, what: str) -> Callable[[Command], Command]:
     return click.option(
         "--memory", type=ByteCount(), default=default, show_default=True, metavar="BYTES", help=f"Budget for {what}."
     )
+
+
+def gather(record: type, name: str) -> Callable[[Command], Callable[..., Any]]:
+    """Hand a command those of its options that are fields of a dataclass as one record, under `name`."""
+
+    def decorate(command: Command) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def gathered(**options: Any) -> Any:
+            held = {each.name: options.pop(each.name) for each in fields(record)}
+            return command(**{name: record(**held)}, **options)
+
+        return gathered
+
+    return decorate
 
 
 def is_given(context: click.Context, name: str) -> bool:

@@ -22,8 +22,7 @@ def bench_speed(
     growth: Growth, out: str, *, report: str | None, memory: int, device: str | None, as_json: bool
 ) -> None:
     """Measure a growth, keep what was found, and print it."""
-    from clrelight.report import canvas
-    from clrelight.report.folder import check_folder
+    from clrelight.report.folder import check_report
     from clrelight.speed.growth_tables import EXPENDABLE, HEADERS, STAGE_HEADERS, point_cells, stage_cells
     from clrelight.speed.record import check_record, write_record
     from clrelight.speed.report import write_speed_report
@@ -31,9 +30,7 @@ def bench_speed(
 
     check_record(out)
     claim_output(out)
-    if report is not None:
-        canvas.require_matplotlib()
-        check_folder(report)
+    check_report(report)
     with progress_bar("bench --speed") as bar:
         record = measure_growth(growth, Path(out).resolve().parent, memory=memory, device=device, progress=bar)
     write_record(out, record)

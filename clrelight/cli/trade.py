@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
+    from clrelight.experiment.axes import Axes
     from clrelight.experiment.front import Trial
     from clrelight.experiment.grid import CodecSetting
 
@@ -80,15 +82,12 @@ def trade(
       clrelight trade stack.h5 --budget-bytes 50k --budget-seconds 2
     """
     from clrelight.device import open_device
-    from clrelight.durable import replacing
+    from clrelight.experiment.axes import Axes
     from clrelight.experiment.front import Limits
-    from clrelight.experiment.toml import experiment_text
-    from clrelight.experiment.trade import Axes, sweep_trade
-    from clrelight.holdout import describe_distance, split_chosen
-    from clrelight.report import canvas
-    from clrelight.report.folder import check_folder
-    from clrelight.report.markup import to_strings
-    from clrelight.report.trade import front_table, step_table, write_trade_report
+    from clrelight.experiment.trade import sweep_trade
+    from clrelight.holdout import describe_distance
+    from clrelight.report.folder import check_report
+    from clrelight.report.trade import write_trade_report
     from clrelight.store import check_output, open_stack
 
     limits = Limits(budget_seconds, budget_bytes, min_psnr)
@@ -98,9 +97,7 @@ def trade(
     check_output(target, [stack, out])
     if limits.are_set and config is None and target.exists() and not target.read_bytes().startswith(_MARK.encode()):
         raise InputError(f"{target} is there and was not written by trade: name another file with --config")
-    if report_to is not None:
-        canvas.require_matplotlib()
-        check_folder(report_to)
+    check_report(report_to)
     with open_stack(stack) as source, progress_bar("trade") as bar:
         name, notes = source.name, list(source.notes)
         trials = sweep_trade(
@@ -113,32 +110,46 @@ def trade(
             progress=lambda step, done, total: bar(done, total, step),
             tell=notes.append,
         )
-        split = split_chosen(source.directions_i3, varied.holdout, by=varied.holdout_by)
-        distance = describe_distance(source.directions_i3, *split)
+        distance = describe_distance(source.directions_i3, *varied.split(source.directions_i3))
     facts: dict[str, Any] = {"results": out, "rows": len(trials), "held_out": distance, "notes": notes}
     if report_to is not None:
         facts["report"] = str(write_trade_report(trials, name, report_to)[0])
-    if limits.are_set:
-        chosen = limits.choose(trials)
-        with replacing(target) as part:
-            about = f"{_MARK[2:]}\n{_summary(chosen)}"
-            text = experiment_text(chosen.to_experiment(stack, varied.holdout, varied.holdout_by), target.parent, about)
-            part.write(text.encode("utf-8"))
-        facts.update({"choice": chosen.label, "config": str(target)})
+    chosen = limits.choose(trials) if limits.are_set else None
+    if chosen is not None:
+        facts |= _write_choice(chosen, stack, varied, target)
     if as_json:
-        told = {**facts, "trials": [_facts(trial) for trial in trials]}
-        print_json(told if not limits.are_set else {**told, "choice": _facts(chosen)})
+        facts["trials"] = [_facts(trial) for trial in trials]
+        print_json(facts if chosen is None else {**facts, "choice": _facts(chosen)})
         return
     print_notes(facts.pop("notes"))
     facts["unseen"] = facts.pop("held_out")
+    _print_tables(trials)
+    if chosen is not None:
+        facts["it reaches"] = f"{decibel(chosen.psnr)} held out, {chosen.size} bytes, {chosen.seconds:.3g} s"
+        facts |= _commands(stack, target, chosen.setting)
+    print_facts(facts)
+
+
+def _print_tables(trials: Sequence[Trial]) -> None:
+    from clrelight.report.markup import to_strings
+    from clrelight.report.trade import front_table, step_table
+
     for table in (step_table(trials), front_table(trials)):
         click.echo(f"{table.caption}:")
         print_table(*to_strings(table))
         click.echo("")
-    if limits.are_set:
-        facts["it reaches"] = f"{decibel(chosen.psnr)} held out, {chosen.size} bytes, {chosen.seconds:.3g} s"
-        facts |= _commands(stack, target, chosen.setting)
-    print_facts(facts)
+
+
+def _write_choice(chosen: Trial, stack: str, varied: Axes, target: Path) -> dict[str, str]:
+    """Write the experiment that makes what was chosen, for fit and bench; return what to tell of it."""
+    from clrelight.durable import replacing
+    from clrelight.experiment.toml import experiment_text
+
+    about = f"{_MARK[2:]}\n{_summary(chosen)}"
+    text = experiment_text(chosen.to_experiment(stack, varied.holdout, varied.holdout_by), target.parent, about)
+    with replacing(target) as part:
+        part.write(text.encode("utf-8"))
+    return {"choice": chosen.label, "config": str(target)}
 
 
 def _commands(stack: str, config: Path, setting: CodecSetting) -> dict[str, str]:

@@ -72,31 +72,7 @@ def _scene_parts(results: Results, scene: str, suffix: str) -> Iterator[Part]:
     for degree in degrees:
         tail = suffix + (f"_degree_{degree}" if len(degrees) > 1 else "")
         title = f", degree {degree}" if len(degrees) > 1 else ""
-        yield Part(
-            f"figure_15{tail}",
-            f"Figure 15: PSNR against wavelet bit rate{title}",
-            "One line per method; its dashed line is what the plain coefficients reach. The rate is that of the "
-            "bytes really written, so a line that is high already at the left packs well.",
-            partial(figure_15, results, scene, degree),
-            "no rows of codec wavelet with a finite PSNR",
-        )
-        yield Part(
-            f"figure_7{tail}",
-            f"Figure 7: coefficient magnitudes of a typical pixel{title}",
-            "Each method has its own vertical scale, stated at its right: compare those numbers first. "
-            "Coding noise grows with ‖c‖² (equation 11), so large bars mean trouble after compression.",
-            partial(figure_7, results, scene, degree),
-            "the results hold no coefficient profiles",
-        )
-        yield Part(
-            f"contact_sheet{tail}",
-            f"Contact sheet (figures 4, 8, 12){title}",
-            "One light's picture per codec (down) and method (across), each above its error map, where brighter "
-            f"is worse (×{AMPLIFICATION}, same scale throughout). The dB are those of the one 8-bit picture shown, "
-            f"not the mean over lights of the tables. At most {MAX_SETTINGS} codec settings are shown.",
-            partial(contact_sheet, results, scene, degree),
-            "the results hold no pictures, or no reference to set them against",
-        )
+        yield from _degree_parts(results, scene, degree, tail, title)
     yield Part(
         f"noise{suffix}",
         "Noise: predicted and measured",
@@ -121,6 +97,34 @@ def _scene_parts(results: Results, scene: str, suffix: str) -> Iterator[Part]:
         "PSNR mean averages the decibels of the images, PSNR pooled takes the decibels of their average error.",
         partial(all_rows, results, scene),
         "no rows",
+    )
+
+
+def _degree_parts(results: Results, scene: str, degree: int, tail: str, title: str) -> Iterator[Part]:
+    yield Part(
+        f"figure_15{tail}",
+        f"Figure 15: PSNR against wavelet bit rate{title}",
+        "One line per method; its dashed line is what the plain coefficients reach. The rate is that of the "
+        "bytes really written, so a line that is high already at the left packs well.",
+        partial(figure_15, results, scene, degree),
+        "no rows of codec wavelet with a finite PSNR",
+    )
+    yield Part(
+        f"figure_7{tail}",
+        f"Figure 7: coefficient magnitudes of a typical pixel{title}",
+        "Each method has its own vertical scale, stated at its right: compare those numbers first. "
+        "Coding noise grows with ‖c‖² (equation 11), so large bars mean trouble after compression.",
+        partial(figure_7, results, scene, degree),
+        "the results hold no coefficient profiles",
+    )
+    yield Part(
+        f"contact_sheet{tail}",
+        f"Contact sheet (figures 4, 8, 12){title}",
+        "One light's picture per codec (down) and method (across), each above its error map, where brighter "
+        f"is worse (×{AMPLIFICATION}, same scale throughout). The dB are those of the one 8-bit picture shown, "
+        f"not the mean over lights of the tables. At most {MAX_SETTINGS} codec settings are shown.",
+        partial(contact_sheet, results, scene, degree),
+        "the results hold no pictures, or no reference to set them against",
     )
 
 

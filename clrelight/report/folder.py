@@ -9,6 +9,7 @@ from pathlib import Path
 from clrelight.durable import claiming, folder_aside, reason_of
 from clrelight.errors import InputError
 from clrelight.interrupts import holding
+from clrelight.report.canvas import require_matplotlib
 
 
 def fill_folder(out_dir: str | os.PathLike[str], make: Callable[[Path], list[str]]) -> list[Path]:
@@ -47,6 +48,13 @@ def check_folder(out_dir: str | os.PathLike[str]) -> None:
     out = Path(os.fsdecode(out_dir)).resolve()
     if out.exists() and not out.is_dir():
         raise InputError(f"{out_dir} is a file; give a folder to write the report into")
+
+
+def check_report(out_dir: str | os.PathLike[str] | None) -> None:
+    """Raise InputError if a report is wanted and could not be written, before the long work that it is about."""
+    if out_dir is not None:
+        require_matplotlib()
+        check_folder(out_dir)
 
 
 def write_text(path: Path, content: str) -> None:
