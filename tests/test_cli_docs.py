@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from statistics import median
 
 import click
 import pytest
@@ -55,10 +56,46 @@ def test_commands_page_has_commands_that_exist():
     page = (DOCS / "commands.md").read_text()
     told = {word for title in re.findall(r"^## (.*)$", page, re.M) for word in title.split(", ")}
     assert set(cli.commands) <= told
-    for line in re.findall(r"^\$ clrelight (.*)$", page, re.M):
+    lines = re.findall(r"^\$ clrelight (.*)$", page, re.M)
+    lines += re.findall(r"^clrelight (.*)$", "".join(fenced("../README.md")), re.M)
+    for line in lines:
         words = line.split()
         command = cli.commands[words.pop(0)]
         if isinstance(command, click.Group):
             command = command.commands[words.pop(0)]
         known = {name for parameter in command.params for name in parameter.opts}
         assert [word for word in words if word.startswith("--") and word not in known] == [], line
+
+
+def table(page, marker):
+    """Return the rows of the tables between a page's markers."""
+    text = (DOCS / page).read_text()
+    block = text[text.index(f"<!-- {marker} -->") : text.index(f"<!-- /{marker} -->")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in block.split("\n") if line[:2] == "| "]
+
+
+def test_readme_is_short_and_leads_on():
+    text = (ROOT / "README.md").read_text()
+    assert len(text.split()) <= 700
+    linked = re.findall(r"\]\(([^)#:]+)", text)
+    assert [name for name in linked if not (ROOT / name).is_file()] == []
+    assert {page.name for page in DOCS.glob("*.md")} <= {name.removeprefix("docs/") for name in linked}
+    for command in re.findall(r"^(?:\| .*)?`?(make \w+|python -m benchmarks\.\w+)", text, re.M):
+        module, target = command.removeprefix("python -m ").replace(".", "/"), command.removeprefix("make ")
+        assert (ROOT / f"{module}.py").exists() or re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.M)
+
+
+def test_readme_figures_are_those_of_the_pages():
+    """Each page's command renews its table; the README has the median and the worst of it."""
+    ways = [row for row in table("which-basis.md", "rti") if len(row) == 9]
+    behind = next((row[5], row[6]) for row in ways if row[0] == "auto")
+    codecs = [float(row[2]) / float(row[5]) for row in table("codecs.md", "bytes")[1:] if row[5] not in ("", "–")]
+    jobs = [row[10].split()[0] for row in table("performance.md", "growth") if len(row) == 15]
+    speeds = [float(speed) for speed in jobs if speed[:1].isdigit()]
+    shown = re.findall(r"^\| [^|]* \| ([\d.]+) \| ([\d.]+) \| `", (ROOT / "README.md").read_text(), re.M)
+    assert shown == [
+        behind,
+        (f"{median(codecs):.1f}", f"{min(codecs):.1f}"),
+        (f"{median(speeds):.2f}", f"{min(speeds):.2f}"),
+    ]
+    assert f"{max(speeds):.2f} where pictures are large" in (ROOT / "README.md").read_text()
