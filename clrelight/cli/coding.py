@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from clrelight.cli.options import ByteCount, device_option, is_given, json_option, memory_option
-from clrelight.cli.output import decibel, make_report, print_facts, print_json, seconds_line
+from clrelight.cli.output import decibel, make_report, print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.quality import psnr_lines
 
@@ -90,18 +90,8 @@ def encode(
             report=report,
             **options,
         )
-    if as_json:
-        print_json(report.to_json())
-        return
-    print_facts(
-        {
-            "encoded": out,
-            **_size_lines(report.facts),
-            **_noise_line(report.facts["coding_noise"]),
-            **psnr_lines(report.psnr),
-            "time": seconds_line(report.seconds),
-        }
-    )
+    noise = _noise_line(report.facts["coding_noise"])
+    print_report(report, as_json, {"encoded": out, **_size_lines(report.facts), **noise, **psnr_lines(report.psnr)})
 
 
 @click.command()
@@ -124,10 +114,7 @@ def decode(context: click.Context, encoded_file: str, out: str, memory: int, dev
     with progress_bar("decoding") as bar:
         given = memory if is_given(context, "memory") else None
         run_decode(encoded_file, out=out, memory=given, device=device, progress=bar, report=report)
-    if as_json:
-        print_json(report.to_json())
-        return
-    print_facts({"fit": out, **_size_lines(report.facts), "time": seconds_line(report.seconds)})
+    print_report(report, as_json, {"fit": out, **_size_lines(report.facts)})
 
 
 def _noise_line(noise: dict[str, float]) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from clrelight.cli.options import device_option, json_option
-from clrelight.cli.output import make_report, print_facts, print_json, seconds_line
+from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
 
 
@@ -37,18 +37,10 @@ def export(fitted: str, out: str, file_format: str, device: str | None, as_json:
 
     with progress_bar("exporting") as bar:
         report = run_export(fitted, out, file_format, device=device, progress=bar, report=make_report(as_json))
-    if as_json:
-        print_json(report.to_json())
-        return
     files = report.facts["files"]
-    print_facts(
-        {
-            "textures": files[0] + (f", ... ({len(files) - 1} files)" if len(files) > 2 else ""),
-            "notes": files[-1],
-            "size": f"{report.facts['bytes']} bytes",
-            "time": seconds_line(report.seconds),
-        }
-    )
+    textures = files[0] + (f", ... ({len(files) - 1} files)" if len(files) > 2 else "")
+    size = f"{report.facts['bytes']} bytes"
+    print_report(report, as_json, {"textures": textures, "notes": files[-1], "size": size})
 
 
 COMMANDS = (export,)

@@ -9,7 +9,7 @@ import click
 
 from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
 from clrelight.cli.options import Exposure, Numbers, device_option, json_option, whole_number
-from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.output import print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError
 
@@ -106,15 +106,11 @@ def relight(
             progress=bar,
             report=report,
         )
-    if as_json:
-        print_json(report.to_json())
-        return
-    print_notes(report.notes)
     files = report.facts["files"]
     facts = {"image": ", ".join(files[:3]) + (" ..." if len(files) > 3 else "")}
     if "exposure" in report.facts:
         facts["exposure"] = f"{report.facts['exposure']:+.2f} stops"
-    print_facts({**facts, "time": seconds_line(report.seconds)})
+    print_report(report, as_json, facts)
 
 
 COMMANDS = (relight,)

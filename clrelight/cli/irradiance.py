@@ -10,7 +10,7 @@ import click
 from clrelight.cli.claims import claim_output
 from clrelight.cli.maps import MapReading, map_options
 from clrelight.cli.options import device_option, json_option, whole_number
-from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.output import print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError
 
@@ -107,16 +107,12 @@ def irradiance(
     since = time.perf_counter()
     write_image(out, values_nc.reshape(size, width, light.channels))
     report.add("write", since)
-    if as_json:
-        report.facts = {**facts, "coefficients": light.coeffs_kc}
-        print_json(report.to_json())
-        return
-    print_notes(report.notes)
+    report.facts = {**facts, "coefficients": light.coeffs_kc}
     lines = {"irradiance": out, "map": f"{shape}, {width}×{size}", "method": method}
     if method == "brute":
         mean, most = facts["nine_error_mean"], facts["nine_error_maximum"]
         lines["nine are off"] = f"{mean:.2%} of the light on average, {most:.2%} at most"
-    print_facts({**lines, "time": seconds_line(report.seconds)})
+    print_report(report, as_json, lines)
 
 
 def _integrate(

@@ -14,7 +14,7 @@ from clrelight.cli.claims import claim_output
 from clrelight.cli.lamps import ROTATION_HELP, Lamp, Rotation, Turn, lamp_options, make_lamp, note_horizon, rotate_by
 from clrelight.cli.maps import MapReading, map_options, refuse_map_options
 from clrelight.cli.options import Numbers, device_option, json_option, whole_number
-from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.output import print_report
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
@@ -194,20 +194,15 @@ def _scale(light: Light, factor: float) -> Light:
 def _print(out: str, made: Light, lobes: Lobes, report: Report, as_json: bool) -> None:
     from clrelight.harmonics.index import coefficient_count
 
-    if as_json:
-        first_kc = made.coeffs_kc[: coefficient_count(_PRINTED_DEGREE)]
-        facts = {"file": out, "degree": made.degree, "channels": made.channels, "source": made.source}
-        facts.update({"axes": made.axes, "config": dict(made.config), "coefficients": first_kc, "mean": lobes.mean})
-        facts.update({"minimum": lobes.minimum, "maximum": lobes.maximum, "negative": lobes.share})
-        report.facts = facts
-        print_json(report.to_json())
-        return
-    print_notes(report.notes)
-    facts = {"light": out, "degree": f"{made.degree}, {made.channels} channel(s)"}
+    first_kc = made.coeffs_kc[: coefficient_count(_PRINTED_DEGREE)]
+    report.facts = {"file": out, "degree": made.degree, "channels": made.channels, "source": made.source}
+    report.facts |= {"axes": made.axes, "config": dict(made.config), "coefficients": first_kc, "mean": lobes.mean}
+    report.facts |= {"minimum": lobes.minimum, "maximum": lobes.maximum, "negative": lobes.share}
+    lines = {"light": out, "degree": f"{made.degree}, {made.channels} channel(s)"}
     if made.axes:
-        facts["axes"] = f"x, y, z are {made.axes.replace(',', ', ')}"
-    facts["radiance"] = f"{lobes.mean:.4g} mean, {lobes.minimum:.4g} least, below 0 on {lobes.share:.1%} of the sphere"
-    print_facts({**facts, "time": seconds_line(report.seconds)})
+        lines["axes"] = f"x, y, z are {made.axes.replace(',', ', ')}"
+    lines["radiance"] = f"{lobes.mean:.4g} mean, {lobes.minimum:.4g} least, below 0 on {lobes.share:.1%} of the sphere"
+    print_report(report, as_json, lines)
 
 
 def print_coefficients(light: Light) -> None:

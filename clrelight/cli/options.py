@@ -137,50 +137,32 @@ def holdout_option(what: str) -> Callable[[Command], Command]:
     )
 
 
-def holdout_by_option(command: Command) -> Command:
-    """Add ``--holdout-by``."""
-    return click.option(
-        "--holdout-by",
-        type=click.Choice(["index", "place"]),
-        help="Which lights --holdout keeps out: every K-th as photographed (index, default), or blocks as large as the "
-        "gaps between lights (place).",
-    )(command)
-
-
-def device_option(command: Command) -> Command:
-    """Add ``--device``."""
-    return click.option(
-        "--device",
-        metavar="DEVICE",
-        help="OpenCL device: gpu, cpu, pocl, an index or part of a name, @4, @8 or @16 behind it for so many lanes "
-        "(clrelight devices); default: $CLRELIGHT_DEVICE, else the first sound one: GPUs, the packaged PoCL, others.",
-    )(command)
-
-
-def json_option(command: Command) -> Command:
-    """Add ``--json``."""
-    return click.option(
-        "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on standard output."
-    )(command)
-
-
-def layer_option(command: Command) -> Command:
-    """Add ``--layer``."""
-    return click.option(
-        "--layer",
-        metavar="NAME",
-        help="Layer or part of EXR images, or page of TIFFs (from 1); default: R, G, B, else the one named as the "
-        "picture, such as ViewLayer.Combined.",
-    )(command)
-
-
-def clip_negative_option(command: Command) -> Command:
-    """Add ``--clip-negative``."""
-    return click.option(
-        "--clip-negative",
-        is_flag=True,
-        help="Set negative radiance to 0 however large; default: only tiny values, as lossy files have.",
-    )(command)
+holdout_by_option = click.option(
+    "--holdout-by",
+    type=click.Choice(["index", "place"]),
+    help="Which lights --holdout keeps out: every K-th as photographed (index, default), or blocks as large as the "
+    "gaps between lights (place).",
+)
+device_option = click.option(
+    "--device",
+    metavar="DEVICE",
+    help="OpenCL device: gpu, cpu, pocl, an index or part of a name, @4, @8 or @16 behind it for so many lanes "
+    "(clrelight devices); default: $CLRELIGHT_DEVICE, else the first sound one: GPUs, the packaged PoCL, others.",
+)
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on standard output."
+)
+layer_option = click.option(
+    "--layer",
+    metavar="NAME",
+    help="Layer or part of EXR images, or page of TIFFs (from 1); default: R, G, B, else the one named as the "
+    "picture, such as ViewLayer.Combined.",
+)
+clip_negative_option = click.option(
+    "--clip-negative",
+    is_flag=True,
+    help="Set negative radiance to 0 however large; default: only tiny values, as lossy files have.",
+)
 
 
 def memory_option(default: str, what: str) -> Callable[[Command], Command]:

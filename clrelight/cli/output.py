@@ -72,6 +72,16 @@ def make_report(as_json: bool) -> Report:
     return Report(tell=None if as_json else lambda note: print_notes([note]))
 
 
+def print_report(report: Report, as_json: bool, lines: Mapping[str, Any]) -> None:
+    """Print what a job told: one JSON object, or its notes that are not printed yet, some lines, and the time."""
+    if as_json:
+        print_json(report.to_json())
+        return
+    if report.tell is None:
+        print_notes(report.notes)
+    print_facts({**lines, "time": seconds_line(report.seconds)})
+
+
 def decibel(value: float) -> str:
     """Return a PSNR as people read it."""
     return "inf dB (identical)" if math.isinf(value) else f"{value:.2f} dB"

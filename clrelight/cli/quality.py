@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from clrelight.cli.options import device_option, json_option
-from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.output import decibel, print_report
 from clrelight.cli.progress import progress_bar
 
 
@@ -31,11 +31,7 @@ def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
     report = Report(facts={"file": fitted})
     with progress_bar("measuring") as bar:
         measure(fitted, stack, device=device, progress=bar, report=report)
-    if as_json:
-        print_json(report.to_json())
-        return
-    print_notes(report.notes)
-    print_facts({**psnr_lines(report.psnr), "time": seconds_line(report.seconds)})
+    print_report(report, as_json, psnr_lines(report.psnr))
 
 
 def psnr_lines(quality: dict[str, Any] | None) -> dict[str, str]:

@@ -86,17 +86,7 @@ def _paper_table(caption: str, columns: tuple[Column, ...], rows: list[tuple[Cel
 def table_i(results: Results, scene: str) -> Table | None:
     """Return table I (section V-B): mean PSNR of the images relit from plain ULS and CLS coefficients.
 
-    Parameters
-    ----------
-    results : Results
-        The experiment.
-    scene : str
-        Name of one of its scenes.
-
-    Returns
-    -------
-    Table or None
-        None if neither method has a row. The paper's numbers stand beside ours for its scene and degree only.
+    None if neither method has a row. The paper's numbers stand beside ours for its scene and degree only.
     """
     rows: list[tuple[Cell, ...]] = []
     for (method, degree, setting), row in rows_by_key(scene_rows(results, scene)).items():
@@ -118,18 +108,7 @@ def table_i(results: Results, scene: str) -> Table | None:
 def table_iii(results: Results, scene: str) -> Table | None:
     """Return table III (section VI): mean PSNR from plain and from S3TC-compressed coefficients, per method.
 
-    Parameters
-    ----------
-    results : Results
-        The experiment.
-    scene : str
-        Name of one of its scenes.
-
-    Returns
-    -------
-    Table or None
-        None if there are no plain or no S3TC rows. The paper's numbers stand beside ours for its scene and
-        degree only.
+    None if there are no plain or no S3TC rows. The paper's numbers stand beside ours for its scene and degree only.
     """
     by_key = rows_by_key(scene_rows(results, scene))
     pairs = dict.fromkeys((method, degree) for method, degree, setting in by_key if setting in (PLAIN, S3TC))

@@ -63,15 +63,7 @@ def _write_payload(draft: Draft, encoded: Encoded) -> None:
 
 
 def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
-    """Read encoded coefficients and the record of their fit.
-
-    Raises
-    ------
-    InputError
-        If there is no such file.
-    StoreFormatError
-        If it holds no sound payload, or its attributes contradict the payload.
-    """
+    """Read encoded coefficients and the record of their fit; errors as of `open_fit`, also where the two disagree."""
     with opening(path, "encoded") as opened, refusing(opened.path):
         return encoded_of(opened)
 

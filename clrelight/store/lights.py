@@ -25,15 +25,7 @@ def write_light(path: str | os.PathLike, light: Light) -> None:
 
 
 def read_light(path: str | os.PathLike) -> Light:
-    """Read a light.
-
-    Raises
-    ------
-    InputError
-        If there is no such file.
-    StoreFormatError
-        If it holds no sound light.
-    """
+    """Read a light; errors as of `open_fit`."""
     with opening(path, "light") as opened, refusing(opened.path):
         return light_of(opened)
 

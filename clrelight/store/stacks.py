@@ -59,15 +59,7 @@ def write_stack(path: str | os.PathLike, stack: LightStack) -> None:
 
 @contextmanager
 def open_stack(path: str | os.PathLike) -> Iterator[LightStack]:
-    """Open a stack; its images are a `StoredArray`, read as they are indexed.
-
-    Raises
-    ------
-    InputError
-        If there is no such file.
-    StoreFormatError
-        If it holds no sound stack.
-    """
+    """Open a stack; its images are a `StoredArray`, read as they are indexed; errors as of `open_fit`."""
     with opening(path, "stack") as opened:
         with refusing(opened.path):
             stack = stack_of(opened)

@@ -39,15 +39,7 @@ def write_results(path: str | os.PathLike, results: Results) -> None:
 
 
 def read_results(path: str | os.PathLike) -> Results:
-    """Read results.
-
-    Raises
-    ------
-    InputError
-        If there is no such file.
-    StoreFormatError
-        If it holds no sound results.
-    """
+    """Read results; errors as of `open_fit`."""
     with opening(path, "results") as opened, refusing(opened.path):
         return results_of(opened)
 
