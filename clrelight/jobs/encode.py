@@ -137,12 +137,12 @@ def encode(
     budget = None if bytes is None else count_bytes(bytes)
     wanted = _ask(codec, basis, budget, target_psnr, stack is not None, options)
     limit = None if memory is None else count_bytes(memory)
-    folder = tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent
+    held = limit or DEFAULT_MEMORY
     with (
         claimed([out], paths_among(source, stack), kept),
         opened_on(device, kept) as opened,
         lend_fit(source) as coefficients,
-        scratch_room(folder, limit or DEFAULT_MEMORY) as room,
+        scratch_room(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, held) as room,
     ):
         encoded = _Encode(coefficients, wanted, opened, room, limit, kept, progress).run(stack)
         if out is None:
