@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict
 from typing import Any
 
 import click
@@ -59,26 +58,26 @@ def ingest(folder: str, out: str, memory: int, as_json: bool, **options: Any) ->
     Example:
       clrelight ingest photos/ stack.h5 --lights photos/dome.lp --transfer srgb
     """
-    from clrelight.ingest import ingest_folder
+    from clrelight.jobs.ingest import ingest as run_ingest
+    from clrelight.jobs.report import Report
 
-    claim_output(out)
-    since = time.perf_counter()
+    report = Report()
     with progress_bar("reading images") as bar:
-        summary = ingest_folder(folder, out, memory_bytes=memory, progress=bar, **options)
-    seconds = {"ingest": time.perf_counter() - since}
+        run_ingest(folder, out, memory=memory, progress=bar, report=report, **options)
     if as_json:
-        print_json({"file": out, **asdict(summary), "seconds": seconds})
+        print_json(report.to_json())
         return
-    print_notes(summary.notes)
-    height, width, channel = summary.image_shape
-    low, high = summary.elevation_range
+    print_notes(report.notes)
+    facts = report.facts
+    height, width, channel = facts["image_shape"]
+    low, high = facts["elevation_range"]
     print_facts(
         {
             "stack": out,
-            "images": f"{summary.n_light} of {width}×{height}, {channel} channel(s), {summary.dtype}",
-            "values": f"{summary.transfer}, {summary.peak:g} means 1.0",
+            "images": f"{facts['n_light']} of {width}×{height}, {channel} channel(s), {facts['dtype']}",
+            "values": f"{facts['transfer']}, {facts['peak']:g} means 1.0",
             "elevation": f"{low:.1f}° to {high:.1f}°",
-            "duplicates": summary.duplicates,
+            "duplicates": facts["duplicates"],
         }
     )
 

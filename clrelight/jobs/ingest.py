@@ -14,6 +14,7 @@ from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.ingest import ingest_folder
 from clrelight.jobs.inputs import path_text
+from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.store import open_stack
@@ -99,8 +100,8 @@ def ingest(
             _read(folder, stack, budget, kept, progress, options)
             with open_stack(stack) as stored:
                 return replace(stored, images_ihwc=stored.images_ihwc[...])
-    path_text(out, "a stack to write")
-    _read(folder, out, budget, kept, progress, options)
+    with claimed([out], [], kept):
+        _read(folder, out, budget, kept, progress, options)
     kept.facts = {"file": os.fsdecode(out), **kept.facts}
     return kept
 
