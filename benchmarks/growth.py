@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from benchmarks.pages import replace_block
 from clrelight.errors import InputError
 from clrelight.report import canvas
 from clrelight.speed.charts import memory_chart, seconds_chart
 from clrelight.speed.record import read_record
 from clrelight.speed.report import page
-from clrelight.speed.tables import replace_block
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BEGIN, END = "<!-- growth -->", "<!-- /growth -->"

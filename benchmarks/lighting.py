@@ -17,6 +17,8 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.pages import replace_block
+from benchmarks.photograph_sum import gather_light, sum_photographs
 from clrelight.cli.output import print_facts
 from clrelight.cli.tables import print_table
 from clrelight.dataset import LightStack
@@ -28,10 +30,10 @@ from clrelight.lighting import layouts
 from clrelight.lighting.environment import Environment, read_environment
 from clrelight.lighting.irradiance import compare_irradiance, evaluate_irradiance, integrate_irradiance
 from clrelight.lighting.projection import project_environment
-from clrelight.lighting.relighting import gather_light, relight_under, sum_photographs
+from clrelight.lighting.relighting import relight_under
 from clrelight.metrics import psnr_of
 from clrelight.speed.environment import describe_environment
-from clrelight.speed.tables import markdown_table, replace_block
+from clrelight.speed.tables import markdown_table
 from clrelight.speed.timing import Timings, interleave
 from clrelight.store import open_stack
 from datasets_synth.ring import render_ring

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.pages import replace_block
 from benchmarks.rti_baseline import measure_rti
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
@@ -26,7 +27,6 @@ from clrelight.jobs.fit import fit
 from clrelight.jobs.target import encode_to_quality
 from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.relight import relight, to_display
-from clrelight.speed.tables import replace_block
 from clrelight.store import open_stack
 
 HOLDOUT = 5

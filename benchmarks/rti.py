@@ -18,6 +18,7 @@ from typing import Any
 import click
 import numpy as np
 
+from benchmarks.pages import check_markdown, replace_block
 from benchmarks.rti_page import StackResult, draw_pictures, markdown_table, quality_table, size_table, stack_table
 from benchmarks.rti_stacks import Case, crop, find_stacks, read_case
 from benchmarks.rti_ways import Found, Way, default_ways, measure_way, photograph
@@ -27,7 +28,6 @@ from clrelight.conventions import TRANSFERS
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.speed.environment import describe_environment
-from clrelight.speed.tables import check_markdown, replace_block
 
 BEGIN, END = "<!-- rti -->", "<!-- /rti -->"
 QUICK_PIXELS, _WARM_PIXELS = 64, 16

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 
+from benchmarks import pages
 from benchmarks.coding import codec_stages
 from benchmarks.fitting import fit_stages, projection_stages
 from benchmarks.imaging import imaging_stages
@@ -65,7 +66,7 @@ def main(
       python -m benchmarks.stages --markdown docs/performance.md
     """
     if markdown_file is not None:
-        tables.check_markdown(markdown_file)  # before minutes of work
+        pages.check_markdown(markdown_file)  # before minutes of work
     scale = QUICK if quick else FULL
     opened = open_device(device)
     facts = describe_environment(opened)
@@ -86,9 +87,9 @@ def main(
     click.echo()
     print_table(tables.HEADERS, [tables.cells(row) for row in rows], expendable=tables.EXPENDABLE)
     if json_file is not None:
-        json_file.write_text(tables.to_json(rows, facts), encoding="utf-8")
+        json_file.write_text(pages.to_json(rows, facts), encoding="utf-8")
     if markdown_file is not None:
-        tables.replace_block(markdown_file, tables.to_markdown(rows, facts))
+        pages.replace_block(markdown_file, pages.to_markdown(rows, facts))
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.pages import check_markdown, replace_block
 from clrelight.cli.progress import progress_bar
 from clrelight.device import open_device
 from clrelight.experiment.axes import Axes
@@ -24,7 +25,6 @@ from clrelight.ingest import ingest_folder
 from clrelight.report import canvas
 from clrelight.report.markup import to_markdown
 from clrelight.report.trade import front_table, half_table, step_table, trade_chart
-from clrelight.speed.tables import check_markdown, replace_block
 from clrelight.store import open_stack, write_stack
 from datasets_synth.ring import render_ring
 

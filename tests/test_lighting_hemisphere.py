@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.photograph_sum import gather_light, sum_photographs
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
 from clrelight.harmonics.hemisphere import hemisphere_autocorrelation, project_onto_hemisphere
@@ -12,10 +13,8 @@ from clrelight.lighting.light import Light, share_below
 from clrelight.lighting.projection import project_environment
 from clrelight.lighting.relighting import (
     automatic_exposure,
-    gather_light,
     map_tones,
     relight_under,
-    sum_photographs,
 )
 from clrelight.sampling import make_pattern
 from tests.reference.basis import real_harmonics, sphere_quadrature

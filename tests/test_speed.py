@@ -19,6 +19,7 @@ from PIL import Image
 
 from benchmarks import growth as growth_page
 from benchmarks import startup
+from benchmarks.pages import check_markdown
 from clrelight.errors import InputError
 from clrelight.fit.run import DEFAULT_MEMORY
 from clrelight.sampling import make_pattern
@@ -26,7 +27,6 @@ from clrelight.speed import growth_tables, peer_stages, run, scene
 from clrelight.speed.job import NUMPY, OURS, STAGES, TOTAL
 from clrelight.speed.plan import Point, choose_growth, full_growth
 from clrelight.speed.record import read_record, write_record
-from clrelight.speed.tables import check_markdown
 from clrelight.speed.timing import interleave
 from tests.commands import call, command_line, contents, environment, succeed
 
