@@ -218,11 +218,7 @@ class Device:
         """Return a built program and its name in the cache."""
         key = (file, tuple(sorted(defines.items())))
         if key not in self._programs:
-            options = [
-                "-cl-kernel-arg-info",
-                "-cl-std=CL1.2",
-                *(f"-D{k}={v}" for k, v in sorted(defines.items())),
-            ]
+            options = ["-cl-kernel-arg-info", "-cl-std=CL1.2", *(f"-D{k}={v}" for k, v in sorted(defines.items()))]
             source = read_kernel_source(file)
             program = self._cl.Program(self._context, source)
             try:

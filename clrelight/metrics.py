@@ -204,12 +204,7 @@ class _SumOfErrors:
 
 
 def sum_errors(
-    device: Device,
-    relit_ip: DeviceArray,
-    source_ip: DeviceArray,
-    weight_p: DeviceArray,
-    peak: float,
-    transfer: str,
+    device: Device, relit_ip: DeviceArray, source_ip: DeviceArray, weight_p: DeviceArray, peak: float, transfer: str
 ) -> DeviceArray:
     """Queue a GPU's sums of squared errors, in units of the peak, of each light and segment of columns."""
     n_light, columns = relit_ip.shape

@@ -8,14 +8,7 @@ from typing import Any
 import click
 
 from clrelight.cli.claims import claim_output
-from clrelight.cli.options import (
-    Numbers,
-    clip_negative_option,
-    json_option,
-    layer_option,
-    memory_option,
-    whole_number,
-)
+from clrelight.cli.options import Numbers, clip_negative_option, json_option, layer_option, memory_option, whole_number
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 

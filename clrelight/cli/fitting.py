@@ -38,10 +38,7 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "memo
 @holdout_by_option
 @click.option("--energy", type=float, help="Factor on the bound E_c of cls and ceb; 1 is the paper's.")
 @click.option("--iterations", type=int, help="Steps of the search for lambda (cls); default 32.")
-@click.option(
-    "--solver",
-    help="Search for lambda (cls): newton (default), bisection of its logarithm, or the paper's.",
-)
+@click.option("--solver", help="Search for lambda (cls): newton (default), bisection of its logarithm, or the paper's.")
 @click.option("--fill", help="Lower hemisphere (project): zero or mirror.")
 @click.option("--lam", type=float, help="Smoothing of spline; default: by generalised cross-validation.")
 @click.option("--per", help="What shares one lambda (spline): stack or channel.")
@@ -58,10 +55,7 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "memo
 @click.option("--weights", default="uniform", show_default=True, help="uniform or solid-angle.")
 @click.option("--sampling", default="hemisphere", show_default=True, help="hemisphere or scattered (section V-D).")
 @click.option(
-    "--precision",
-    default="mixed",
-    show_default=True,
-    help="Of kernels: mixed, single (float32) or double (float64).",
+    "--precision", default="mixed", show_default=True, help="Of kernels: mixed, single (float32) or double (float64)."
 )
 @click.option("--config", type=click.Path(), metavar="FILE.toml", help="All of this from a file, as trade writes it.")
 @click.option(

@@ -75,11 +75,7 @@ def irradiance(
     from clrelight.jobs.pictures import FLOAT_FORMATS, holds_floats
     from clrelight.jobs.report import Report
     from clrelight.lighting import layouts
-    from clrelight.lighting.irradiance import (
-        compare_irradiance,
-        evaluate_irradiance,
-        irradiance_matrix,
-    )
+    from clrelight.lighting.irradiance import compare_irradiance, evaluate_irradiance, irradiance_matrix
     from clrelight.lighting.projection import project_environment
 
     if not holds_floats(out):

@@ -170,11 +170,7 @@ def ingest_folder(
 
 
 def _write(
-    out: Path,
-    stack: LightStack,
-    source: Photographs,
-    memory_bytes: int,
-    progress: Callable[[int, int], None] | None,
+    out: Path, stack: LightStack, source: Photographs, memory_bytes: int, progress: Callable[[int, int], None] | None
 ) -> list[str]:
     """Write the stack, which stands once it is whole; return what to say of negative values."""
     from clrelight.store import create_stack

@@ -16,10 +16,7 @@ def predicted_psnr(noise: Noise | None) -> dict[str, float]:
     independent, predicted = (
         (math.nan, math.nan) if noise is None else (noise.image_error_if_independent(), noise.image_error())
     )
-    return {
-        "coding_psnr_independent": float(psnr_of(independent)),
-        "coding_psnr_predicted": float(psnr_of(predicted)),
-    }
+    return {"coding_psnr_independent": float(psnr_of(independent)), "coding_psnr_predicted": float(psnr_of(predicted))}
 
 
 def coding_psnr(noise: Noise | None, coeffs_khwc: Any, decoded_khwc: Any) -> dict[str, float]:

@@ -76,10 +76,7 @@ def cast_shadow(light: Light, direction: Sequence[float], angle: float) -> Light
 
 
 def blend_lights(
-    lights: Sequence[Light],
-    positions_i3: NDArray[np.float64],
-    place_3: NDArray[np.float64],
-    power: float = BLEND_POWER,
+    lights: Sequence[Light], positions_i3: NDArray[np.float64], place_3: NDArray[np.float64], power: float = BLEND_POWER
 ) -> Light:
     """Return the light at a place between samples of it, each weighted by ``1 / distance**power``; weights sum to 1.
 

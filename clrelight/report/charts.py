@@ -9,14 +9,7 @@ import numpy as np
 
 from clrelight.errors import InputError
 from clrelight.report.canvas import LEFT, WIDTH, label_ends, method_colours, new_figure, plain_log_axis
-from clrelight.report.rows import (
-    all_methods,
-    method_label,
-    method_rank,
-    parse_profile_key,
-    rows_by_key,
-    scene_rows,
-)
+from clrelight.report.rows import all_methods, method_label, method_rank, parse_profile_key, rows_by_key, scene_rows
 from clrelight.report.tables import PLAIN
 from clrelight.results import Results
 

@@ -88,12 +88,7 @@ class Opened:
         for name, (start, end) in zip(sorted(datasets), itertools.pairwise(ends), strict=True):
             self.arrays[name] = StoredArray(datasets[name], self.path, table_b[start:end])
         found = {
-            name: (
-                type_text(array.dtype),
-                array.shape,
-                Blocks.of(datasets[name]).extent,
-                self._array_attributes(name),
-            )
+            name: (type_text(array.dtype), array.shape, Blocks.of(datasets[name]).extent, self._array_attributes(name))
             for name, array in self.arrays.items()
             if name in datasets
         }
