@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clrelight.cli.quality import psnr_lines
+from clrelight.cli.psnr import psnr_lines
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
 from clrelight.metrics import domain_note, measure_errors, psnr_of, summarize_errors

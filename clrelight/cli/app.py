@@ -15,13 +15,13 @@ from clrelight.cli import (
     experiments,
     export,
     files,
-    fitting,
-    images,
+    fit,
     irradiance,
     light,
-    light_plans,
     machines,
-    quality,
+    plan_lights,
+    psnr,
+    relight,
     trade,
 )
 from clrelight.errors import InputError, KernelBuildError
@@ -45,18 +45,8 @@ def cli() -> None:
 
 
 for module in (
-    machines,
-    files,
-    light_plans,
-    fitting,
-    coding,
-    images,
-    export,
-    light,
-    irradiance,
-    quality,
-    experiments,
-    trade,
+    *(machines, files, plan_lights, fit, coding, relight, export),
+    *(light, irradiance, psnr, experiments, trade),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

@@ -11,7 +11,7 @@ import click
 from clrelight.cli.options import ByteCount, device_option, is_given, json_option, memory_option
 from clrelight.cli.output import decibel, make_report, print_report
 from clrelight.cli.progress import progress_bar
-from clrelight.cli.quality import psnr_lines
+from clrelight.cli.psnr import psnr_lines
 
 
 @click.command()

@@ -17,7 +17,7 @@ from clrelight.cli.options import (
 )
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
-from clrelight.cli.quality import psnr_lines
+from clrelight.cli.psnr import psnr_lines
 from clrelight.errors import InputError
 
 _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "memory", "device", "as_json")
