@@ -93,7 +93,7 @@ def test_build_error_names_a_line_after_an_include(folder):
 @pytest.mark.parametrize(
     ("file", "defines", "names"),
     [
-        ("fit/cls.cl", {}, "N_COMPONENT must be defined"),
+        ("fit/cls.cl", {}, "ROOM must be defined"),
         ("fit/ceb.cl", {}, "CROSSING must be defined"),
         ("metrics/relit_error.cl", {"SAMPLE_T": "float", "SAMPLE_HALF": 0}, "ENCODE must be defined"),
         ("metrics/relit_error.cl", {"SAMPLE_T": "float", "SAMPLE_HALF": 0, "ENCODE": 0}, "COEFF_HALF must be defined"),

@@ -12,7 +12,7 @@ from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit.cls_columns import OnePassFit, fits_one_pass
 from clrelight.fit.cls_float64 import LAMBDA_TOLERANCE, component_rounding, refine_columns
-from clrelight.fit.columns import launch_columns
+from clrelight.fit.columns import launch_columns, private_room
 from clrelight.fit.plan import IMAGE_ROUNDING, FitPlan, Lighting, plan_least_squares
 from clrelight.fit.precision import DOUBLE, MIXED, SINGLE
 from clrelight.fit.registry import Columns, FitMethod, OnePass, Shrunk, register
@@ -101,6 +101,9 @@ class ConstrainedLeastSquares(FitMethod):
         z_rq = columns.z_rq
         maps = self.allocate_maps(device, z_rq.shape[1])
         doubt_q = device.empty((z_rq.shape[1],), np.float32)
+        components = z_rq.shape[0]
+        # Registers of a GPU need loops of known length.
+        room = {"N_COMPONENT": components} if device.style == "gpu" else {"ROOM": private_room(components)}
         launch_columns(
             device,
             "fit/cls.cl",
@@ -113,7 +116,7 @@ class ConstrainedLeastSquares(FitMethod):
             self.iterations,
             *z_rq.shape,
             defines={
-                "N_COMPONENT": z_rq.shape[0],
+                **room,
                 "PAIRED": int(columns.precision == DOUBLE or plan.singular_r.min() ** 4 > _SMALLEST_PRODUCT),
                 "ARITHMETIC": int(self.solver == "paper"),
                 "ONTO_BOUND": int(self.solver == "newton" and not self.ends),

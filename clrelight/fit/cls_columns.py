@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.device import Device
 from clrelight.fit.cls_float64 import LAMBDA_TOLERANCE, component_rounding, refine_columns
+from clrelight.fit.columns import private_room
 from clrelight.fit.plan import FitPlan
 from clrelight.fit.registry import Shrunk
 from clrelight.matmul import SampleCurve, apply_operator, pack_operator, sample_defines, tile_defines
@@ -105,12 +108,12 @@ class OnePassFit:
             LAMBDA_TOLERANCE,
             self._iterations,
             *source_ip.shape,
-            *(analysis_b.shape[0], synthesis_b.shape[0]),
+            *(len(plan.singular_r), analysis_b.shape[0], synthesis_b.shape[0]),
             defines={
                 **tile,
                 **sample_defines(source_ip.dtype),
                 "CURVE": curve.mode(source_ip.dtype),
-                "N_COMPONENT": len(plan.singular_r),
+                "ROOM": _local_room(device, len(plan.singular_r), tile),
                 "N_NODE": _NODES,
                 "REFINED": int(self._refined),
                 "ONTO_BOUND": int(not self._ends),
@@ -125,6 +128,14 @@ class OnePassFit:
             apply_operator(device, self._synthesis, t_rf, again_kf)
             device.download(coeffs_kp)[:, doubtful] = device.download(again_kf)[:, : len(doubtful)]
         return Shrunk(lambda_p)
+
+
+def _local_room(device: Device, components: int, tile: Mapping[str, object]) -> int:
+    """Return how many components a program is built for, of `private_room` as many as local memory has."""
+    row_bytes = 4 * int(str(tile["TILE"]))
+    # Beside z: samples, eight sums, eight of float64, and energy, lambda and doubt.
+    left = device.info.local_memory_bytes // row_bytes - int(str(tile["CHUNK"])) - 28
+    return max(components, min(private_room(components), left))
 
 
 def _last_rows(plan: FitPlan) -> NDArray[np.float64]:

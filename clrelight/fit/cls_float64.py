@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.device import Device
-from clrelight.fit.columns import LANES
+from clrelight.fit.columns import LANES, private_room
 from clrelight.fit.plan import FitPlan
 from clrelight.matmul import SampleCurve, sample_defines
 from clrelight.opencl.arguments import DeviceArray
@@ -69,11 +69,11 @@ def refine_columns(
         device.upload(curve.table(source_ip.dtype)),
         1.0 / curve.peak,
         *source_ip.shape,
-        z_rq.shape[1],
+        *z_rq.shape,
         defines={
             **sample_defines(source_ip.dtype),
             "CURVE": curve.mode(source_ip.dtype),
-            "N_COMPONENT": len(plan.singular_r),
+            "ROOM": private_room(len(plan.singular_r)),
         },
     )
     return z_rq

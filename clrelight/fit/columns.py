@@ -11,6 +11,13 @@ from clrelight.opencl.arguments import DeviceArray
 LANES = 8
 """Columns that a work-item of the CPU's kernels takes, in the lanes of a vector."""
 _GROUP = 128
+_ROOM = 256
+"""Components that kernels have private memory for, those of degree 15: one program for all such fits."""
+
+
+def private_room(components: int) -> int:
+    """Return for how many components to build a kernel that keeps a column in private memory: at least `components`."""
+    return max(_ROOM, components)
 
 
 def launch_columns(

@@ -20,7 +20,7 @@
  * lambda, so the iteration comes from the left and never overshoots. It starts where no t_r alone exceeds sqrt(E):
  * below that, t^2/(s + lambda) overflows once s spans more than some twenty decades.
  *
- *   N_COMPONENT R, fixed so that a column fits private memory
+ *   ROOM        components that a column has private memory for, at least R
  *   PAIRED      1 where the product of two sigma^2 is a normal number, else 0
  *   ARITHMETIC  1 for the bisection as the paper has it, else 0
  *   ONTO_BOUND  1 where Newton gets too few steps to end: it is then below lambda, and t is scaled by sqrt(E/f) where f
@@ -29,8 +29,8 @@
 #include "common/columns.clh"
 #include "fit/bound.clh"
 
-#ifndef N_COMPONENT
-#error "N_COMPONENT must be defined: the number of rows"
+#ifndef ROOM
+#error "ROOM must be defined: at least the number of rows"
 #endif
 #ifndef PAIRED
 #error "PAIRED must be defined: 1 where the product of two sigma^2 is a normal number, else 0"
@@ -42,13 +42,14 @@
 #error "ONTO_BOUND must be defined: 1 to scale t onto the bound, else 0"
 #endif
 
-static inline __attribute__((always_inline)) lanes squared_norm(const lanes *b, __global const REAL *restrict singular_r, const lanes lambda)
+static inline __attribute__((always_inline)) lanes squared_norm(const lanes *b, __global const REAL *restrict singular_r,
+                                                              const int size_r, const lanes lambda)
 {
     lanes f = 0.0f, g = 0.0f;
     int r = 0;
 #if PAIRED
     /* One division and two sums for two components: divisions, then waiting for one sum, take most of the time. */
-    for (; r + 2 <= N_COMPONENT; r += 2) {
+    for (; r + 2 <= size_r; r += 2) {
         const lanes x = singular_r[r] * singular_r[r] + lambda, y = singular_r[r + 1] * singular_r[r + 1] + lambda;
         const lanes inverse = 1.0f / (x * y);
         const lanes t = b[r] * (y * inverse), u = b[r + 1] * (x * inverse);
@@ -56,7 +57,7 @@ static inline __attribute__((always_inline)) lanes squared_norm(const lanes *b, 
         g = u * u + g;
     }
 #endif
-    for (; r < N_COMPONENT; r++) {
+    for (; r < size_r; r++) {
         const lanes t = b[r] / (singular_r[r] * singular_r[r] + lambda);
         f = t * t + f;
     }
@@ -64,10 +65,10 @@ static inline __attribute__((always_inline)) lanes squared_norm(const lanes *b, 
 }
 
 static inline __attribute__((always_inline)) lanes load_scaled(lanes *b, __global const REAL *restrict z_rq, __global const REAL *restrict singular_r,
-                         const int q, const int size_q)
+                         const int q, const int size_r, const int size_q)
 {
     lanes norm = 0.0f;
-    for (int r = 0; r < N_COMPONENT; r++) {
+    for (int r = 0; r < size_r; r++) {
         b[r] = singular_r[r] * LOAD_LANES(z_rq + (long)r * size_q + q);
         norm = b[r] * b[r] + norm;
     }
@@ -76,13 +77,13 @@ static inline __attribute__((always_inline)) lanes load_scaled(lanes *b, __globa
 
 static inline __attribute__((always_inline)) void store_shrunk(__global REAL *restrict z_rq, __global float *restrict doubt_q, const lanes *b,
                          __global const REAL *restrict singular_r, const lanes energy, const lanes lambda, const int q,
-                         const int size_q)
+                         const int size_r, const int size_q)
 {
     lanes slope = 0.0f, gain = 0.0f;
 #if ONTO_BOUND
     lanes norm = 0.0f;
 #endif
-    for (int r = 0; r < N_COMPONENT; r++) {
+    for (int r = 0; r < size_r; r++) {
         const lanes inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
         const lanes t = b[r] * inverse;
         const lanes g = t * inverse * singular_r[r];
@@ -95,7 +96,7 @@ static inline __attribute__((always_inline)) void store_shrunk(__global REAL *re
     }
 #if ONTO_BOUND
     const lanes factor = norm > energy ? root(energy / norm) : (lanes)1.0f;
-    for (int r = 0; r < N_COMPONENT; r++)
+    for (int r = 0; r < size_r; r++)
         STORE_LANES(factor * LOAD_LANES(z_rq + (long)r * size_q + q), z_rq + (long)r * size_q + q);
 #endif
     const lanes doubt = root(energy) * root(gain) / (lambda * slope);
@@ -108,16 +109,16 @@ __kernel void shrink_by_bisection_rq(__global REAL *restrict z_rq, __global floa
                                      const int size_r, const int size_q)
 {
     const int q = get_global_id(0) * LANES;
-    lanes b[N_COMPONENT];
-    const lanes norm = load_scaled(b, z_rq, singular_r, q, size_q);
+    lanes b[ROOM];
+    const lanes norm = load_scaled(b, z_rq, singular_r, q, size_r, size_q);
     const lanes energy = LOAD_LANES(energy_q + q);
-    const lanes_mask held = squared_norm(b, singular_r, 0.0f) <= energy;
+    const lanes_mask held = squared_norm(b, singular_r, size_r, 0.0f) <= energy;
 
     lanes low = 0.0f, high = root(norm / energy), lambda = ARITHMETIC ? (lanes)1.0f : LESSER(high, (lanes)1.0f);
     lanes_mask bracketed = 0;
     if (!all_lanes(held)) {
         for (int k = 0; k < iterations; k++) {
-            const lanes_mask feasible = squared_norm(b, singular_r, lambda) <= energy;
+            const lanes_mask feasible = squared_norm(b, singular_r, size_r, lambda) <= energy;
             high = feasible ? lambda : high;
             low = feasible ? low : lambda;
             bracketed |= feasible;
@@ -133,7 +134,7 @@ __kernel void shrink_by_bisection_rq(__global REAL *restrict z_rq, __global floa
     }
     lambda = held ? (lanes)0.0f : high;
     STORE_FLOATS(lambda, lambda_q + q);
-    store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_q);
+    store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_r, size_q);
 }
 
 __kernel void shrink_by_newton_rq(__global REAL *restrict z_rq, __global float *restrict lambda_q,
@@ -142,15 +143,15 @@ __kernel void shrink_by_newton_rq(__global REAL *restrict z_rq, __global float *
                                   const int size_r, const int size_q)
 {
     const int q = get_global_id(0) * LANES;
-    lanes b[N_COMPONENT];
-    const lanes norm = load_scaled(b, z_rq, singular_r, q, size_q);
+    lanes b[ROOM];
+    const lanes norm = load_scaled(b, z_rq, singular_r, q, size_r, size_q);
     const lanes energy = LOAD_LANES(energy_q + q);
     /* Black columns: any finite lambda gives zeros; 0/0 must not spread. */
     const lanes_mask empty = energy <= 0.0f;
     const lanes inverse_root = 1.0f / root(energy);
     const lanes first = root(norm) * inverse_root - singular_r[0] * singular_r[0];
     lanes lambda = GREATER(first, (lanes)0.0f);
-    for (int r = 0; r < N_COMPONENT; r++) {
+    for (int r = 0; r < size_r; r++) {
         const lanes least = ABSOLUTE(b[r]) * inverse_root - singular_r[r] * singular_r[r];
         lambda = GREATER(least, lambda);
     }
@@ -158,7 +159,7 @@ __kernel void shrink_by_newton_rq(__global REAL *restrict z_rq, __global float *
 
     for (int k = 0; k < iterations; k++) {
         lanes f = 0.0f, slope = 0.0f;
-        for (int r = 0; r < N_COMPONENT; r++) {
+        for (int r = 0; r < size_r; r++) {
             const lanes inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
             const lanes t = b[r] * inverse;
             f = t * t + f;
@@ -171,5 +172,5 @@ __kernel void shrink_by_newton_rq(__global REAL *restrict z_rq, __global float *
         if (!any_lane(moved)) break;
     }
     STORE_FLOATS(lambda, lambda_q + q);
-    store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_q);
+    store_shrunk(z_rq, doubt_q, b, singular_r, energy, lambda, q, size_r, size_q);
 }

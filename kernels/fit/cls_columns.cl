@@ -21,12 +21,16 @@
  *
  *   REFINED       is 1; with 0 there is nothing of float64, last_it included
  *   ONTO_BOUND    1 where the search gets too few steps to end: t is scaled by sqrt(E/f) where f exceeds E. Else 0
+ *   ROOM          components that there is memory for, at least R
  */
 #include "common/source_tile.clh"
 #include "fit/lambda.clh"
 
 #if !defined(REFINED) || !defined(ONTO_BOUND)
 #error "REFINED and ONTO_BOUND must be defined: 0 or 1"
+#endif
+#ifndef ROOM
+#error "ROOM must be defined: at least the number of components"
 #endif
 
 #define EVALUATION 4e-7f /* relative error of f and E in float32 */
@@ -78,12 +82,12 @@ INLINE void sum_last(__local double *sums, __local const vecf *tile, __global co
  * z_r are rounded sums. */
 INLINE vecf shrink(__local vecf *z, const vecf *b, __global const float *restrict singular_r,
                    __global const float *restrict square_r, const vecf energy, const vecf lambda, const float rounding,
-                   const int rough, const veci wanted)
+                   const int size_r, const int rough, const veci wanted)
 {
     vecf square = 0.0f, slope = 0.0f, gain = 0.0f;
-    for (int r = 0; r < N_COMPONENT; r += 2) {
+    for (int r = 0; r < size_r; r += 2) {
         /* Two components to a division; the last of an odd number goes with itself. */
-        const int other = r + 1 < N_COMPONENT ? r + 1 : r;
+        const int other = r + 1 < size_r ? r + 1 : r;
         const vecf x = square_r[r] + lambda, y = square_r[other] + lambda;
         const vecf inverse = 1.0f / (x * y);
         const vecf p = y * inverse, q = x * inverse;
@@ -103,7 +107,7 @@ INLINE vecf shrink(__local vecf *z, const vecf *b, __global const float *restric
     }
 #if ONTO_BOUND
     const vecf factor = square > energy ? root(energy / square) : (vecf)(1.0f);
-    for (int r = 0; r < N_COMPONENT; r++) z[r * TILE_VECTORS] *= wanted ? factor : (vecf)(1.0f);
+    for (int r = 0; r < size_r; r++) z[r * TILE_VECTORS] *= wanted ? factor : (vecf)(1.0f);
 #endif
     const vecf doubt = (rounding * root(energy * gain) + 0.5f * EVALUATION * square) / (lambda * slope);
     return lambda > 0.0f ? doubt : (vecf)(0.0f);
@@ -121,10 +125,10 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
                          __global const float *restrict inverse_r, __global const float *restrict table_rn,
                          __global const float *restrict curve_v, const float scale, const float first_node,
                          const float node_step, const float rounding, const float tolerance, const int iterations,
-                         const int size_i, const int size_p, const int size_b, const int size_c)
+                         const int size_i, const int size_p, const int size_r, const int size_b, const int size_c)
 {
     __local vecf tile[CHUNK * TILE_VECTORS];
-    __local vecf z[N_COMPONENT * TILE_VECTORS];
+    __local vecf z[ROOM * TILE_VECTORS];
     __local vecf sums[8 * TILE_VECTORS];
     __local vecf energies[TILE_VECTORS], lambdas[TILE_VECTORS], doubts[TILE_VECTORS];
 #if REFINED
@@ -133,7 +137,7 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
 #endif
     const int first = get_global_id(0) * TILE;
     const int filled = LESSER(TILE, size_p - first);
-    vecf b[N_COMPONENT];
+    vecf b[ROOM];
 
     for (int i0 = 0; i0 < size_i; i0 += CHUNK) {
         const int rows = LESSER(CHUNK, size_i - i0);
@@ -150,12 +154,12 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
     }
 
     for (int v = 0; v < TILE_VECTORS; v++) {
-        for (int r = 0; r < N_COMPONENT; r++) b[r] = singular_r[r] * z[r * TILE_VECTORS + v];
+        for (int r = 0; r < size_r; r++) b[r] = singular_r[r] * z[r * TILE_VECTORS + v];
         /* Black columns: any positive bound will do. */
         const vecf energy = GREATER(energies[v], FLT_MIN);
-        const vecf guess = guess_lambda(b, inverse_r, table_rn, energy, first_node, node_step);
-        const vecf lambda = search_lambda(b, square_r, energy, guess, iterations);
-        const vecf doubt = shrink(z + v, b, singular_r, square_r, energy, lambda, rounding, N_COMPONENT, -1);
+        const vecf guess = guess_lambda(b, inverse_r, table_rn, size_r, energy, first_node, node_step);
+        const vecf lambda = search_lambda(b, square_r, size_r, energy, guess, iterations);
+        const vecf doubt = shrink(z + v, b, singular_r, square_r, energy, lambda, rounding, size_r, size_r, -1);
         energies[v] = energy;
         lambdas[v] = lambda;
         doubts[v] = doubt;
@@ -176,16 +180,16 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
         for (int v = 0; v < TILE_VECTORS; v++) {
             if (!again[v]) continue;
             /* b from t is as good as it was: a relative rounding error. */
-            for (int r = 0; r < N_COMPONENT; r++) b[r] = z[r * TILE_VECTORS + v] * (square_r[r] + lambdas[v]);
-            const int rough = N_COMPONENT > LAST ? N_COMPONENT - LAST : 0;
-            for (int r = rough; r < N_COMPONENT; r++) {
+            for (int r = 0; r < size_r; r++) b[r] = z[r * TILE_VECTORS + v] * (square_r[r] + lambdas[v]);
+            const int rough = size_r > LAST ? size_r - LAST : 0;
+            for (int r = rough; r < size_r; r++) {
                 for (int c = 0; c < VECTOR; c++)
                     ((float *)(b + r))[c] = singular_r[r] * exact[(v * LAST + r - rough) * VECTOR + c];
             }
-            const vecf lambda = search_lambda(b, square_r, energies[v], lambdas[v], iterations);
+            const vecf lambda = search_lambda(b, square_r, size_r, energies[v], lambdas[v], iterations);
             const veci wanted = doubts[v] > tolerance;
             const vecf doubt =
-                shrink(z + v, b, singular_r, square_r, energies[v], lambda, rounding, rough, wanted);
+                shrink(z + v, b, singular_r, square_r, energies[v], lambda, rounding, size_r, rough, wanted);
             doubts[v] = wanted ? doubt : doubts[v];
             lambdas[v] = wanted ? lambda : lambdas[v];
         }
@@ -197,11 +201,11 @@ __kernel void fit_cls_kp(__global float *restrict coeffs_kp, __global float *res
     int k = 0;
     for (int c = 0; c < size_c; c++) {
         const int height = heights_c[c];
-        apply_block(height, z, operator, N_COMPONENT, sums, 1);
+        apply_block(height, z, operator, size_r, sums, 1);
         for (int r = 0; r < height; r++)
             store_row(coeffs_kp + (long)(k + r) * size_p + first, (__local const float *)(sums + r * TILE_VECTORS),
                       filled, 0);
-        operator += (long)height * N_COMPONENT;
+        operator += (long)height * size_r;
         k += height;
     }
 }

@@ -8,12 +8,14 @@
  *   analysis_ir  (n_light, R) double  samples to components
  *   singular_r   (R) double           sigma, descending
  *   weight_i     (n_light) double     E = sum_i weight_i source_i^2
+ *
+ *   ROOM         components that a column has private memory for, at least R
  */
 #include "common/calls_double.clh"
 #include "common/load_sample.clh"
 
-#ifndef N_COMPONENT
-#error "N_COMPONENT must be defined: the number of rows"
+#ifndef ROOM
+#error "ROOM must be defined: at least the number of rows"
 #endif
 
 #define MAX_STEPS 60
@@ -23,13 +25,14 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
                         __global const SAMPLE_T *restrict source_ip, __global const int *restrict chosen_f,
                         __global const int *restrict place_f, __global const double *restrict analysis_ir,
                         __global const double *restrict singular_r, __global const double *restrict weight_i,
-                        __global const float *restrict curve_v, const float scale, const int size_i, const int size_p, const int size_q)
+                        __global const float *restrict curve_v, const float scale, const int size_i, const int size_p,
+                        const int size_r, const int size_q)
 {
     const int8 column = AT(__global const, int8, chosen_f + 8 * get_global_id(0));
     const int c[8] = {column.s0, column.s1, column.s2, column.s3, column.s4, column.s5, column.s6, column.s7};
-    double8 b[N_COMPONENT];
+    double8 b[ROOM];
     double8 energy = 0.0;
-    for (int r = 0; r < N_COMPONENT; r++) b[r] = 0.0;
+    for (int r = 0; r < size_r; r++) b[r] = 0.0;
     for (int i0 = 0; i0 < size_i; i0 += DEPTH) {
         const int depth = size_i - i0 < DEPTH ? size_i - i0 : DEPTH;
         double8 sample[DEPTH];
@@ -42,12 +45,12 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
                 load_sample(row, c[6], curve_v, scale), load_sample(row, c[7], curve_v, scale));
             energy = weight_i[i0 + i] * sample[i] * sample[i] + energy;
         }
-        __global const double *analysis = analysis_ir + (long)i0 * N_COMPONENT;
+        __global const double *analysis = analysis_ir + (long)i0 * size_r;
         int r = 0;
-        for (; r + 4 <= N_COMPONENT; r += 4) {
+        for (; r + 4 <= size_r; r += 4) {
             double8 b0 = b[r], b1 = b[r + 1], b2 = b[r + 2], b3 = b[r + 3];
             for (int i = 0; i < depth; i++) {
-                __global const double *factors = analysis + (long)i * N_COMPONENT + r;
+                __global const double *factors = analysis + (long)i * size_r + r;
                 b0 = factors[0] * sample[i] + b0;
                 b1 = factors[1] * sample[i] + b1;
                 b2 = factors[2] * sample[i] + b2;
@@ -58,18 +61,18 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
             b[r + 2] = b2;
             b[r + 3] = b3;
         }
-        for (; r < N_COMPONENT; r++)
-            for (int i = 0; i < depth; i++) b[r] = analysis[(long)i * N_COMPONENT + r] * sample[i] + b[r];
+        for (; r < size_r; r++)
+            for (int i = 0; i < depth; i++) b[r] = analysis[(long)i * size_r + r] * sample[i] + b[r];
     }
     double8 norm = 0.0;
-    for (int r = 0; r < N_COMPONENT; r++) {
+    for (int r = 0; r < size_r; r++) {
         b[r] *= singular_r[r];
         norm = b[r] * b[r] + norm;
     }
     const double8 inverse_root = 1.0 / root(energy);
     double8 lambda = root(norm) * inverse_root - singular_r[0] * singular_r[0];
     lambda = GREATER(lambda, (double8)0.0);
-    for (int r = 0; r < N_COMPONENT; r++) {
+    for (int r = 0; r < size_r; r++) {
         const double8 least = ABSOLUTE(b[r]) * inverse_root - singular_r[r] * singular_r[r];
         lambda = GREATER(least, lambda);
     }
@@ -79,7 +82,7 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
     lambda = found > lambda ? found : lambda;
     for (int k = 0; k < MAX_STEPS; k++) {
         double8 f = 0.0, slope = 0.0;
-        for (int r = 0; r < N_COMPONENT; r++) {
+        for (int r = 0; r < size_r; r++) {
             const double8 inverse = 1.0 / (singular_r[r] * singular_r[r] + lambda);
             const double8 t = b[r] * inverse;
             f = t * t + f;
@@ -93,7 +96,7 @@ __kernel void refine_rq(__global float *restrict z_rq, __global float *restrict 
     }
     __global const int *places = place_f + 8 * get_global_id(0);
     for (int lane = 0; lane < 8; lane++) lambda_n[c[lane]] = ((const double *)&lambda)[lane];
-    for (int r = 0; r < N_COMPONENT; r++) {
+    for (int r = 0; r < size_r; r++) {
         const double8 t = b[r] / (singular_r[r] * singular_r[r] + lambda);
         for (int lane = 0; lane < 8; lane++) z_rq[(long)r * size_q + places[lane]] = ((const double *)&t)[lane];
     }
