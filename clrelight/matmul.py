@@ -78,11 +78,6 @@ def tile_defines(device: Device, real: np.dtype = _FLOAT32) -> dict[str, object]
     return {"VECTOR": vector, "TILE": tile, "CHUNK": chunk, "DEPTH": _DEPTH}
 
 
-def short_tile(count: int) -> dict[str, object]:
-    """Return what to define otherwise for a source of `count` rows: relighting has few, in a tile near the core."""
-    return {"CHUNK": _DEPTH} if count <= _DEPTH else {}
-
-
 def sample_defines(dtype: np.dtype, real: np.dtype = _FLOAT32) -> dict[str, object]:
     """Return the definitions that name the stored type of samples, and the type that they are read as."""
     stored = np.dtype(dtype)
@@ -176,7 +171,6 @@ def apply_operator(
         )
         return
     tile = tile_defines(device, real)
-    tile.update(short_tile(source_ip.shape[0]))
     device.launch(
         "matmul.cl",
         "apply_operator_mq",

@@ -14,7 +14,7 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
-from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, short_tile, tile_defines
+from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, tile_defines
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.streaming import Buffer, reading_ahead
 
@@ -177,7 +177,6 @@ class _SumOfErrors:
             error_it = sum_errors(device, relit_ip, source_ip, weights, self._peak, self._transfer)
         else:
             tile = tile_defines(device)
-            tile.update(short_tile(len(coeffs_khwc)))
             count = -(-(columns.stop - columns.start) // int(str(tile["TILE"])))
             error_it = device.empty((len(samples_ihwc), count), np.float32)
             device.launch(
