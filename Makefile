@@ -23,8 +23,9 @@ bench: install
 	$(BIN)/clrelight report results/ring.h5 --out results/report
 
 test: install
-	# The numerics are small: BLAS threads would only wait for each other.
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal tests
+	# The numerics are small: BLAS threads would only wait for each other. Each process would compile the
+	# package anew: bytecode is kept.
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal tests
 
 lint: install
 	$(BIN)/ruff check .
