@@ -15,12 +15,12 @@ from clrelight.cli.options import (
     json_option,
     memory_option,
 )
-from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.psnr import psnr_lines
 from clrelight.errors import InputError
 
-_BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "memory", "device", "as_json")
+_BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "confidence", "memory", "device", "as_json")
 """What a file that says what to fit leaves open."""
 
 
@@ -66,6 +66,12 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "memo
     help="Type that coefficients are stored in: float16 takes half the bytes.",
 )
 @click.option("--measure/--no-measure", "measured", default=True, help="Whether to measure PSNR after fitting.")
+@click.option(
+    "--confidence",
+    type=click.Path(),
+    metavar="IMAGE",
+    help="Picture of the PSNR expected under each light (spectrum): decibels in .exr, 5 code values each in .png.",
+)
 @memory_option("256MiB", "one tile of the fit")
 @device_option
 @json_option
@@ -77,6 +83,7 @@ def fit(
     config: str | None,
     holdout_by: str | None,
     measured: bool,
+    confidence: str | None,
     device: str | None,
     as_json: bool,
     **asked: Any,
@@ -95,13 +102,14 @@ def fit(
     from clrelight.jobs.report import Report
     from clrelight.store import check_output
 
-    check_output(out, [stack, *([config] if config else [])])
+    for target in [out, *([confidence] if confidence else [])]:
+        check_output(target, [stack, *([config] if config else [])])
     asked["holdout_by"] = holdout_by or "index"
     if config is not None:
         asked.update(_read_config(context, config))
     report = Report()
     with progress_bar("preparing") as bar:
-        run_fit(stack, out=out, measure=measured, device=device, progress=bar, report=report, **asked)
+        run_fit(stack, out=out, measure=measured, confidence=confidence, device=device, progress=bar, report=report, **asked)
     if as_json:
         print_json(report.to_json())
         return
@@ -113,11 +121,20 @@ def fit(
             "method": f"{method_class(facts['method']).title}, degree {facts['degree']}, {facts['n_light']} lights",
             "stored": f"{facts['dtype']}, {facts['bytes_on_disk']} bytes",
             "condition": f"{facts['condition']:.3g}",
+            **_confidence_line(facts),
             **psnr_lines(report.psnr),
             "time": seconds_line(report.seconds),
             "device": report.device,
         }
     )
+
+
+def _confidence_line(facts: dict[str, Any]) -> dict[str, str]:
+    if "confidence" not in facts:
+        return {}
+    told = facts["confidence"]
+    least, median, most = (decibel(told[f"psnr_{which}"]) for which in ("least", "median", "most"))
+    return {"confidence": f"{told['file']}, {least} to {most} expected, {median} in the median"}
 
 
 def _read_config(context: click.Context, config: str) -> dict[str, Any]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.fit.places import find_zones, list_unseen, mutual_angles, nearest_angles
+from clrelight.fit.left_out import solve_zones
+from clrelight.fit.places import find_zones, list_unseen, mutual_angles, nearest_angles, spread_points
+from clrelight.fit.plan import is_sphere
 from clrelight.fit.prediction import LEAST_ERROR, Trials, krige_left_out
 from clrelight.fit.zonal import LARGEST_DEGREE, ZonalModel
 from clrelight.harmonics.basis import evaluate_basis
@@ -23,8 +26,12 @@ _UNSEEN = (1.0 / 255.0) ** 2
 _KINDER = 0.3
 """Errors in the gaps of a few lights, in units of those at lights left out, at best."""
 _DB = 10.0 / np.log(10.0)
-_LAW, _LAW_WEIGHT, _LAWS = 0.75, 0.3, (0.5, 1.25)
-"""Power of the model's variance that errors grow with: what is expected, how much that weighs, and the bounds."""
+_WIDE = 2.0
+"""Lights nearer than this part of a gap's radius are left out together, to see how errors grow."""
+_LAW, _LAW_WEIGHT, _LAWS = 0.75, 0.3, (0.5, 2.0)
+"""Power of a variance that errors grow with: what is expected, how much that weighs, and the bounds."""
+_SMOOTH_SLOPE = 3.0
+"""Of a spectrum without edges and noise, which tells how much depends on the model's own."""
 _IN_GAPS = 0.6
 """Unseen lights are at least this part of a gap's radius from all others."""
 _REACH = 1.5
@@ -34,6 +41,10 @@ _ASKED = 12
 _OUTER = 0.1
 """Part of the unseen directions that is better, and worse, than what is said of their range."""
 _TARGETS = 150
+_BLOCK = 1000
+_COVER_POINTS = 2000
+_COVERING, _COVERED = 1.5, 0.5
+"""Lights tell of directions nearer than so many gaps' radii, and must tell of this part of the hemisphere."""
 
 
 @dataclass(frozen=True)
@@ -63,22 +74,20 @@ def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float
 
     Around a direction, ``log error = log e_i + gamma (log v - log v_i)``, averaged over the lights i nearby: errors
     measured where lights are left out, carried from there along the model's own variance v. gamma = 1 would be the
-    model's law; it is between that and what errors do where wider zones are left out. The spread has three parts: a
-    quarter of what is carried, how much errors differ between the directions, and how they grow towards the middle
-    of the gaps.
+    model's law; it is between that and what errors do where wider zones are left out. The spread has four parts: a
+    quarter of what is carried, how much errors differ between the directions, how they grow towards the middle of
+    the gaps, and half of what carrying them along the variance of a smooth function would change.
     """
     directions_g3 = trials.places.directions_g3
-    error_g, judged_g = _judge_zones(model, trials, _NEAR)
+    left_out = _LeftOut.make(model, trials)
     count = len(directions_g3)
     if count < FEWEST_JUDGES:
-        typical = float(np.exp(np.mean(np.log(error_g))))
+        typical = float(np.exp(np.mean(np.log(left_out.error_g))))
         lights = f"{count} light is" if count == 1 else f"{count} lights are"
         return Expectation(None, 0.0, f"{lights} too few to leave any out", _KINDER * typical)
     given = unseen_t3 is not None
     targets_t3 = unseen_t3 if unseen_t3 is not None else list_unseen(directions_g3, _IN_GAPS * trials.gap)
-    weight_tg = _weigh_neighbours(targets_t3, directions_g3)
-    step_t = np.log(model.variance_at(targets_t3)) - weight_tg @ np.log(judged_g)
-    psnr_t = -_DB * (weight_tg @ np.log(error_g) + _find_law(model, trials, error_g, judged_g) * step_t)
+    psnr_t, step_t = left_out.carry(targets_t3)
     near_t = nearest_angles(targets_t3, directions_g3)
     density_t = np.ones(len(targets_t3)) if given else _find_density(targets_t3, directions_g3, trials.gap)
     weight_t = density_t / density_t.sum()
@@ -87,10 +96,15 @@ def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float
     varied = float(np.sqrt(weight_t @ (psnr_t - psnr) ** 2 / _ASKED))
     middle_t = weight_t * (near_t >= trials.gap)
     grown = 0.0 if given or not middle_t.any() else 0.5 * (psnr - float(middle_t @ psnr_t / middle_t.sum()))
-    spread = float(np.sqrt(carried**2 + varied**2 + grown**2))
+    doubted = 0.5 * (psnr - float(weight_t @ left_out.carry(targets_t3, smooth=True)[0]))
+    spread = float(np.sqrt(carried**2 + varied**2 + grown**2 + doubted**2))
     widest = _WIDEST if count >= _FEW else _WIDEST_OF_FEW
+    covered = 1.0 if given else _find_covered(directions_g3, trials.gap)
     why = None
-    if carried > widest or (spread > widest and varied < max(carried, abs(grown))):
+    if covered < _COVERED:
+        among = f"; among them it may be {psnr:.1f} dB (+- {spread:.1f})" if spread <= widest else ""
+        why = f"the lights tell of {100.0 * covered:.0f}% of the hemisphere only{among}"
+    elif carried > widest or (spread > widest and varied < max(carried, abs(grown), abs(doubted))):
         why = "the gaps between the lights are far wider than what leaving lights out can judge"
     elif float(weight_t @ step_t) > _FARTHEST:
         why = "unseen directions are farther from the lights than any light that can be left out"
@@ -102,18 +116,62 @@ def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float
     return Expectation(psnr, spread, why, 10.0 ** (-(psnr + max(carried, _WIDEST)) / 10.0))
 
 
-def _judge_zones(model: ZonalModel, trials: Trials, part: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return squared error and variance at lights left out with all nearer than a part of a gap's radius."""
-    zones = find_zones(trials.places.directions_g3, part * trials.gap)
-    predicted_gp, judged_g = krige_left_out(model, trials.mean_gp, zones)
-    return np.maximum(trials.measure(predicted_gp, trials.mean_gp), LEAST_ERROR), judged_g
+def expect_at(model: ZonalModel, trials: Trials, targets_t3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the PSNR in dB that is expected under each of these directions, whatever it may be off by."""
+    left_out = _LeftOut.make(model, trials)
+    blocks = np.array_split(targets_t3, -(-len(targets_t3) // _BLOCK))
+    return np.concatenate([left_out.carry(block_t3)[0] for block_t3 in blocks])
 
 
-def _find_law(model: ZonalModel, trials: Trials, error_g: NDArray[np.float64], judged_g: NDArray[np.float64]) -> float:
-    """Return gamma: how errors grow with the variance where zones are twice as wide, as far as they are any wider."""
-    wide_error_g, wide_judged_g = _judge_zones(model, trials, 2.0 * _NEAR)
-    grown, variance = np.mean(np.log(wide_error_g / error_g)), np.mean(np.log(wide_judged_g / judged_g))
-    return float(np.clip((grown + _LAW_WEIGHT * _LAW) / (variance + _LAW_WEIGHT), *_LAWS))
+@dataclass(frozen=True)
+class _LeftOut:
+    """Squared errors at lights that are left out, with those near them and in zones that are wider."""
+
+    model: ZonalModel
+    near: list[NDArray[np.intp]]
+    wide: list[NDArray[np.intp]]
+    error_g: NDArray[np.float64]
+    wide_error_g: NDArray[np.float64]
+
+    @classmethod
+    def make(cls, model: ZonalModel, trials: Trials) -> _LeftOut:
+        near, wide = (find_zones(trials.places.directions_g3, part * trials.gap) for part in (_NEAR, _WIDE))
+        errors = (
+            trials.measure(krige_left_out(model, trials.mean_gp, zones)[0], trials.mean_gp) for zones in (near, wide)
+        )
+        error_g, wide_error_g = (np.maximum(each, LEAST_ERROR) for each in errors)
+        return cls(model, near, wide, error_g, wide_error_g)
+
+    def carry(
+        self, targets_t3: NDArray[np.float64], smooth: bool = False
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the PSNR in dB under each direction, and by how much ``log v`` is carried for it.
+
+        v is the model's variance, or that of its errors where the function is smooth and without noise.
+        """
+        near_g, wide_g = self._smooth_logs if smooth else self._own_logs
+        v_t = self.model.error_variance_at(targets_t3, _SMOOTH_SLOPE) if smooth else self.model.variance_at(targets_t3)
+        weight_tg = _weigh_neighbours(targets_t3, self.model.places.directions_g3)
+        step_t = np.log(v_t) - weight_tg @ near_g
+        grown, variance = np.mean(np.log(self.wide_error_g / self.error_g)), np.mean(wide_g - near_g)
+        gamma = float(np.clip((grown + _LAW_WEIGHT * _LAW) / (variance + _LAW_WEIGHT), *_LAWS))
+        return -_DB * (weight_tg @ np.log(self.error_g) + gamma * step_t), step_t
+
+    @cached_property
+    def _own_logs(self) -> list[NDArray[np.float64]]:
+        return [np.log(solve_zones(self.model.inverse_gg, zones)[1]) for zones in (self.near, self.wide)]
+
+    @cached_property
+    def _smooth_logs(self) -> list[NDArray[np.float64]]:
+        inverse_gg = self.model.inverse_gg
+        sums = (inverse_gg @ solve_zones(inverse_gg, zones)[0] for zones in (self.near, self.wide))
+        return [np.log(self.model.variance_of(each, _SMOOTH_SLOPE)) for each in sums]
+
+
+def _find_covered(directions_g3: NDArray[np.float64], gap: float) -> float:
+    """Return the part of the hemisphere (the sphere, where lights are below the horizon) that lights tell of."""
+    points = spread_points(_COVER_POINTS, is_sphere(directions_g3))
+    return float(np.mean(nearest_angles(points, directions_g3) < _COVERING * gap))
 
 
 def _find_density(

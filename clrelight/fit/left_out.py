@@ -13,7 +13,7 @@ from clrelight.fit.zonal import LARGEST_DEGREE, SHARE, Theta, degree_variances, 
 
 PRIOR_MEAN = np.array([-1.0, 2.0, -3.0, -4.0, -8.0])
 """Of log level, slope, log edge, log heat and log noise: photographs of many kinds lie around it."""
-PRIOR_SD = np.array([1.5, 1.5, 2.0, 2.0, 1.5])
+PRIOR_SD = np.array([1.5, 1.5, 4.0, 2.0, 3.0])
 _LOW = np.array([-6.0, -3.0, -14.0, -9.0, np.log(1e-9)])
 _HIGH = np.array([8.0, 6.0, 6.0, 2.0, np.log(0.5)])
 _STARTS = np.array([[1.0, 2.5, -2.0, -4.0, -5.0], [1.0, 0.0, -5.0, -2.0, -5.0]])
@@ -24,7 +24,7 @@ _MOST_PLACES = 192
 """Lights that the parameters are learnt from; the map is made of all."""
 FEWEST = 3
 """With fewer lights, parameters are the prior's mean."""
-_LEAST_ERROR = 5e-6
+_LEAST_ERROR = 1e-8
 """Of the samples' mean square: a smaller squared error at a light that is left out counts as this."""
 
 

@@ -27,6 +27,8 @@ _LOG_ROUGH = np.log(_ROUGH)
 _SPREAD = 2000
 _RIDGE = 1e-9, 1e-6
 _LEAST_VARIANCE = 1e-4
+_LEAST_SHARE = 1e-12
+"""Of a function's variance: less is rounding."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,20 @@ class ZonalModel:
         explained_t = np.einsum("ij,jk,ik->i", kernel_tg, self.inverse_gg, kernel_tg)
         return np.maximum(SHARE @ self.variance_l - explained_t, 0.0) + self.noise
 
+    def variance_of(self, sums_gz: NDArray[np.float64], slope: float) -> NDArray[np.float64]:
+        """Return the variance of sums over the lights of a function without noise whose variances are ``L^-slope``."""
+        variance_l = _power_variances(slope)
+        covariance_gg = _kernel(variance_l, self.places.directions_g3, self.places.directions_g3)
+        return _floored(np.einsum("iz,ij,jz->z", sums_gz, covariance_gg, sums_gz, optimize=True), variance_l)
+
+    def error_variance_at(self, targets_t3: NDArray[np.float64], slope: float) -> NDArray[np.float64]:
+        """Return the variance of this model's error at each direction for such a function."""
+        variance_l, directions_g3 = _power_variances(slope), self.places.directions_g3
+        weight_tg = _kernel(self.variance_l, targets_t3, directions_g3) @ self.inverse_gg
+        cross_t = np.einsum("ij,ij->i", weight_tg, _kernel(variance_l, targets_t3, directions_g3))
+        own_t = np.einsum("ij,ij->i", weight_tg @ _kernel(variance_l, directions_g3, directions_g3), weight_tg)
+        return _floored(SHARE @ variance_l - 2.0 * cross_t + own_t, variance_l)
+
     def map_samples(self, degree: int) -> NDArray[np.float64]:
         """Return the matrix from samples to coefficients, shape (n_coeff, n_light).
 
@@ -175,6 +191,15 @@ class ZonalModel:
         relative_k = relative_l[degrees_of_coefficients(degree)]
         ridge = float(np.clip(1e-3 * self.theta.noise, *_RIDGE))
         return np.asarray(np.linalg.solve(normal_kk[:, : len(normal_kk)] + np.diag(ridge / relative_k), whole_ki))
+
+
+def _power_variances(slope: float) -> NDArray[np.float64]:
+    """Return ``L^-slope`` for each degree, that of degree 0 as that of 1."""
+    return np.append(1.0, np.exp(-slope * _LOG_ROUGH))
+
+
+def _floored(variance: NDArray, variance_l: NDArray) -> NDArray[np.float64]:
+    return np.maximum(variance, _LEAST_SHARE * float(SHARE @ variance_l))
 
 
 def _kernel(variance_l: NDArray, first_t3: NDArray, second_g3: NDArray) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ from clrelight.codec.rounding import rounding_rows
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.fit import FitMethod, FittedTile, PreparedFit, fit_tiles, prepare_fit
+from clrelight.fit.confidence import map_confidence
 from clrelight.fit.precision import MIXED
 from clrelight.fit.run import DEFAULT_MEMORY, collect_tiles
 from clrelight.fit.selection import AUTO, WITHIN
@@ -25,6 +26,7 @@ from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
+from clrelight.jobs.pictures import write_decibels
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.store import FitSink, create_fit
@@ -51,6 +53,7 @@ def fit(
     within: float = WITHIN,
     store: str = "float32",
     measure: bool | None = None,
+    confidence: str | os.PathLike[str] | None = None,
     memory: int | str = DEFAULT_MEMORY,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -75,6 +78,7 @@ def fit(
     within: float = WITHIN,
     store: str = "float32",
     measure: bool | None = None,
+    confidence: str | os.PathLike[str] | None = None,
     memory: int | str = DEFAULT_MEMORY,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -98,6 +102,7 @@ def fit(
     within: float = WITHIN,
     store: str = "float32",
     measure: bool | None = None,
+    confidence: str | os.PathLike[str] | None = None,
     memory: int | str = DEFAULT_MEMORY,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -135,6 +140,9 @@ def fit(
         ``"float32"`` or ``"float16"``: the type of the coefficients.
     measure : bool, optional
         Whether to measure PSNR; default: where `out` or `report` is given.
+    confidence : path, optional
+        A picture to write of the PSNR that is expected under each light direction (of ``spectrum``, also where auto
+        takes it): decibels in a format of floats, 5 to a decibel in 8 bits (`clrelight.fit.confidence`).
     memory : int or str
         Bytes that tiles may take, such as ``"1GiB"``; a map that is returned comes on top.
     device : Device or str, optional
@@ -164,7 +172,7 @@ def fit(
     every = None if holdout is None else whole(holdout, "holdout")
     count = None if lights is None else whole(lights, "lights")
     with (
-        claimed([out], paths_among(source), kept),
+        claimed([out, confidence], paths_among(source), kept),
         opened_on(device, kept) as opened,
         lend_stack(source, kept) as stack,
     ):
@@ -187,6 +195,8 @@ def fit(
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
         job = _Fit(stack, split, prepared, dtype, budget, kept, progress)
         job.tell_facts()
+        if confidence is not None:
+            job.show_confidence(confidence)
         if out is not None:
             job.to_file(out, True if measure is None else measure)
             return kept
@@ -227,6 +237,21 @@ class _Fit:
             self.report.note(duplicates[1])
         if (near := note_distance(self.stack.directions_i3, *self.split)) is not None:
             self.report.note(near)
+
+    def show_confidence(self, path: str | os.PathLike[str]) -> None:
+        """Write what is expected under each light as a picture."""
+        prepared, config = self.prepared, self.prepared.config
+        since = time.perf_counter()
+        psnr_hw1 = map_confidence(prepared.stack, prepared.method, config["weights"], config["sampling"])
+        inside = psnr_hw1[psnr_hw1 != 0.0]
+        write_decibels(os.fsdecode(path), psnr_hw1)
+        self.report.facts["confidence"] = {
+            "file": os.fsdecode(path),
+            "psnr_least": float(inside.min()),
+            "psnr_median": float(np.median(inside)),
+            "psnr_most": float(inside.max()),
+        }
+        self.report.add("confidence", since)
 
     def to_file(self, out: str | os.PathLike[str], measured: bool) -> None:
         """Write the fit tile by tile."""

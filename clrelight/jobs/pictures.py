@@ -19,6 +19,9 @@ from clrelight.relight import to_display
 FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
 """Images that hold linear radiance as floats."""
 
+CODES_PER_DECIBEL = 5
+"""8-bit code values, in pictures of decibels."""
+
 _FRAME_MILLISECONDS = 80
 _NUMBER_FIELD = re.compile(r"%0[1-9]d|%[1-9]?d(?![A-Za-z])")
 """Where the number of a picture goes: ``%03d``, or ``%d`` that is no part of a word, as in ``50%done``."""
@@ -62,6 +65,12 @@ def show(image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> 
 def write_view(name: str, image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> None:
     """Write linear radiance, as the name wants it: in floats, or for display."""
     write_image(name, image_hwc if holds_floats(name) else show(image_hwc, tonemap, transfer))
+
+
+def write_decibels(name: str, psnr_hw1: NDArray[np.float32]) -> None:
+    """Write decibels, as the name wants it: in floats, or `CODES_PER_DECIBEL` to each, up to 51 dB."""
+    codes_hw1 = np.rint(np.clip(CODES_PER_DECIBEL * psnr_hw1, 0.0, 255.0)).astype(np.uint8)
+    write_image(name, psnr_hw1 if holds_floats(name) else codes_hw1)
 
 
 def write_animation(name: str, frames: list[NDArray[np.uint8]]) -> None:
