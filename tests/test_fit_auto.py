@@ -128,10 +128,10 @@ def mean_psnr(fitted, tested):
     return float(np.mean(-10.0 * np.log10(np.maximum(measure_errors(fitted, tested), 1e-13))))
 
 
-def dome(shade, n_light=36, columns=200, dtype=np.float32, seed=3):
-    """A stack of a dome of four rings, and one at lights all over the hemisphere."""
+def dome(shade, columns=200, dtype=np.float32, seed=3, lights=None):
+    """A stack of a dome of four rings, or of other lights, and one at lights all over the hemisphere."""
     rings = [(10, 12, 0.0), (32, 11, 0.2), (55, 8, 0.1), (78, 5, 0.3)]
-    lights = np.array([
+    ringed = np.array([
         [np.cos(np.radians(e)) * np.cos(a), np.cos(np.radians(e)) * np.sin(a), np.sin(np.radians(e))]
         for e, n, start in rings for a in np.arange(n) * 2 * np.pi / n + start
     ])  # fmt: skip
@@ -139,7 +139,7 @@ def dome(shade, n_light=36, columns=200, dtype=np.float32, seed=3):
     normals = np.random.default_rng(seed).standard_normal((columns, 3)) * [0.6, 0.6, 0.3] + [0, 0, 1]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     made = []
-    for directions in (lights, targets):
+    for directions in (ringed if lights is None else lights, targets):
         value = np.clip(shade(directions, normals), 0.0, 1.0)
         images = np.rint(255 * value) if dtype == np.uint8 else value
         made.append(LightStack(images.astype(dtype)[:, None, :, None], directions, 255.0 if dtype == np.uint8 else 1.0))
@@ -183,6 +183,36 @@ def test_smooth_domes(device, shade, dtype, least, below):
         assert reached > best - below
     predicted = prepared.choice.chosen.predicted
     assert (predicted is None) == (prepared.choice.why_unknown is not None)
+
+
+@pytest.mark.parametrize("n_light", [6, 9, 16, 36])
+@pytest.mark.parametrize("shade", [cubic, lambert])
+def test_smooth_scenes_are_foretold_or_said_to_be_unknown(device, shade, n_light):
+    """On even patterns half a gap's radius and a whole one leave out the same lights: wider zones tell the law."""
+    stack, unseen = dome(shade, lights=make_pattern("uniform", n_light))
+    prepared = prepare_fit(stack, "auto", "auto")
+    predicted, reached = prepared.choice.chosen.predicted, mean_psnr(collect_fit(prepared), unseen)
+    assert predicted is None or predicted == pytest.approx(reached, abs=3.0 if n_light < 10 else 1.5)
+
+
+def cap(n_light, degrees):
+    """Lights evenly spread around the zenith, no farther from it than so many degrees."""
+    index = np.arange(n_light) + 0.5
+    z, azimuth = 1 - (1 - np.cos(np.radians(degrees))) * index / n_light, index * np.pi * (3 - np.sqrt(5))
+    return np.stack([np.sqrt(1 - z * z) * np.cos(azimuth), np.sqrt(1 - z * z) * np.sin(azimuth), z], axis=1)
+
+
+@pytest.mark.parametrize("n_light", [8, 20, 40])
+def test_a_cap_of_lights_tells_nothing_of_the_hemisphere(device, n_light):
+    stack = flash(cap(n_light, 30), 10)
+    choice = prepare_fit(stack, "auto", "auto").choice
+    assert choice.chosen.predicted is None
+    assert "% of the hemisphere only" in choice.note
+    # Who asks for directions among the lights is told of those.
+    between = flash(cap(3 * n_light + 1, 26), 10, seed=1)
+    asked = prepare_fit(stack, "auto", "auto", unseen_t3=between.directions_i3)
+    predicted, reached = asked.choice.chosen.predicted, mean_psnr(collect_fit(asked), between)
+    assert predicted is None or predicted == pytest.approx(reached, abs=3.0 if n_light < 10 else 1.5)
 
 
 @pytest.mark.parametrize("n_light", [4, 9, 16, 25, 36])

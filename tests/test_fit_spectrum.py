@@ -1,4 +1,5 @@
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from clrelight.dataset import LightStack
@@ -11,6 +12,7 @@ from clrelight.fit.zonal import Theta, ZonalModel, degree_variances
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.ingest import ingest_folder
 from clrelight.jobs.fit import fit
+from clrelight.jobs.report import Report
 from clrelight.metrics import measure_errors
 from clrelight.sampling import make_pattern
 from clrelight.store import open_stack
@@ -198,3 +200,67 @@ def test_rendered_domes_are_foretold_better_than_by_splines(device, real_data, t
     with open_stack(tmp_path / "Dome.h5") as dome, open_stack(tmp_path / "Test.h5") as test:
         reached = mean_psnr(fit(dome, "spectrum", 15), test)
         assert reached > mean_psnr(fit(dome, "spline", 15, lam=1e-3), test) + 0.5
+
+
+def test_the_variance_of_errors_is_that_of_drawn_functions():
+    """A smooth function without noise, foretold by a model that takes it for another."""
+    lights, targets = make_pattern("uniform", 17), make_pattern("grid", 10)
+    model = ZonalModel.make(
+        find_places(make_lighting(make_stack(17, directions=lights), "uniform", "hemisphere")), Theta(**GIVEN)
+    )
+    degree_k = np.repeat(np.arange(26), 2 * np.arange(26) + 1)
+    variance_k = np.where(degree_k > 0, degree_k * (degree_k + 1) / 2, 1.0) ** -3.0
+    coeffs_kp = np.sqrt(variance_k)[:, None] * np.random.default_rng(0).standard_normal((676, 20_000))
+    sample_gp = evaluate_basis(lights, 25) @ coeffs_kp
+    errors_tp = evaluate_basis(targets, 25) @ coeffs_kp - model.weights_at(targets) @ sample_gp
+    np.testing.assert_allclose(model.error_variance_at(targets, 3.0), np.mean(errors_tp**2, axis=1), rtol=0.05)
+    sums_gz = np.random.default_rng(1).standard_normal((17, 5))
+    np.testing.assert_allclose(
+        model.variance_of(sums_gz, 3.0), np.mean((sums_gz.T @ sample_gp) ** 2, axis=1), rtol=0.05
+    )
+
+
+def read_picture(path):
+    return np.asarray(oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT), np.float64)[..., 0]
+
+
+def test_confidence_is_what_is_reached(device, tmp_path):
+    stack = make_stack(49, noise=0.002)
+    report = Report()
+    fit(stack, "spectrum", 12, confidence=tmp_path / "c.exr", report=report)
+    shown_hw = read_picture(tmp_path / "c.exr")
+    size = len(shown_hw)
+    centre = (np.arange(size) + 0.5) / size * 2 - 1
+    x_hw, y_hw = np.meshgrid(centre, -centre)
+    inside_hw = x_hw**2 + y_hw**2 <= 1
+    assert (shown_hw[~inside_hw] == 0).all()
+    told = report.facts["confidence"]
+    assert told["psnr_least"] == pytest.approx(shown_hw[inside_hw].min())
+    assert told["psnr_most"] == pytest.approx(shown_hw[inside_hw].max())
+    # Where a light is, x to the right and y up, more is expected than in the gap around it.
+    unseen_i3 = spread_points(60, False)
+    unseen = make_stack(60, noise=0.002, directions=unseen_i3, seed=7)
+    reached_i = -10 * np.log10(measure_errors(fit(stack, "spectrum", 12), unseen))
+    pixel = ((np.stack([unseen_i3[:, 0], -unseen_i3[:, 1]]) + 1) / 2 * size).astype(int)
+    expected_i = shown_hw[pixel[1], pixel[0]]
+    assert np.mean(expected_i) == pytest.approx(np.mean(reached_i), abs=2.5)  # smooth: auto says 1.5 cannot be told
+    assert np.corrcoef(expected_i, reached_i)[0, 1] > 0.4
+    high_i3 = stack.directions_i3[stack.directions_i3[:, 2] > 0.2]
+    at = ((np.stack([high_i3[:, 0], -high_i3[:, 1]]) + 1) / 2 * size).astype(int)
+    assert np.mean(shown_hw[at[1], at[0]]) > np.mean(shown_hw[inside_hw]) + 1.0
+
+
+def test_confidence_in_code_values(device, tmp_path):
+    directions = make_pattern("uniform", 40)
+    stack = make_stack(30, directions=directions[directions[:, 0] < 0.3][:30])  # nothing from the right
+    for name in ("c.exr", "c.png"):
+        fit(stack, "spectrum", 8, confidence=tmp_path / name, report=Report())
+    psnr_hw, code_hw = read_picture(tmp_path / "c.exr"), 255 * read_picture(tmp_path / "c.png")
+    np.testing.assert_allclose(code_hw, np.rint(np.minimum(5 * psnr_hw, 255)), atol=1e-3)
+    assert psnr_hw[64, 20] > psnr_hw[64, 122] + 3.0
+
+
+def test_only_spectrum_has_confidence(device, tmp_path):
+    with pytest.raises(InputError, match="a confidence map shows the variance that spectrum has; cls has none"):
+        fit(make_stack(20), "cls", 3, confidence=tmp_path / "c.png", out=tmp_path / "f.h5", report=Report())
+    assert list(tmp_path.iterdir()) == []

@@ -20,7 +20,7 @@ _NEAR = 0.5
 """Lights nearer than this part of a gap's radius are left out together."""
 _WIDEST, _WIDEST_OF_FEW, _FEW = 1.5, 3.0, 10
 """Decibels to either side within which an expectation is worth saying; the second below so many lights."""
-_FARTHEST = 0.25
+_FARTHEST = 0.2
 _UNSEEN = (1.0 / 255.0) ** 2
 """A squared error of one 8-bit code value."""
 _KINDER = 0.3
@@ -42,6 +42,8 @@ _OUTER = 0.1
 """Part of the unseen directions that is better, and worse, than what is said of their range."""
 _TARGETS = 150
 _BLOCK = 1000
+_COLUMNS_A_LIGHT = 4
+"""Fewer tell nothing of the noise."""
 _COVER_POINTS = 2000
 _COVERING, _COVERED = 1.5, 0.5
 """Lights tell of directions nearer than so many gaps' radii, and must tell of this part of the hemisphere."""
@@ -75,7 +77,7 @@ def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float
     Around a direction, ``log error = log e_i + gamma (log v - log v_i)``, averaged over the lights i nearby: errors
     measured where lights are left out, carried from there along the model's own variance v. gamma = 1 would be the
     model's law; it is between that and what errors do where wider zones are left out. The spread has four parts: a
-    quarter of what is carried, how much errors differ between the directions, how they grow towards the middle of
+    third of what is carried, how much errors differ between the directions, how they grow towards the middle of
     the gaps, and half of what carrying them along the variance of a smooth function would change.
     """
     directions_g3 = trials.places.directions_g3
@@ -87,12 +89,12 @@ def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float
         return Expectation(None, 0.0, f"{lights} too few to leave any out", _KINDER * typical)
     given = unseen_t3 is not None
     targets_t3 = unseen_t3 if unseen_t3 is not None else list_unseen(directions_g3, _IN_GAPS * trials.gap)
-    psnr_t, step_t = left_out.carry(targets_t3)
+    psnr_t, carried_t = left_out.carry(targets_t3)
     near_t = nearest_angles(targets_t3, directions_g3)
     density_t = np.ones(len(targets_t3)) if given else _find_density(targets_t3, directions_g3, trials.gap)
     weight_t = density_t / density_t.sum()
     psnr = float(weight_t @ psnr_t)
-    carried = 0.25 * _DB * float(weight_t @ np.abs(step_t))
+    carried = _DB / 3.0 * float(weight_t @ np.abs(carried_t))
     varied = float(np.sqrt(weight_t @ (psnr_t - psnr) ** 2 / _ASKED))
     middle_t = weight_t * (near_t >= trials.gap)
     grown = 0.0 if given or not middle_t.any() else 0.5 * (psnr - float(middle_t @ psnr_t / middle_t.sum()))
@@ -106,7 +108,7 @@ def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float
         why = f"the lights tell of {100.0 * covered:.0f}% of the hemisphere only{among}"
     elif carried > widest or (spread > widest and varied < max(carried, abs(grown), abs(doubted))):
         why = "the gaps between the lights are far wider than what leaving lights out can judge"
-    elif float(weight_t @ step_t) > _FARTHEST:
+    elif float(weight_t @ carried_t) > _FARTHEST:
         why = "unseen directions are farther from the lights than any light that can be left out"
     elif 10.0 ** (-psnr / 10.0) < _UNSEEN:
         why = "the error is below one 8-bit code value, where rounding decides"
@@ -132,6 +134,7 @@ class _LeftOut:
     wide: list[NDArray[np.intp]]
     error_g: NDArray[np.float64]
     wide_error_g: NDArray[np.float64]
+    noise: float
 
     @classmethod
     def make(cls, model: ZonalModel, trials: Trials) -> _LeftOut:
@@ -140,12 +143,12 @@ class _LeftOut:
             trials.measure(krige_left_out(model, trials.mean_gp, zones)[0], trials.mean_gp) for zones in (near, wide)
         )
         error_g, wide_error_g = (np.maximum(each, LEAST_ERROR) for each in errors)
-        return cls(model, near, wide, error_g, wide_error_g)
+        return cls(model, near, wide, error_g, wide_error_g, _find_noise(trials))
 
     def carry(
         self, targets_t3: NDArray[np.float64], smooth: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the PSNR in dB under each direction, and by how much ``log v`` is carried for it.
+        """Return the PSNR in dB under each direction, and by how much ``log error`` is carried for it.
 
         v is the model's variance, or that of its errors where the function is smooth and without noise.
         """
@@ -155,7 +158,8 @@ class _LeftOut:
         step_t = np.log(v_t) - weight_tg @ near_g
         grown, variance = np.mean(np.log(self.wide_error_g / self.error_g)), np.mean(wide_g - near_g)
         gamma = float(np.clip((grown + _LAW_WEIGHT * _LAW) / (variance + _LAW_WEIGHT), *_LAWS))
-        return -_DB * (weight_tg @ np.log(self.error_g) + gamma * step_t), step_t
+        log_t = np.maximum(weight_tg @ np.log(self.error_g) + gamma * step_t, np.log(self.noise))
+        return -_DB * log_t, gamma * step_t
 
     @cached_property
     def _own_logs(self) -> list[NDArray[np.float64]]:
@@ -166,6 +170,19 @@ class _LeftOut:
         inverse_gg = self.model.inverse_gg
         sums = (inverse_gg @ solve_zones(inverse_gg, zones)[0] for zones in (self.near, self.wide))
         return [np.log(self.model.variance_of(each, _SMOOTH_SLOPE)) for each in sums]
+
+
+def _find_noise(trials: Trials) -> float:
+    """Return the variance of noise, or less than that: the least eigenvalue of the lights' second moments.
+
+    Of noise alone it would be ``(1 - sqrt(lights / columns))^2`` of the variance (Marchenko and Pastur 1967).
+    """
+    shown_gp = trials.show(trials.mean_gp)
+    lights, columns = shown_gp.shape
+    if lights < _FEW or lights * _COLUMNS_A_LIGHT > columns:  # few lights cannot tell noise from a rough scene
+        return LEAST_ERROR
+    least = float(np.linalg.eigvalsh(shown_gp @ shown_gp.T / columns)[0])
+    return max(least / (1.0 - np.sqrt(lights / columns)) ** 2, LEAST_ERROR)
 
 
 def _find_covered(directions_g3: NDArray[np.float64], gap: float) -> float:

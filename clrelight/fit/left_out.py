@@ -13,7 +13,7 @@ from clrelight.fit.zonal import LARGEST_DEGREE, SHARE, Theta, degree_variances, 
 
 PRIOR_MEAN = np.array([-1.0, 2.0, -3.0, -4.0, -8.0])
 """Of log level, slope, log edge, log heat and log noise: photographs of many kinds lie around it."""
-PRIOR_SD = np.array([1.5, 1.5, 4.0, 2.0, 3.0])
+PRIOR_SD = np.array([1.5, 1.5, 2.0, 2.0, 1.5])
 _LOW = np.array([-6.0, -3.0, -14.0, -9.0, np.log(1e-9)])
 _HIGH = np.array([8.0, 6.0, 6.0, 2.0, np.log(0.5)])
 _STARTS = np.array([[1.0, 2.5, -2.0, -4.0, -5.0], [1.0, 0.0, -5.0, -2.0, -5.0]])
