@@ -109,7 +109,9 @@ def fit(
         asked.update(_read_config(context, config))
     report = Report()
     with progress_bar("preparing") as bar:
-        run_fit(stack, out=out, measure=measured, confidence=confidence, device=device, progress=bar, report=report, **asked)
+        run_fit(
+            stack, out=out, measure=measured, confidence=confidence, device=device, progress=bar, report=report, **asked
+        )
     if as_json:
         print_json(report.to_json())
         return

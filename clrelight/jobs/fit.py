@@ -17,16 +17,15 @@ from clrelight.codec.rounding import rounding_rows
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.fit import FitMethod, FittedTile, PreparedFit, fit_tiles, prepare_fit
-from clrelight.fit.confidence import map_confidence
 from clrelight.fit.precision import MIXED
 from clrelight.fit.run import DEFAULT_MEMORY, collect_tiles
 from clrelight.fit.selection import AUTO, WITHIN
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
+from clrelight.jobs.confidence import write_confidence
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
-from clrelight.jobs.pictures import write_decibels
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.store import FitSink, create_fit
@@ -196,7 +195,7 @@ def fit(
         job = _Fit(stack, split, prepared, dtype, budget, kept, progress)
         job.tell_facts()
         if confidence is not None:
-            job.show_confidence(confidence)
+            write_confidence(confidence, prepared, kept)
         if out is not None:
             job.to_file(out, True if measure is None else measure)
             return kept
@@ -237,21 +236,6 @@ class _Fit:
             self.report.note(duplicates[1])
         if (near := note_distance(self.stack.directions_i3, *self.split)) is not None:
             self.report.note(near)
-
-    def show_confidence(self, path: str | os.PathLike[str]) -> None:
-        """Write what is expected under each light as a picture."""
-        prepared, config = self.prepared, self.prepared.config
-        since = time.perf_counter()
-        psnr_hw1 = map_confidence(prepared.stack, prepared.method, config["weights"], config["sampling"])
-        inside = psnr_hw1[psnr_hw1 != 0.0]
-        write_decibels(os.fsdecode(path), psnr_hw1)
-        self.report.facts["confidence"] = {
-            "file": os.fsdecode(path),
-            "psnr_least": float(inside.min()),
-            "psnr_median": float(np.median(inside)),
-            "psnr_most": float(inside.max()),
-        }
-        self.report.add("confidence", since)
 
     def to_file(self, out: str | os.PathLike[str], measured: bool) -> None:
         """Write the fit tile by tile."""
