@@ -22,7 +22,7 @@ from clrelight.errors import InputError, StoreFormatError
 from clrelight.experiment.grid import CodecSetting
 from clrelight.fit import prepare_fit
 from clrelight.fit.run import fit_tiles, rows_per_tile
-from clrelight.jobs.fit import _float16_tiles
+from clrelight.jobs.half_tiles import float16_tiles
 from clrelight.jobs.target import encode_to_quality
 from clrelight.metrics import measure_errors
 from clrelight.relight import relight
@@ -439,7 +439,7 @@ def test_tiles_of_halves_hold_what_they_are_counted_for(method):
     memory = 4 * 64 * 3 * column - 1
     assert rows_per_tile(prepared, memory + 1, beside=beside) == 4
     assert rows_per_tile(prepared, memory) == 4  # it is the halves that do not fit
-    with contextlib.closing(_float16_tiles(prepared, memory, 1)) as tiles:
+    with contextlib.closing(float16_tiles(prepared, memory, 1)) as tiles:
         found = [(tile, tile.coeffs_khwc.copy()) for tile in tiles]
     assert [(tile.first, tile.end) for tile, _ in found[:2]] == [(0, 3), (3, 6)]
     for (tile, _), (following, _) in itertools.pairwise(found):

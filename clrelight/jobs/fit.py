@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import time
 from collections.abc import Generator
@@ -13,7 +12,6 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.rounding import rounding_rows
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.fit import FitMethod, FittedTile, PreparedFit, fit_tiles, prepare_fit
@@ -23,6 +21,7 @@ from clrelight.fit.selection import AUTO, WITHIN
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
 from clrelight.jobs.confidence import write_confidence
+from clrelight.jobs.half_tiles import float16_tiles
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
@@ -30,7 +29,7 @@ from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.store import FitSink, create_fit
 from clrelight.store.fits import coefficient_dtype
-from clrelight.streaming import Buffer, writing_behind
+from clrelight.streaming import writing_behind
 
 Split = tuple[NDArray[np.intp], NDArray[np.intp]]
 """The lights to fit, and those held out."""
@@ -273,7 +272,7 @@ class _Fit:
 
     def _tiles(self, held: int = 1, row_step: int = 1) -> Generator[FittedTile, None, None]:
         if self.dtype == np.float16:
-            return _float16_tiles(self.prepared, self.memory, row_step)
+            return float16_tiles(self.prepared, self.memory, row_step)
         return fit_tiles(self.prepared, memory_bytes=self.memory, held=held, row_step=row_step)
 
     def _fill(self, sink: FitSink) -> None:
@@ -289,18 +288,3 @@ class _Fit:
                     since = self.report.add("write", since)
                     tell(tile.end, self.stack.image_shape[0])
             self.report.add("write", since)
-
-
-def _float16_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:
-    """Yield each tile rounded to halves: of one tile the float32 are held, of two, one being written, the halves."""
-    map_bytes = 4 * (prepared.method.has_lambda + prepared.method.has_rank)
-    beside = 2 * 2 * coefficient_count(prepared.degree) + map_bytes
-    halves_of = itertools.cycle([Buffer(), Buffer()])
-    tiles = fit_tiles(prepared, memory_bytes=memory, row_step=row_step, beside=beside)
-    with rounding_rows(prepared.device) as round_rows, closing(tiles):
-        for tile in tiles:
-            since = time.perf_counter()
-            halves_khwc = next(halves_of).lend(tile.coeffs_khwc.shape, np.float16)
-            rounded = replace(tile, coeffs_khwc=round_rows(tile.coeffs_khwc, halves_khwc, tile.first))
-            prepared.report.add("round", since)
-            yield rounded

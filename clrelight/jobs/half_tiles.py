@@ -1,0 +1,31 @@
+"""The tiles of a fit with coefficients of 16 bits."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+
+from clrelight.codec.rounding import rounding_rows
+from clrelight.fit import FittedTile, PreparedFit, fit_tiles
+from clrelight.harmonics.index import coefficient_count
+from clrelight.streaming import Buffer
+
+
+def float16_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:
+    """Yield each tile rounded to halves: of one tile the float32 are held, of two, one being written, the halves."""
+    map_bytes = 4 * (prepared.method.has_lambda + prepared.method.has_rank)
+    beside = 2 * 2 * coefficient_count(prepared.degree) + map_bytes
+    halves_of = itertools.cycle([Buffer(), Buffer()])
+    tiles = fit_tiles(prepared, memory_bytes=memory, row_step=row_step, beside=beside)
+    with rounding_rows(prepared.device) as round_rows, closing(tiles):
+        for tile in tiles:
+            since = time.perf_counter()
+            halves_khwc = next(halves_of).lend(tile.coeffs_khwc.shape, np.float16)
+            rounded = replace(tile, coeffs_khwc=round_rows(tile.coeffs_khwc, halves_khwc, tile.first))
+            prepared.report.add("round", since)
+            yield rounded
