@@ -59,7 +59,7 @@ def no_long_calls():
 def real_data():
     """Return the folder of the real stacks, or skip with the reason."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("CLRELIGHT_DATA", beside))
+    folder = Path(os.environ.get("CLRELIGHT_DATA") or beside)
     if not folder.is_dir():
         pytest.skip(f"real data is absent: no folder {folder} (set CLRELIGHT_DATA)")
     return folder

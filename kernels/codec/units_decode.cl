@@ -1,0 +1,300 @@
+/* Decode units: see units.clh, and units.py for what the arrays hold. */
+#include "codec/units.clh"
+
+/* A stream being read: four rANS states, words of 16 bits from its front, and bits as they are from its back. */
+typedef struct {
+    uint state[LANES];
+    __global const uchar *bytes;
+    uint at, end;  /* of words, and of what is left for them */
+    ulong bits;    /* from the back */
+    int held;
+    int fault;
+} decoder_t;
+
+INLINE uint next_word(decoder_t *d)
+{
+    if (d->at + 2 > d->end) {
+        d->fault = 1;
+        return 0;
+    }
+    const uint word = d->bytes[d->at] | (uint)d->bytes[d->at + 1] << 8;
+    d->at += 2;
+    return word;
+}
+
+INLINE uint take_bits(decoder_t *d, const int count)
+{
+    while (d->held < count) {
+        if (d->end <= d->at) {
+            d->fault = 1;
+            return 0;
+        }
+        d->bits |= (ulong)d->bytes[--d->end] << d->held;
+        d->held += 8;
+    }
+    const uint value = (uint)(d->bits & ((1ul << count) - 1ul));
+    d->bits >>= count;
+    d->held -= count;
+    return value;
+}
+
+INLINE int take_large(decoder_t *d)
+{
+    int octave = 0;
+    while (octave < 28 && !d->fault && !take_bits(d, 1))
+        octave++;
+    return (int)((1u << octave) | (octave ? take_bits(d, octave) : 0u)) - 1;
+}
+
+INLINE void begin_stream(decoder_t *d, __global const uchar *bytes, const uint size)
+{
+    d->bytes = bytes;
+    d->at = 4 * LANES;
+    d->end = size;
+    d->bits = 0;
+    d->held = 0;
+    d->fault = size < 4 * LANES;
+    for (int lane = 0; lane < LANES; ++lane)
+        d->state[lane] = d->fault ? RENORMALISED
+                                  : bytes[4 * lane] | (uint)bytes[4 * lane + 1] << 8 | (uint)bytes[4 * lane + 2] << 16 |
+                                        (uint)bytes[4 * lane + 3] << 24;
+}
+
+/* Whether all was read that there is, and nothing else. */
+INLINE int is_spent(const decoder_t *d)
+{
+    int spent = d->at == d->end && d->held < 8 && d->bits == 0;
+    for (int lane = 0; lane < LANES; ++lane)
+        spent &= d->state[lane] == RENORMALISED;
+    return spent;
+}
+
+INLINE int find_symbol(__global const ushort *left, const uint slot)
+{
+    const short16 begins = as_short16(vload16(0, left)), reached = begins <= (short)slot;
+    const short8 a = reached.lo + reached.hi;
+    const short4 b = a.lo + a.hi;
+    const short2 c = b.lo + b.hi;
+    return -(c.x + c.y) - 1;
+}
+
+INLINE uint renormalise(decoder_t *d, const uint state) { return state < RENORMALISED ? state << 16 | next_word(d) : state; }
+
+#define DECODE(state, context, symbol)                                             \
+    {                                                                              \
+        __global const ushort *left = work->left + (context)*SYMBOLS;              \
+        const uint slot = (state) & (ONE - 1);                                     \
+        const int found = find_symbol(left, slot);                                 \
+        const uint begin = left[found], right = found < LAST ? left[found + 1] : ONE; \
+        state = (right - begin) * ((state) >> PRECISION) + slot - begin;           \
+        symbol = found;                                                            \
+    }
+
+INLINE int decode_flag(decoder_t *d, __global work_t *work, const int flag)
+{
+    const uint zero = work->zero[flag], state = d->state[0], slot = state & (ONE - 1);
+    const int value = slot >= zero;
+    const uint begin = value ? zero : 0, size = value ? ONE - zero : zero;
+    d->state[0] = renormalise(d, size * (state >> PRECISION) + slot - begin);
+    learn_flag(work, flag, value);
+    return value;
+}
+
+INLINE void note_symbol(__global work_t *work, const int context, const int symbol, int *due)
+{
+    work->count[context * SYMBOLS + symbol]++;
+    if (--work->patience[context] == 0)
+        work->due[(*due)++] = (ushort)context;
+}
+
+/* Where decoded indices go: planes of indices, and sums of their values times weights, whichever there are. */
+typedef struct {
+    __global int *index;
+    __global float *sum;
+    __global const float *weight; /* of this plane, for each sum */
+    size_t sum_plane;
+    int sums;
+    float bias_of_one, bias_of_more;
+} sink_t;
+
+INLINE void put(const sink_t *sink, const size_t at, const int magnitude, const int negative)
+{
+    if (sink->index)
+        sink->index[at] = negative ? -magnitude : magnitude;
+    if (sink->sums) {
+        const float size = (float)magnitude - (magnitude == 1 ? sink->bias_of_one : sink->bias_of_more);
+        const float value = negative ? -size : size;
+        for (int c = 0; c < sink->sums; ++c)
+            sink->sum[c * sink->sum_plane + at] += sink->weight[c] * value;
+    }
+}
+
+INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink, const int band,
+                        const int plane, __global const int *parents, const int pitch)
+{
+    const int rows = unit[ROWS + band], columns = unit[COLUMNS + band];
+    if (rows <= 0 || columns <= 0)
+        return;
+    __global const int *parent = unit[PARENT + band] < 0 ? 0 : parents + unit[PARENT + band];
+    make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch);
+    clear_sizes(work, band, rows);
+    const int any = decode_flag(d, work, band_flag(plane, sum_hints(work, rows, columns)));
+    if (any) {
+        int cells = 0;
+        for (int i = 0; i < 100; ++i)
+            work->flag[i] = 0;
+        for (int row = 0; row * CELL < rows; ++row)
+            for (int column = 0; column * CELL < columns; ++column) {
+                const int value = decode_flag(d, work, cell_flag(work, row, column));
+                work->flag[(row + 1) * 10 + column + 1] = (uchar)value;
+                if (value)
+                    work->cell[cells++] = (uchar)(row * CELL + column);
+            }
+        for (int batch = 0; batch < 3 && !d->fault; ++batch) {
+            const int samples = gather_batch(work, band, plane, batch, rows, columns, cells);
+            int due = 0, i = 0;
+            uint a = d->state[0], b = d->state[1], c = d->state[2], e = d->state[3];
+            for (; i + LANES <= samples; i += LANES) {
+                int s, t, u, v;
+                const int m = work->context[i] & 0xfff, n = work->context[i + 1] & 0xfff;
+                const int o = work->context[i + 2] & 0xfff, p = work->context[i + 3] & 0xfff;
+                DECODE(a, m, s)
+                DECODE(b, n, t)
+                DECODE(c, o, u)
+                DECODE(e, p, v)
+                a = renormalise(d, a);
+                b = renormalise(d, b);
+                c = renormalise(d, c);
+                e = renormalise(d, e);
+                note_symbol(work, m, s, &due);
+                note_symbol(work, n, t, &due);
+                note_symbol(work, o, u, &due);
+                note_symbol(work, p, v, &due);
+                work->context[i] = (ushort)((work->context[i] & 0xf000) | s);
+                work->context[i + 1] = (ushort)((work->context[i + 1] & 0xf000) | t);
+                work->context[i + 2] = (ushort)((work->context[i + 2] & 0xf000) | u);
+                work->context[i + 3] = (ushort)((work->context[i + 3] & 0xf000) | v);
+            }
+            for (; i < samples; ++i) {
+                int s;
+                const int m = work->context[i] & 0xfff;
+                DECODE(a, m, s)
+                a = renormalise(d, a);
+                note_symbol(work, m, s, &due);
+                work->context[i] = (ushort)((work->context[i] & 0xf000) | s);
+            }
+            d->state[0] = a;
+            d->state[1] = b;
+            d->state[2] = c;
+            d->state[3] = e;
+            learn_due(work, due, 0);
+            int found = 0;
+            for (i = 0; i < samples; ++i) {
+                work->context[found] = work->context[i];
+                work->place[found] = work->place[i];
+                found += work->context[i] != 0;
+            }
+            for (i = 0; i < found && !d->fault; ++i) {
+                const int symbol = work->context[i] & 0xfff, shift = work->context[i] >> 12;
+                int magnitude = symbol == LAST ? LAST + take_large(d) : symbol;
+                if (magnitude > MAX_MAGNITUDE >> shift) {
+                    d->fault = 1;
+                    break;
+                }
+                if (shift)
+                    magnitude = magnitude << shift | (int)take_bits(d, shift);
+                if (magnitude == 0)
+                    continue;
+                const int negative = (int)take_bits(d, 1), y = work->place[i] >> 6, x = work->place[i] & 63;
+                put(sink, (size_t)unit[OFFSET + band] + (size_t)y * pitch + x, magnitude, negative);
+                work->size[band * SIZES + (y + 1) * PITCH + 8 + x] = (uchar)min(magnitude, MAX_SIZE);
+            }
+        }
+    }
+    note_before(work, band, plane, rows, any);
+}
+
+/* LL of one plane; its indices are needed for what follows. */
+INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink, const int plane,
+                       const int pitch)
+{
+    const int rows = unit[ROWS], columns = unit[COLUMNS];
+    __global int *low = sink->index + unit[OFFSET];
+    begin_low_plane(work);
+    for (int y = 0; y < rows && !d->fault; ++y) {
+        int due = 0;
+        for (int x = 0; x < columns; ++x) {
+            const int k = low_context(work, plane, y, x), shift = LOW_SHIFT(k), context = LOW_CONTEXT(k);
+            uint state = d->state[0];
+            int symbol;
+            DECODE(state, context, symbol)
+            d->state[0] = renormalise(d, state);
+            note_symbol(work, context, symbol, &due);
+            int size = symbol == LAST ? LAST + take_large(d) : symbol;
+            if (size > MAX_MAGNITUDE >> shift) {
+                d->fault = 1;
+                size = 0;
+            }
+            size = size << shift | (shift ? (int)take_bits(d, shift) : 0);
+            const int negative = size ? (int)take_bits(d, 1) : 0;
+            work->low[(y + 1) * (UNIT + 2) + x + 1] = size;
+            const int value = expect_low(low + (size_t)y * pitch + x, pitch, y, x) + (negative ? -size : size);
+            if (value > MAX_MAGNITUDE || value < -MAX_MAGNITUDE)
+                d->fault = 1;
+            low[(size_t)y * pitch + x] = d->fault ? 0 : value;
+        }
+        learn_due(work, due, 0);
+    }
+    note_low(work, rows, columns);
+    if (sink->sums)
+        for (int y = 0; y < rows; ++y)
+            for (int x = 0; x < columns; ++x) {
+                const int value = low[(size_t)y * pitch + x];
+                const sink_t sums = {0, sink->sum, sink->weight, sink->sum_plane, sink->sums, sink->bias_of_one,
+                                     sink->bias_of_more};
+                if (value)
+                    put(&sums, (size_t)unit[OFFSET] + (size_t)y * pitch + x, value < 0 ? -value : value, value < 0);
+            }
+}
+
+/* Streams of units, one after another. Indices of level 1 are not kept where only sums are wanted. */
+__kernel void decode_units(__global int *index_jyx, __global float *sum_cyx, __global const float *weight_jc,
+                           __global const uchar *stream_b, __global const uint *place_t2, __global const int *first_t2,
+                           __global const int *unit_uf, __global const ushort *count_ms, __global const ushort *flag_q2,
+                           __global uchar *work_wd, __global int *fault_t, const float bias_of_one,
+                           const float bias_of_more, const int begin, const int planes, const int sums,
+                           const int size_c, const int size_y, const int size_x)
+{
+    const int t = begin + get_global_id(0);
+    __global work_t *work = (__global work_t *)(work_wd + get_global_id(0) * (size_t)WORK_BYTES);
+    const size_t plane_size = (size_t)size_y * size_x;
+    decoder_t d;
+    begin_stream(&d, stream_b + place_t2[2 * t], place_t2[2 * t + 1]);
+    begin_tables(work, count_ms, flag_q2, 0);
+    for (int u = first_t2[2 * t]; u < first_t2[2 * t + 1] && !d.fault; ++u) {
+        __global const int *unit = unit_uf + u * UNIT_FIELDS;
+        if (unit[LEVEL] == 0)
+            begin_low(work);
+        for (int j = 0; j < planes && !d.fault; ++j) {
+            __global int *index = index_jyx + j * plane_size;
+            const sink_t sink = {sums && unit[LEVEL] == 1 ? 0 : index, sum_cyx, weight_jc + (size_t)j * size_c, plane_size,
+                                 sums, bias_of_one, bias_of_more};
+            if (unit[LEVEL] == 0)
+                decode_low(&d, work, unit, &sink, j, size_x);
+            else
+                for (int band = 0; band < 3; ++band)
+                    decode_band(&d, work, unit, &sink, band, j, index, size_x);
+        }
+    }
+    fault_t[t] = d.fault || !is_spent(&d);
+}
+
+/* Values of indices, in their place. Global size (x, y, j). */
+__kernel void value_indices(__global int *index_jyx, const float step, const float bias_of_one, const float bias_of_more,
+                            const int size_j, const int size_y, const int size_x)
+{
+    const size_t at = ((size_t)get_global_id(2) * size_y + get_global_id(1)) * size_x + get_global_id(0);
+    const int index = index_jyx[at], magnitude = index < 0 ? -index : index;
+    const float size = magnitude ? step * ((float)magnitude - (magnitude == 1 ? bias_of_one : bias_of_more)) : 0.0f;
+    index_jyx[at] = as_int(index < 0 ? -size : size);
+}

@@ -1,0 +1,326 @@
+/* Encode units, choosing indices by what they cost: see units.clh, and units.py for what the arrays hold. */
+#include "codec/units.clh"
+
+/* What a stream will say, until its end is known: rANS goes backward. */
+typedef struct {
+    __global uint *item; /* begin, size << 14, lane << 29 */
+    uint items, room;
+    __global uchar *raw; /* bits as they are */
+    uint raw_size, raw_room;
+    ulong bits;
+    int held;
+    float price;
+    float error;
+    int full;
+} encoder_t;
+
+INLINE void put_item(encoder_t *e, const uint begin, const uint size, const uint lane)
+{
+    if (e->items >= e->room) {
+        e->full = 1;
+        return;
+    }
+    e->item[e->items++] = begin | size << PRECISION | lane << 29;
+}
+
+INLINE void put_bits(encoder_t *e, const uint value, const int count)
+{
+    e->bits |= (ulong)value << e->held;
+    e->held += count;
+    while (e->held >= 8) {
+        if (e->raw_size >= e->raw_room)
+            e->full = 1;
+        else
+            e->raw[e->raw_size++] = (uchar)e->bits;
+        e->bits >>= 8;
+        e->held -= 8;
+    }
+}
+
+INLINE void put_large(encoder_t *e, const int excess)
+{
+    const uint value = (uint)excess + 1;
+    const int octave = octave_of(value);
+    for (int i = 0; i < octave; ++i)
+        put_bits(e, 0, 1);
+    put_bits(e, 1, 1);
+    if (octave)
+        put_bits(e, value & ((1u << octave) - 1u), octave);
+}
+
+INLINE void encode_flag(encoder_t *e, __global work_t *work, const int flag, const int value, __global uint *seen)
+{
+    const uint zero = work->zero[flag];
+    put_item(e, value ? zero : 0, value ? ONE - zero : zero, 0);
+    seen[CONTEXTS * SYMBOLS + 2 * flag + value]++;
+    learn_flag(work, flag, value);
+}
+
+INLINE float flag_bits(__global const work_t *work, const int flag, const int value)
+{
+    const int zero = work->zero[flag];
+    return PRECISION - native_log2((float)(value ? ONE - zero : zero));
+}
+
+INLINE void encode_symbol(encoder_t *e, __global work_t *work, const int context, const int symbol, const int lane,
+                          int *due, __global uint *seen)
+{
+    __global const ushort *left = work->left + context * SYMBOLS;
+    const uint begin = left[symbol], right = symbol < LAST ? left[symbol + 1] : ONE;
+    put_item(e, begin, right - begin, (uint)lane);
+    seen[context * SYMBOLS + symbol]++;
+    work->count[context * SYMBOLS + symbol]++;
+    if (--work->patience[context] == 0)
+        work->due[(*due)++] = (ushort)context;
+}
+
+/* What is lost at best of a sample of size `a`, in squared steps: its error, and its bits at their price. */
+INLINE float least_loss(__global const float *cost, const float price, const float a, int *chosen)
+{
+    const int nearest = min((int)(a + 0.5f), LAST - 1);
+    float least = a * a + price * cost[0];
+    *chosen = 0;
+    for (int m = max(nearest - 1, 1); m <= nearest; ++m) {
+        const float loss = (a - m) * (a - m) + price * (cost[m] + 1.0f);
+        if (loss < least) {
+            least = loss;
+            *chosen = m;
+        }
+    }
+    return least;
+}
+
+/* Which cells are worth their bits: judged by hints, and by what the samples to the left and above would be. */
+INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const float *value, const int plane, const int rows,
+                        const int columns, const int pitch)
+{
+    const int base = plane ? NEAR * HINT : 0;
+    int cells = 0;
+    for (int i = 0; i < 100; ++i)
+        work->flag[i] = 0;
+    for (int row = 0; row * CELL < rows; ++row)
+        for (int column = 0; column * CELL < columns; ++column) {
+            const int bottom = min(row * CELL + CELL, rows), right = min(column * CELL + CELL, columns);
+            float largest = 0.0f;
+            for (int y = row * CELL; y < bottom; ++y)
+                for (int x = column * CELL; x < right; ++x)
+                    largest = fmax(largest, fabs(value[(size_t)y * pitch + x]));
+            int kept = largest >= 0.55f;
+            if (kept && largest < 12.0f && e->price > 0.0f) {
+                float gain = 0.0f;
+                for (int y = row * CELL; y < bottom; ++y)
+                    for (int x = column * CELL; x < right; ++x) {
+                        __global const float *at = value + (size_t)y * pitch + x;
+                        const float a = fabs(at[0]);
+                        int around = 0, chosen;
+                        if (x > column * CELL)
+                            around += 2 * (int)(fabs(at[-1]) + 0.4f);
+                        if (y > row * CELL)
+                            around += 2 * (int)(fabs(at[-pitch]) + 0.4f);
+                        const int near = min(quick_class_of(around), NEAR - 2);
+                        const int hint = min(quick_class_of(work->hint[y * UNIT + x]), HINT - 1);
+                        __global const float *cost = work->cost + (base + near * HINT + hint) * SYMBOLS;
+                        gain += a * a - least_loss(cost, e->price, a, &chosen);
+                    }
+                const int flag = cell_flag(work, row, column);
+                kept = gain > e->price * (flag_bits(work, flag, 1) - flag_bits(work, flag, 0));
+            }
+            work->flag[(row + 1) * 10 + column + 1] = (uchar)kept;
+            if (kept)
+                work->cell[cells++] = (uchar)(row * CELL + column);
+        }
+    return cells;
+}
+
+INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int *unit, __global const float *values,
+                        __global int *indices, const int band, const int plane, const int pitch, __global uint *seen,
+                        __global float *bits)
+{
+    const int rows = unit[ROWS + band], columns = unit[COLUMNS + band];
+    if (rows <= 0 || columns <= 0)
+        return;
+    __global const int *parent = unit[PARENT + band] < 0 ? 0 : indices + unit[PARENT + band];
+    __global const float *value = values + unit[OFFSET + band];
+    __global int *index = indices + unit[OFFSET + band];
+    make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch);
+    clear_sizes(work, band, rows);
+    const int hinted = band_flag(plane, sum_hints(work, rows, columns));
+    const int cells = choose_cells(e, work, value, plane, rows, columns, pitch), any = cells > 0;
+    *bits += flag_bits(work, hinted, any);
+    encode_flag(e, work, hinted, any, seen);
+    for (int y = 0; y < rows; ++y)
+        for (int x = 0; x < columns; ++x)
+            index[(size_t)y * pitch + x] = 0;
+    if (any) {
+        uchar kept[100];
+        for (int i = 0; i < 100; ++i) {
+            kept[i] = work->flag[i];
+            work->flag[i] = 0;
+        }
+        for (int row = 0; row * CELL < rows; ++row)
+            for (int column = 0; column * CELL < columns; ++column) {
+                const int flag = cell_flag(work, row, column), held = kept[(row + 1) * 10 + column + 1];
+                *bits += flag_bits(work, flag, held);
+                encode_flag(e, work, flag, held, seen);
+                work->flag[(row + 1) * 10 + column + 1] = (uchar)held;
+            }
+        for (int batch = 0; batch < 3; ++batch) {
+            const int samples = gather_batch(work, band, plane, batch, rows, columns, cells);
+            const int in_lanes = samples & ~(LANES - 1);
+            int due = 0;
+            for (int i = 0; i < samples; ++i) {
+                const int y = work->place[i] >> 6, x = work->place[i] & 63, context = work->context[i] & 0xfff;
+                const int shift = work->context[i] >> 12;
+                const float v = value[(size_t)y * pitch + x], a = fabs(v);
+                __global const float *cost = work->cost + context * SYMBOLS;
+                int magnitude = (int)fmin(a + 0.5f, (float)MAX_MAGNITUDE - 1.0f);
+                if (magnitude && magnitude < LAST && !shift)
+                    least_loss(cost, e->price, a, &magnitude);
+                const int symbol = min(magnitude >> shift, LAST);
+                *bits += cost[symbol] + (symbol ? 1.0f : 0.0f);
+                encode_symbol(e, work, context, symbol, i < in_lanes ? i & (LANES - 1) : 0, &due, seen);
+                if (magnitude) {
+                    index[(size_t)y * pitch + x] = v < 0.0f ? -magnitude : magnitude;
+                    work->size[band * SIZES + (y + 1) * PITCH + 8 + x] = (uchar)min(magnitude, MAX_SIZE);
+                }
+            }
+            learn_due(work, due, 1);
+            for (int i = 0; i < samples; ++i) {
+                const int y = work->place[i] >> 6, x = work->place[i] & 63, shift = work->context[i] >> 12;
+                const int found = index[(size_t)y * pitch + x], magnitude = found < 0 ? -found : found;
+                if (!magnitude && !shift)
+                    continue;
+                if (magnitude >> shift >= LAST) {
+                    put_large(e, (magnitude >> shift) - LAST);
+                    *bits += 2.0f * octave_of((uint)((magnitude >> shift) - LAST) + 1u) + 1.0f;
+                }
+                if (shift) {
+                    put_bits(e, (uint)magnitude & ((1u << shift) - 1u), shift);
+                    *bits += shift;
+                }
+                if (magnitude)
+                    put_bits(e, found < 0, 1);
+            }
+        }
+    }
+    float error = 0.0f;
+    for (int y = 0; y < rows; ++y) {
+        float of_row = 0.0f;
+        for (int x = 0; x < columns; ++x) {
+            const float left = value[(size_t)y * pitch + x] - (float)index[(size_t)y * pitch + x];
+            of_row += left * left;
+        }
+        error += of_row;
+    }
+    e->error += error;
+    note_before(work, band, plane, rows, any);
+}
+
+INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *unit, __global const float *values,
+                       __global int *indices, const int plane, const int pitch, __global uint *seen, __global float *bits)
+{
+    const int rows = unit[ROWS], columns = unit[COLUMNS];
+    __global const float *value = values + unit[OFFSET];
+    __global int *low = indices + unit[OFFSET];
+    begin_low_plane(work);
+    for (int y = 0; y < rows; ++y) {
+        int due = 0;
+        for (int x = 0; x < columns; ++x) {
+            const int k = low_context(work, plane, y, x), shift = LOW_SHIFT(k), context = LOW_CONTEXT(k);
+            const float v = value[(size_t)y * pitch + x];
+            const int magnitude = (int)fmin(fabs(v) + 0.5f, (float)(MAX_MAGNITUDE >> 2)), found = v < 0.0f ? -magnitude : magnitude;
+            const int residual = found - expect_low(low + (size_t)y * pitch + x, pitch, y, x);
+            const int size = residual < 0 ? -residual : residual, symbol = min(size >> shift, LAST);
+            low[(size_t)y * pitch + x] = found;
+            *bits += work->cost[context * SYMBOLS + symbol] + shift + (size != 0);
+            encode_symbol(e, work, context, symbol, 0, &due, seen);
+            if (symbol == LAST) {
+                put_large(e, (size >> shift) - LAST);
+                *bits += 2.0f * octave_of((uint)((size >> shift) - LAST) + 1u) + 1.0f;
+            }
+            if (shift)
+                put_bits(e, (uint)size & ((1u << shift) - 1u), shift);
+            if (size)
+                put_bits(e, residual < 0, 1);
+            work->low[(y + 1) * (UNIT + 2) + x + 1] = size;
+            e->error += (v - found) * (v - found);
+        }
+        learn_due(work, due, 1);
+    }
+    note_low(work, rows, columns);
+}
+
+/* Write a stream where room is left: states, words, raw bytes from the last to the first. */
+INLINE void finish_stream(encoder_t *e, __global uchar *stream_b, volatile __global uint *taken, const uint room,
+                          __global uint *place)
+{
+    if (e->held)
+        put_bits(e, 0, 8 - e->held);
+    uint state[LANES] = {RENORMALISED, RENORMALISED, RENORMALISED, RENORMALISED};
+    __global ushort *end = (__global ushort *)(e->item + e->items), *word = end;
+    for (uint i = e->items; i > 0; --i) {
+        const uint item = e->item[i - 1], begin = item & (ONE - 1), size = (item >> PRECISION) & (2 * ONE - 1), lane = item >> 29;
+        uint x = state[lane];
+        if ((ulong)x >= ((ulong)size << (32 - PRECISION))) {
+            *--word = (ushort)x;
+            x >>= 16;
+        }
+        state[lane] = (x / size << PRECISION) + x % size + begin;
+    }
+    const uint words = (uint)(end - word), bytes = 4 * LANES + 2 * words + e->raw_size;
+    const uint at = atomic_add(taken, bytes);
+    place[0] = at;
+    place[1] = bytes;
+    if (at > room || bytes > room - at)
+        return;
+    __global uchar *to = stream_b + at;
+    for (int lane = 0; lane < LANES; ++lane)
+        for (int b = 0; b < 4; ++b)
+            *to++ = (uchar)(state[lane] >> 8 * b);
+    for (uint i = 0; i < words; ++i) {
+        *to++ = (uchar)word[i];
+        *to++ = (uchar)(word[i] >> 8);
+    }
+    for (uint i = e->raw_size; i > 0; --i)
+        *to++ = e->raw[i - 1];
+}
+
+/* Streams of units; global size: workers, of which each takes one stream after another. */
+__kernel void encode_units(__global int *index_jyx, __global const float *value_jyx, __global uchar *stream_b,
+                           __global uint *taken_o, __global uint *place_t2, __global float *error_t,
+                           __global float *bits_tj, __global const int *first_t2, __global const int *unit_uf,
+                           __global const ushort *count_ms, __global const ushort *flag_q2, __global uchar *work_wd,
+                           __global uint *item_wi, __global uchar *raw_wr, __global uint *seen_wn, const float price,
+                           const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
+                           const int size_n, const int size_j, const int size_y, const int size_x)
+{
+    const int worker = get_global_id(0);
+    __global work_t *work = (__global work_t *)(work_wd + worker * (size_t)WORK_BYTES);
+    __global uint *seen = seen_wn + (size_t)worker * size_n;
+    const size_t plane_size = (size_t)size_y * size_x;
+    for (int t = begin + worker; t < end; t += get_global_size(0)) {
+        encoder_t e = {item_wi + (size_t)worker * size_i, 0, size_i, raw_wr + (size_t)worker * size_r, 0, size_r, 0, 0, price,
+                       0.0f, 0};
+        begin_tables(work, count_ms, flag_q2, 1);
+        for (int u = first_t2[2 * t]; u < first_t2[2 * t + 1]; ++u) {
+            __global const int *unit = unit_uf + u * UNIT_FIELDS;
+            if (unit[LEVEL] == 0)
+                begin_low(work);
+            for (int j = 0; j < size_j; ++j) {
+                __global int *index = index_jyx + j * plane_size;
+                __global const float *value = value_jyx + j * plane_size;
+                __global float *bits = bits_tj + (size_t)t * size_j + j;
+                if (unit[LEVEL] == 0)
+                    encode_low(&e, work, unit, value, index, j, size_x, seen, bits);
+                else
+                    for (int band = 0; band < 3; ++band)
+                        encode_band(&e, work, unit, value, index, band, j, size_x, seen, bits);
+            }
+        }
+        error_t[t] = e.error;
+        if (e.full)
+            place_t2[2 * t + 1] = 0;
+        else
+            finish_stream(&e, stream_b, taken_o, (uint)size_b, place_t2 + 2 * t);
+    }
+}
