@@ -94,7 +94,7 @@ INLINE float least_loss(__global const float *cost, const float price, const flo
 INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const float *value, const int plane, const int rows,
                         const int columns, const int pitch)
 {
-    const int base = plane ? NEAR * HINT : 0;
+    const int base = (plane ? plane < 8 ? 1 : 2 : 0) * NEAR * HINT;
     int cells = 0;
     for (int i = 0; i < 100; ++i)
         work->flag[i] = 0;

@@ -25,7 +25,7 @@ PRECINCT = 512
 
 # As in units.clh.
 NEAR, HINT, SYMBOLS, LOWS = 12, 16, 16, 16
-CONTEXTS = 2 * NEAR * HINT + LOWS
+CONTEXTS = 3 * NEAR * HINT + LOWS
 FLAGS = 7 * 16 + 2 * 16
 ONE = 1 << 14
 _WORK_BYTES = 1 << 18
@@ -154,7 +154,7 @@ def default_tables() -> Tables:
     hint = middle / 16.0
     mean = np.where(np.isnan(near)[:, None], hint, 0.6 * near[:, None] + 0.4 * hint) * 0.8 + 0.02
     low = np.array([2.0 ** (k if k < 5 else 4) / 6.0 for k in range(LOWS)])
-    means = np.concatenate([mean.ravel(), mean.ravel(), low])
+    means = np.concatenate([mean.ravel(), mean.ravel(), mean.ravel(), low])
     ratio = means / (1.0 + means)
     share = (1.0 - ratio)[:, None] * ratio[:, None] ** np.arange(SYMBOLS)
     share[:, -1] = ratio ** (SYMBOLS - 1)
