@@ -207,11 +207,11 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
                     continue;
                 const int negative = (int)take_bits(d, 1), y = work->place[i] >> 6, x = work->place[i] & 63;
                 put(sink, (size_t)unit[OFFSET + band] + (size_t)y * pitch + x, magnitude, negative);
-                work->size[band * SIZES + (y + 1) * PITCH + 8 + x] = (uchar)min(magnitude, MAX_SIZE);
+                work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)min(magnitude, MAX_SIZE);
             }
         }
     }
-    note_before(work, band, plane, rows, any);
+    note_before(work, band, plane, rows);
 }
 
 /* LL of one plane; its indices are needed for what follows. */

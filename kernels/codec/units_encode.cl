@@ -90,44 +90,89 @@ INLINE float least_loss(__global const float *cost, const float price, const flo
     return least;
 }
 
-/* Which cells are worth their bits: judged by hints, and by what the samples to the left and above would be. */
+INLINE float8 size_of(const float8 value) { return as_float8(as_int8(value) & 0x7fffffff); }
+
+/* A row of a cell: 0 beyond the band. */
+INLINE float8 load_row(__global const float *value, const int columns)
+{
+    float8 row = 0.0f;
+    if (columns >= CELL)
+        return vload8(0, value);
+    float each[CELL];
+    for (int x = 0; x < CELL; ++x)
+        each[x] = x < columns ? value[x] : 0.0f;
+    return vload8(0, each);
+}
+
+INLINE float sum_of(const float8 value)
+{
+    const float4 four = value.lo + value.hi;
+    return (four.x + four.y) + (four.z + four.w);
+}
+
+/* What a cell saves in squared error less the price of its bits: judged by hints, and by what the samples to the left
+ * and above would be. */
+INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global const float *value, const int plane,
+                       const int top, const int left, const int rows, const int columns, const int pitch)
+{
+    const int base = context_base(plane);
+    float gain = 0.0f;
+    int8 up = 0;
+    for (int y = top; y < rows; ++y) {
+        const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left));
+        const int8 nearest = __builtin_convertvector(a + 0.4f, int8), before = (int8)(0, nearest.s0123, nearest.s45, nearest.s6);
+        const int8 hint = __builtin_convertvector(vload8(0, work->hint + y * UNIT + left), int8);
+        const int8 context = base + classes_of(2 * (before + up), NEAR - 2) * HINT + classes_of(hint, HINT - 1);
+        up = nearest;
+        float size[CELL];
+        int of[CELL];
+        vstore8(a, 0, size);
+        vstore8(context * SYMBOLS, 0, of);
+        float bits = 0.0f;
+        for (int x = 0; x < min(columns - left, CELL); ++x) {
+            bits += work->cost[of[x]];
+            if (size[x] >= 0.5f) {
+                __global const float *cost = work->cost + of[x];
+                int chosen;
+                const float loss = least_loss(cost, e->price, size[x], &chosen);
+                gain += size[x] * size[x] - loss + e->price * cost[0];
+            }
+        }
+        gain -= e->price * bits;
+    }
+    return gain;
+}
+
+/* Which cells are worth their bits. */
 INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const float *value, const int plane, const int rows,
                         const int columns, const int pitch)
 {
-    const int base = (plane ? plane < 8 ? 1 : 2 : 0) * NEAR * HINT;
     int cells = 0;
     for (int i = 0; i < 100; ++i)
         work->flag[i] = 0;
-    for (int row = 0; row * CELL < rows; ++row)
-        for (int column = 0; column * CELL < columns; ++column) {
-            const int bottom = min(row * CELL + CELL, rows), right = min(column * CELL + CELL, columns);
-            float largest = 0.0f;
-            for (int y = row * CELL; y < bottom; ++y)
-                for (int x = column * CELL; x < right; ++x)
-                    largest = fmax(largest, fabs(value[(size_t)y * pitch + x]));
+    for (int top = 0; top < rows; top += CELL)
+        for (int left = 0; left < columns; left += CELL) {
+            const int bottom = min(top + CELL, rows);
+            float8 most = 0.0f, squares = 0.0f;
+            for (int y = top; y < bottom; ++y) {
+                const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left));
+                most = a > most ? a : most;
+                squares += a * a;
+            }
+            const float4 four = most.lo > most.hi ? most.lo : most.hi;
+            const float largest = fmax(fmax(four.x, four.y), fmax(four.z, four.w));
+            const int row = top / CELL, column = left / CELL;
             int kept = largest >= 0.55f;
             if (kept && largest < 12.0f && e->price > 0.0f) {
-                float gain = 0.0f;
-                for (int y = row * CELL; y < bottom; ++y)
-                    for (int x = column * CELL; x < right; ++x) {
-                        __global const float *at = value + (size_t)y * pitch + x;
-                        const float a = fabs(at[0]);
-                        int around = 0, chosen;
-                        if (x > column * CELL)
-                            around += 2 * (int)(fabs(at[-1]) + 0.4f);
-                        if (y > row * CELL)
-                            around += 2 * (int)(fabs(at[-pitch]) + 0.4f);
-                        const int near = min(quick_class_of(around), NEAR - 2);
-                        const int hint = min(quick_class_of(work->hint[y * UNIT + x]), HINT - 1);
-                        __global const float *cost = work->cost + (base + near * HINT + hint) * SYMBOLS;
-                        gain += a * a - least_loss(cost, e->price, a, &chosen);
-                    }
                 const int flag = cell_flag(work, row, column);
-                kept = gain > e->price * (flag_bits(work, flag, 1) - flag_bits(work, flag, 0));
+                kept = find_gain(e, work, value, plane, top, left, bottom, columns, pitch) >
+                       e->price * (flag_bits(work, flag, 1) - flag_bits(work, flag, 0));
             }
             work->flag[(row + 1) * 10 + column + 1] = (uchar)kept;
             if (kept)
                 work->cell[cells++] = (uchar)(row * CELL + column);
+            else
+                e->error += sum_of(squares);
         }
     return cells;
 }
@@ -148,9 +193,13 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
     const int cells = choose_cells(e, work, value, plane, rows, columns, pitch), any = cells > 0;
     *bits += flag_bits(work, hinted, any);
     encode_flag(e, work, hinted, any, seen);
-    for (int y = 0; y < rows; ++y)
-        for (int x = 0; x < columns; ++x)
+    for (int y = 0; y < rows; ++y) {
+        int x = 0;
+        for (; x + 8 <= columns; x += 8)
+            vstore8((int8)(0), 0, index + (size_t)y * pitch + x);
+        for (; x < columns; ++x)
             index[(size_t)y * pitch + x] = 0;
+    }
     if (any) {
         uchar kept[100];
         for (int i = 0; i < 100; ++i) {
@@ -168,22 +217,25 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
             const int samples = gather_batch(work, band, plane, batch, rows, columns, cells);
             const int in_lanes = samples & ~(LANES - 1);
             int due = 0;
+            float error = 0.0f;
             for (int i = 0; i < samples; ++i) {
                 const int y = work->place[i] >> 6, x = work->place[i] & 63, context = work->context[i] & 0xfff;
                 const int shift = work->context[i] >> 12;
                 const float v = value[(size_t)y * pitch + x], a = fabs(v);
                 __global const float *cost = work->cost + context * SYMBOLS;
-                int magnitude = (int)fmin(a + 0.5f, (float)MAX_MAGNITUDE - 1.0f);
+                int magnitude = a < 0.5f ? 0 : (int)fmin(a + 0.5f, (float)MAX_MAGNITUDE - 1.0f);
                 if (magnitude && magnitude < LAST && !shift)
                     least_loss(cost, e->price, a, &magnitude);
+                error += (a - magnitude) * (a - magnitude);
                 const int symbol = min(magnitude >> shift, LAST);
                 *bits += cost[symbol] + (symbol ? 1.0f : 0.0f);
                 encode_symbol(e, work, context, symbol, i < in_lanes ? i & (LANES - 1) : 0, &due, seen);
                 if (magnitude) {
                     index[(size_t)y * pitch + x] = v < 0.0f ? -magnitude : magnitude;
-                    work->size[band * SIZES + (y + 1) * PITCH + 8 + x] = (uchar)min(magnitude, MAX_SIZE);
+                    work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)min(magnitude, MAX_SIZE);
                 }
             }
+            e->error += error;
             learn_due(work, due, 1);
             for (int i = 0; i < samples; ++i) {
                 const int y = work->place[i] >> 6, x = work->place[i] & 63, shift = work->context[i] >> 12;
@@ -203,17 +255,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
             }
         }
     }
-    float error = 0.0f;
-    for (int y = 0; y < rows; ++y) {
-        float of_row = 0.0f;
-        for (int x = 0; x < columns; ++x) {
-            const float left = value[(size_t)y * pitch + x] - (float)index[(size_t)y * pitch + x];
-            of_row += left * left;
-        }
-        error += of_row;
-    }
-    e->error += error;
-    note_before(work, band, plane, rows, any);
+    note_before(work, band, plane, rows);
 }
 
 INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *unit, __global const float *values,
