@@ -71,7 +71,7 @@ INLINE int is_spent(const decoder_t *d)
 
 INLINE int find_symbol(__global const ushort *left, const uint slot)
 {
-    const short16 begins = as_short16(vload16(0, left)), reached = begins <= (short)slot;
+    const short16 begins = as_short16(LOAD(ushort16, left)), reached = begins <= (short)slot;
     const short8 a = reached.lo + reached.hi;
     const short4 b = a.lo + a.hi;
     const short2 c = b.lo + b.hi;
@@ -207,7 +207,7 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
                     continue;
                 const int negative = (int)take_bits(d, 1), y = work->place[i] >> 6, x = work->place[i] & 63;
                 put(sink, (size_t)unit[OFFSET + band] + (size_t)y * pitch + x, magnitude, negative);
-                work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)min(magnitude, MAX_SIZE);
+                work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude, MAX_SIZE);
             }
         }
     }

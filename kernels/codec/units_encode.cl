@@ -77,10 +77,10 @@ INLINE void encode_symbol(encoder_t *e, __global work_t *work, const int context
 /* What is lost at best of a sample of size `a`, in squared steps: its error, and its bits at their price. */
 INLINE float least_loss(__global const float *cost, const float price, const float a, int *chosen)
 {
-    const int nearest = min((int)(a + 0.5f), LAST - 1);
+    const int nearest = LEAST((int)(a + 0.5f), LAST - 1);
     float least = a * a + price * cost[0];
     *chosen = 0;
-    for (int m = max(nearest - 1, 1); m <= nearest; ++m) {
+    for (int m = MOST(nearest - 1, 1); m <= nearest; ++m) {
         const float loss = (a - m) * (a - m) + price * (cost[m] + 1.0f);
         if (loss < least) {
             least = loss;
@@ -95,13 +95,12 @@ INLINE float8 size_of(const float8 value) { return as_float8(as_int8(value) & 0x
 /* A row of a cell: 0 beyond the band. */
 INLINE float8 load_row(__global const float *value, const int columns)
 {
-    float8 row = 0.0f;
     if (columns >= CELL)
-        return vload8(0, value);
-    float each[CELL];
-    for (int x = 0; x < CELL; ++x)
-        each[x] = x < columns ? value[x] : 0.0f;
-    return vload8(0, each);
+        return LOAD(float8, value);
+    float8 row = 0.0f;
+    for (int x = 0; x < columns; ++x)
+        ((float *)&row)[x] = value[x];
+    return row;
 }
 
 INLINE float sum_of(const float8 value)
@@ -121,15 +120,14 @@ INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global
     for (int y = top; y < rows; ++y) {
         const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left));
         const int8 nearest = __builtin_convertvector(a + 0.4f, int8), before = (int8)(0, nearest.s0123, nearest.s45, nearest.s6);
-        const int8 hint = __builtin_convertvector(vload8(0, work->hint + y * UNIT + left), int8);
+        const int8 hint = __builtin_convertvector(LOAD(ushort8, work->hint + y * UNIT + left), int8);
         const int8 context = base + classes_of(2 * (before + up), NEAR - 2) * HINT + classes_of(hint, HINT - 1);
         up = nearest;
-        float size[CELL];
-        int of[CELL];
-        vstore8(a, 0, size);
-        vstore8(context * SYMBOLS, 0, of);
+        const int8 places = context * SYMBOLS;
+        const float *size = (const float *)&a;
+        const int *of = (const int *)&places;
         float bits = 0.0f;
-        for (int x = 0; x < min(columns - left, CELL); ++x) {
+        for (int x = 0; x < LEAST(columns - left, CELL); ++x) {
             bits += work->cost[of[x]];
             if (size[x] >= 0.5f) {
                 __global const float *cost = work->cost + of[x];
@@ -152,7 +150,7 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
         work->flag[i] = 0;
     for (int top = 0; top < rows; top += CELL)
         for (int left = 0; left < columns; left += CELL) {
-            const int bottom = min(top + CELL, rows);
+            const int bottom = LEAST(top + CELL, rows);
             float8 most = 0.0f, squares = 0.0f;
             for (int y = top; y < bottom; ++y) {
                 const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left));
@@ -160,7 +158,7 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
                 squares += a * a;
             }
             const float4 four = most.lo > most.hi ? most.lo : most.hi;
-            const float largest = fmax(fmax(four.x, four.y), fmax(four.z, four.w));
+            const float largest = MOST(MOST(four.x, four.y), MOST(four.z, four.w));
             const int row = top / CELL, column = left / CELL;
             int kept = largest >= 0.55f;
             if (kept && largest < 12.0f && e->price > 0.0f) {
@@ -196,7 +194,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
     for (int y = 0; y < rows; ++y) {
         int x = 0;
         for (; x + 8 <= columns; x += 8)
-            vstore8((int8)(0), 0, index + (size_t)y * pitch + x);
+            STORE(int8, index + (size_t)y * pitch + x, 0);
         for (; x < columns; ++x)
             index[(size_t)y * pitch + x] = 0;
     }
@@ -221,18 +219,18 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
             for (int i = 0; i < samples; ++i) {
                 const int y = work->place[i] >> 6, x = work->place[i] & 63, context = work->context[i] & 0xfff;
                 const int shift = work->context[i] >> 12;
-                const float v = value[(size_t)y * pitch + x], a = fabs(v);
+                const float v = value[(size_t)y * pitch + x], a = v < 0.0f ? -v : v;
                 __global const float *cost = work->cost + context * SYMBOLS;
-                int magnitude = a < 0.5f ? 0 : (int)fmin(a + 0.5f, (float)MAX_MAGNITUDE - 1.0f);
+                int magnitude = a < 0.5f ? 0 : (int)LEAST(a + 0.5f, (float)(MAX_MAGNITUDE >> 1));
                 if (magnitude && magnitude < LAST && !shift)
                     least_loss(cost, e->price, a, &magnitude);
                 error += (a - magnitude) * (a - magnitude);
-                const int symbol = min(magnitude >> shift, LAST);
+                const int symbol = LEAST(magnitude >> shift, LAST);
                 *bits += cost[symbol] + (symbol ? 1.0f : 0.0f);
                 encode_symbol(e, work, context, symbol, i < in_lanes ? i & (LANES - 1) : 0, &due, seen);
                 if (magnitude) {
                     index[(size_t)y * pitch + x] = v < 0.0f ? -magnitude : magnitude;
-                    work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)min(magnitude, MAX_SIZE);
+                    work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude, MAX_SIZE);
                 }
             }
             e->error += error;
@@ -270,9 +268,9 @@ INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *
         for (int x = 0; x < columns; ++x) {
             const int k = low_context(work, plane, y, x), shift = LOW_SHIFT(k), context = LOW_CONTEXT(k);
             const float v = value[(size_t)y * pitch + x];
-            const int magnitude = (int)fmin(fabs(v) + 0.5f, (float)(MAX_MAGNITUDE >> 2)), found = v < 0.0f ? -magnitude : magnitude;
+            const int magnitude = (int)LEAST((v < 0.0f ? -v : v) + 0.5f, (float)(MAX_MAGNITUDE >> 2)), found = v < 0.0f ? -magnitude : magnitude;
             const int residual = found - expect_low(low + (size_t)y * pitch + x, pitch, y, x);
-            const int size = residual < 0 ? -residual : residual, symbol = min(size >> shift, LAST);
+            const int size = residual < 0 ? -residual : residual, symbol = LEAST(size >> shift, LAST);
             low[(size_t)y * pitch + x] = found;
             *bits += work->cost[context * SYMBOLS + symbol] + shift + (size != 0);
             encode_symbol(e, work, context, symbol, 0, &due, seen);

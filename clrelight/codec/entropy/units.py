@@ -251,9 +251,9 @@ def encode_streams(
     samples = _samples(layout) * n_plane
     workers = min(4 * device.info.compute_units, max(e - b for b, e in layout.batches))
     room = max(1 << 20, 2 * int(samples.sum()) // 16)
-    share = 6
+    items = int(samples.max()) * 5 // 4 + (1 << 12)  # samples, and flags of cells and bands
+    raws = items // 2
     while True:
-        items = int(samples.max()) // share + (1 << 14)
         stream, taken = device.empty((room,), np.uint8), np.zeros(1, np.uint32)
         place_t2, error_t = np.zeros((n_stream, 2), np.uint32), np.zeros(n_stream, np.float32)
         bits_tj = np.zeros((n_stream, n_plane), np.float32)
@@ -262,18 +262,18 @@ def encode_streams(
         first, unit = device.upload(layout.first_t2), device.upload(layout.unit_uf)
         counts, flags = device.upload(tables.count_ms), device.upload(tables.flag_f2)
         work = device.empty((workers, _WORK_BYTES), np.uint8)
-        item, raw = device.empty((workers, items), np.uint32), device.empty((workers, 4 * items), np.uint8)
+        item, raw = device.empty((workers, items), np.uint32), device.empty((workers, raws), np.uint8)
         for begin, end in layout.batches:
             device.launch(
                 "codec/units_encode.cl",
                 "encode_units",
                 (min(workers, end - begin),),
                 *(index, values, stream, *held[:4], first, unit, counts, flags, work, item, raw, held[4]),
-                *(price, begin, end, room, items, 4 * items, seen_wn.shape[1], *values.shape),
+                *(price, begin, end, room, items, raws, seen_wn.shape[1], *values.shape),
             )
         taken, place_t2, error_t, bits_tj, seen_wn = (device.download(a) for a in held)
         if not place_t2[:, 1].all():
-            share = share // 2
+            raws *= 8
             continue
         if int(taken[0]) > room:
             room = int(taken[0]) + (1 << 16)
