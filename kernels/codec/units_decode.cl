@@ -130,13 +130,14 @@ INLINE void put(const sink_t *sink, const size_t at, const int magnitude, const 
 }
 
 INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink, const int band,
-                        const int plane, __global const int *parents, const int pitch)
+                        const int plane, __global const int *parents, const int pitch, const size_t plane_size)
 {
     const int rows = unit[ROWS + band], columns = unit[COLUMNS + band];
     if (rows <= 0 || columns <= 0)
         return;
     __global const int *parent = unit[PARENT + band] < 0 ? 0 : parents + unit[PARENT + band];
-    make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch);
+    make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch,
+               plane_size);
     clear_sizes(work, band, rows);
     const int any = decode_flag(d, work, band_flag(plane, sum_hints(work, rows, columns)));
     if (any) {
@@ -283,7 +284,7 @@ __kernel void decode_units(__global int *index_jyx, __global float *sum_cyx, __g
                 decode_low(&d, work, unit, &sink, j, size_x);
             else
                 for (int band = 0; band < 3; ++band)
-                    decode_band(&d, work, unit, &sink, band, j, index, size_x);
+                    decode_band(&d, work, unit, &sink, band, j, index, size_x, plane_size);
         }
     }
     fault_t[t] = d.fault || !is_spent(&d);

@@ -143,7 +143,7 @@ INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global
 
 /* Which cells are worth their bits. */
 INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const float *value, const int plane, const int rows,
-                        const int columns, const int pitch)
+                        const int columns, const int pitch, const size_t plane_size)
 {
     int cells = 0;
     for (int i = 0; i < 100; ++i)
@@ -153,6 +153,7 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
             const int bottom = LEAST(top + CELL, rows);
             float8 most = 0.0f, squares = 0.0f;
             for (int y = top; y < bottom; ++y) {
+                __builtin_prefetch(value + plane_size + (size_t)y * pitch + left);
                 const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left));
                 most = a > most ? a : most;
                 squares += a * a;
@@ -177,7 +178,7 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
 
 INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int *unit, __global const float *values,
                         __global int *indices, const int band, const int plane, const int pitch, __global uint *seen,
-                        __global float *bits)
+                        __global float *bits, const size_t plane_size)
 {
     const int rows = unit[ROWS + band], columns = unit[COLUMNS + band];
     if (rows <= 0 || columns <= 0)
@@ -185,10 +186,11 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
     __global const int *parent = unit[PARENT + band] < 0 ? 0 : indices + unit[PARENT + band];
     __global const float *value = values + unit[OFFSET + band];
     __global int *index = indices + unit[OFFSET + band];
-    make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch);
+    make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch,
+               plane_size);
     clear_sizes(work, band, rows);
     const int hinted = band_flag(plane, sum_hints(work, rows, columns));
-    const int cells = choose_cells(e, work, value, plane, rows, columns, pitch), any = cells > 0;
+    const int cells = choose_cells(e, work, value, plane, rows, columns, pitch, plane_size), any = cells > 0;
     *bits += flag_bits(work, hinted, any);
     encode_flag(e, work, hinted, any, seen);
     for (int y = 0; y < rows; ++y) {
@@ -354,7 +356,7 @@ __kernel void encode_units(__global int *index_jyx, __global const float *value_
                     encode_low(&e, work, unit, value, index, j, size_x, seen, bits);
                 else
                     for (int band = 0; band < 3; ++band)
-                        encode_band(&e, work, unit, value, index, band, j, size_x, seen, bits);
+                        encode_band(&e, work, unit, value, index, band, j, size_x, seen, bits, plane_size);
             }
         }
         error_t[t] = e.error;
