@@ -114,7 +114,6 @@ typedef struct {
     __global const float *weight; /* of this plane, for each sum */
     size_t sum_plane;
     int sums;
-    float bias_of_one, bias_of_more;
 } sink_t;
 
 INLINE void put(const sink_t *sink, const size_t at, const int magnitude, const int negative)
@@ -122,8 +121,7 @@ INLINE void put(const sink_t *sink, const size_t at, const int magnitude, const 
     if (sink->index)
         sink->index[at] = negative ? -magnitude : magnitude;
     if (sink->sums) {
-        const float size = (float)magnitude - (magnitude == 1 ? sink->bias_of_one : sink->bias_of_more);
-        const float value = negative ? -size : size;
+        const float value = (float)(negative ? -magnitude : magnitude);
         for (int c = 0; c < sink->sums; ++c)
             sink->sum[c * sink->sum_plane + at] += sink->weight[c] * value;
     }
@@ -251,8 +249,7 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
         for (int y = 0; y < rows; ++y)
             for (int x = 0; x < columns; ++x) {
                 const int value = low[(size_t)y * pitch + x];
-                const sink_t sums = {0, sink->sum, sink->weight, sink->sum_plane, sink->sums, sink->bias_of_one,
-                                     sink->bias_of_more};
+                const sink_t sums = {0, sink->sum, sink->weight, sink->sum_plane, sink->sums};
                 if (value)
                     put(&sums, (size_t)unit[OFFSET] + (size_t)y * pitch + x, value < 0 ? -value : value, value < 0);
             }
@@ -262,8 +259,7 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
 __kernel void decode_units(__global int *index_jyx, __global float *sum_cyx, __global const float *weight_jc,
                            __global const uchar *stream_b, __global const uint *place_t2, __global const int *first_t2,
                            __global const int *unit_uf, __global const ushort *count_ms, __global const ushort *flag_q2,
-                           __global uchar *work_wd, __global int *fault_t, const float bias_of_one,
-                           const float bias_of_more, const int begin, const int planes, const int sums,
+                           __global uchar *work_wd, __global int *fault_t, const int begin, const int planes, const int sums,
                            const int size_c, const int size_y, const int size_x)
 {
     const int t = begin + get_global_id(0);
@@ -279,7 +275,7 @@ __kernel void decode_units(__global int *index_jyx, __global float *sum_cyx, __g
         for (int j = 0; j < planes && !d.fault; ++j) {
             __global int *index = index_jyx + j * plane_size;
             const sink_t sink = {sums && unit[LEVEL] == 1 ? 0 : index, sum_cyx, weight_jc + (size_t)j * size_c, plane_size,
-                                 sums, bias_of_one, bias_of_more};
+                                 sums};
             if (unit[LEVEL] == 0)
                 decode_low(&d, work, unit, &sink, j, size_x);
             else
@@ -290,12 +286,9 @@ __kernel void decode_units(__global int *index_jyx, __global float *sum_cyx, __g
     fault_t[t] = d.fault || !is_spent(&d);
 }
 
-/* Values of indices, in their place. Global size (x, y, j). */
-__kernel void value_indices(__global int *index_jyx, const float step, const float bias_of_one, const float bias_of_more,
-                            const int size_j, const int size_y, const int size_x)
+/* Values of indices, in their place and in steps. Global size (x, y, j). */
+__kernel void value_indices(__global int *index_jyx, const int size_j, const int size_y, const int size_x)
 {
     const size_t at = ((size_t)get_global_id(2) * size_y + get_global_id(1)) * size_x + get_global_id(0);
-    const int index = index_jyx[at], magnitude = index < 0 ? -index : index;
-    const float size = magnitude ? step * ((float)magnitude - (magnitude == 1 ? bias_of_one : bias_of_more)) : 0.0f;
-    index_jyx[at] = as_int(index < 0 ? -size : size);
+    index_jyx[at] = as_int((float)index_jyx[at]);
 }

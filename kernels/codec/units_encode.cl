@@ -9,8 +9,7 @@ typedef struct {
     uint raw_size, raw_room;
     ulong bits;
     int held;
-    float price;
-    float error;
+    float price, scale;
     int full;
 } encoder_t;
 
@@ -93,14 +92,23 @@ INLINE float least_loss(__global const float *cost, const float price, const flo
 INLINE float8 size_of(const float8 value) { return as_float8(as_int8(value) & 0x7fffffff); }
 
 /* A row of a cell: 0 beyond the band. */
-INLINE float8 load_row(__global const float *value, const int columns)
+INLINE float8 load_row(__global const float *value, const int columns, const float scale)
 {
     if (columns >= CELL)
-        return LOAD(float8, value);
+        return LOAD(float8, value) * scale;
     float8 row = 0.0f;
     for (int x = 0; x < columns; ++x)
-        ((float *)&row)[x] = value[x];
+        ((float *)&row)[x] = value[x] * scale;
     return row;
+}
+
+INLINE void clear_row(__global int *index, const int columns)
+{
+    if (columns >= CELL)
+        STORE(int8, index, 0);
+    else
+        for (int x = 0; x < columns; ++x)
+            index[x] = 0;
 }
 
 INLINE float sum_of(const float8 value)
@@ -118,7 +126,7 @@ INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global
     float gain = 0.0f;
     int8 up = 0;
     for (int y = top; y < rows; ++y) {
-        const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left));
+        const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left, e->scale));
         const int8 nearest = __builtin_convertvector(a + 0.4f, int8), before = (int8)(0, nearest.s0123, nearest.s45, nearest.s6);
         const int8 hint = __builtin_convertvector(LOAD(ushort8, work->hint + y * UNIT + left), int8);
         const int8 context = base + classes_of(2 * (before + up), NEAR - 2) * HINT + classes_of(hint, HINT - 1);
@@ -142,8 +150,8 @@ INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global
 }
 
 /* Which cells are worth their bits. */
-INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const float *value, const int plane, const int rows,
-                        const int columns, const int pitch, const size_t plane_size)
+INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const float *value, __global int *index,
+                        const int plane, const int rows, const int columns, const int pitch, const size_t plane_size, float *error)
 {
     int cells = 0;
     for (int i = 0; i < 100; ++i)
@@ -154,7 +162,7 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
             float8 most = 0.0f, squares = 0.0f;
             for (int y = top; y < bottom; ++y) {
                 __builtin_prefetch(value + plane_size + (size_t)y * pitch + left);
-                const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left));
+                const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left, e->scale));
                 most = a > most ? a : most;
                 squares += a * a;
             }
@@ -170,15 +178,18 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
             work->flag[(row + 1) * 10 + column + 1] = (uchar)kept;
             if (kept)
                 work->cell[cells++] = (uchar)(row * CELL + column);
-            else
-                e->error += sum_of(squares);
+            else {
+                *error += sum_of(squares);
+                for (int y = top; y < bottom; ++y)
+                    clear_row(index + (size_t)y * pitch + left, columns - left);
+            }
         }
     return cells;
 }
 
 INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int *unit, __global const float *values,
                         __global int *indices, const int band, const int plane, const int pitch, __global uint *seen,
-                        __global float *bits, const size_t plane_size)
+                        __global float *bits, __global float *errors, const size_t plane_size)
 {
     const int rows = unit[ROWS + band], columns = unit[COLUMNS + band];
     if (rows <= 0 || columns <= 0)
@@ -189,17 +200,11 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
     make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch,
                plane_size);
     clear_sizes(work, band, rows);
+    float error = 0.0f;
     const int hinted = band_flag(plane, sum_hints(work, rows, columns));
-    const int cells = choose_cells(e, work, value, plane, rows, columns, pitch, plane_size), any = cells > 0;
+    const int cells = choose_cells(e, work, value, index, plane, rows, columns, pitch, plane_size, &error), any = cells > 0;
     *bits += flag_bits(work, hinted, any);
     encode_flag(e, work, hinted, any, seen);
-    for (int y = 0; y < rows; ++y) {
-        int x = 0;
-        for (; x + 8 <= columns; x += 8)
-            STORE(int8, index + (size_t)y * pitch + x, 0);
-        for (; x < columns; ++x)
-            index[(size_t)y * pitch + x] = 0;
-    }
     if (any) {
         uchar kept[100];
         for (int i = 0; i < 100; ++i) {
@@ -217,11 +222,10 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
             const int samples = gather_batch(work, band, plane, batch, rows, columns, cells);
             const int in_lanes = samples & ~(LANES - 1);
             int due = 0;
-            float error = 0.0f;
             for (int i = 0; i < samples; ++i) {
                 const int y = work->place[i] >> 6, x = work->place[i] & 63, context = work->context[i] & 0xfff;
                 const int shift = work->context[i] >> 12;
-                const float v = value[(size_t)y * pitch + x], a = v < 0.0f ? -v : v;
+                const float v = value[(size_t)y * pitch + x] * e->scale, a = v < 0.0f ? -v : v;
                 __global const float *cost = work->cost + context * SYMBOLS;
                 int magnitude = a < 0.5f ? 0 : (int)LEAST(a + 0.5f, (float)(MAX_MAGNITUDE >> 1));
                 if (magnitude && magnitude < LAST && !shift)
@@ -230,12 +234,11 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
                 const int symbol = LEAST(magnitude >> shift, LAST);
                 *bits += cost[symbol] + (symbol ? 1.0f : 0.0f);
                 encode_symbol(e, work, context, symbol, i < in_lanes ? i & (LANES - 1) : 0, &due, seen);
+                index[(size_t)y * pitch + x] = v < 0.0f ? -magnitude : magnitude;
                 if (magnitude) {
-                    index[(size_t)y * pitch + x] = v < 0.0f ? -magnitude : magnitude;
                     work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude, MAX_SIZE);
                 }
             }
-            e->error += error;
             learn_due(work, due, 1);
             for (int i = 0; i < samples; ++i) {
                 const int y = work->place[i] >> 6, x = work->place[i] & 63, shift = work->context[i] >> 12;
@@ -255,11 +258,13 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
             }
         }
     }
+    *errors += error;
     note_before(work, band, plane, rows);
 }
 
 INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *unit, __global const float *values,
-                       __global int *indices, const int plane, const int pitch, __global uint *seen, __global float *bits)
+                       __global int *indices, const int plane, const int pitch, __global uint *seen, __global float *bits,
+                       __global float *errors)
 {
     const int rows = unit[ROWS], columns = unit[COLUMNS];
     __global const float *value = values + unit[OFFSET];
@@ -269,7 +274,7 @@ INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *
         int due = 0;
         for (int x = 0; x < columns; ++x) {
             const int k = low_context(work, plane, y, x), shift = LOW_SHIFT(k), context = LOW_CONTEXT(k);
-            const float v = value[(size_t)y * pitch + x];
+            const float v = value[(size_t)y * pitch + x] * e->scale;
             const int magnitude = (int)LEAST((v < 0.0f ? -v : v) + 0.5f, (float)(MAX_MAGNITUDE >> 2)), found = v < 0.0f ? -magnitude : magnitude;
             const int residual = found - expect_low(low + (size_t)y * pitch + x, pitch, y, x);
             const int size = residual < 0 ? -residual : residual, symbol = LEAST(size >> shift, LAST);
@@ -285,7 +290,7 @@ INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *
             if (size)
                 put_bits(e, residual < 0, 1);
             work->low[(y + 1) * (UNIT + 2) + x + 1] = size;
-            e->error += (v - found) * (v - found);
+            *errors += (v - found) * (v - found);
         }
         learn_due(work, due, 1);
     }
@@ -327,13 +332,26 @@ INLINE void finish_stream(encoder_t *e, __global uchar *stream_b, volatile __glo
         *to++ = e->raw[i - 1];
 }
 
-/* Streams of units; global size: workers, of which each takes one stream after another. */
+/* Put planes less their offsets where a window's transform takes them. Global size (rows of the part, planes). */
+__kernel void place_planes(__global float *value_jyx, __global const float *part_jp, __global const float *offset_j,
+                           const int first, const int size_p, const int size_y, const int size_x, const int columns)
+{
+    const int y = get_global_id(0), j = get_global_id(1);
+    const float offset = offset_j[j];
+    __global const float *from = part_jp + (size_t)j * size_p + (size_t)y * size_x;
+    __global float *to = value_jyx + ((size_t)j * size_y + first + y) * size_x;
+    for (int x = 0; x < columns; ++x)
+        to[x] = from[x] - offset;
+}
+
+/* Streams of units; global size: workers, of which each takes one stream after another. Indices may take the place of
+ * values: of a band, all values that are needed are read before. */
 __kernel void encode_units(__global int *index_jyx, __global const float *value_jyx, __global uchar *stream_b,
-                           __global uint *taken_o, __global uint *place_t2, __global float *error_t,
+                           __global uint *taken_o, __global uint *place_t2, __global float *error_tj,
                            __global float *bits_tj, __global const int *first_t2, __global const int *unit_uf,
                            __global const ushort *count_ms, __global const ushort *flag_q2, __global uchar *work_wd,
                            __global uint *item_wi, __global uchar *raw_wr, __global uint *seen_wn, const float price,
-                           const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
+                           const float scale, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
                            const int size_n, const int size_j, const int size_y, const int size_x)
 {
     const int worker = get_global_id(0);
@@ -342,7 +360,7 @@ __kernel void encode_units(__global int *index_jyx, __global const float *value_
     const size_t plane_size = (size_t)size_y * size_x;
     for (int t = begin + worker; t < end; t += get_global_size(0)) {
         encoder_t e = {item_wi + (size_t)worker * size_i, 0, size_i, raw_wr + (size_t)worker * size_r, 0, size_r, 0, 0, price,
-                       0.0f, 0};
+                       scale, 0};
         begin_tables(work, count_ms, flag_q2, 1);
         for (int u = first_t2[2 * t]; u < first_t2[2 * t + 1]; ++u) {
             __global const int *unit = unit_uf + u * UNIT_FIELDS;
@@ -351,15 +369,14 @@ __kernel void encode_units(__global int *index_jyx, __global const float *value_
             for (int j = 0; j < size_j; ++j) {
                 __global int *index = index_jyx + j * plane_size;
                 __global const float *value = value_jyx + j * plane_size;
-                __global float *bits = bits_tj + (size_t)t * size_j + j;
+                __global float *bits = bits_tj + (size_t)t * size_j + j, *errors = error_tj + (size_t)t * size_j + j;
                 if (unit[LEVEL] == 0)
-                    encode_low(&e, work, unit, value, index, j, size_x, seen, bits);
+                    encode_low(&e, work, unit, value, index, j, size_x, seen, bits, errors);
                 else
                     for (int band = 0; band < 3; ++band)
-                        encode_band(&e, work, unit, value, index, band, j, size_x, seen, bits, plane_size);
+                        encode_band(&e, work, unit, value, index, band, j, size_x, seen, bits, errors, plane_size);
             }
         }
-        error_t[t] = e.error;
         if (e.full)
             place_t2[2 * t + 1] = 0;
         else

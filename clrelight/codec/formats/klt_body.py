@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.ballast import drop_ballast
 from clrelight.codec.entropy.planes import code_planes
 from clrelight.codec.entropy.range_coding import Decoder
 from clrelight.codec.entropy.subbands import Statistics, code_indices
@@ -95,7 +94,6 @@ def parse_head(body: bytes, shape: Shape) -> Head:
 
 def decode_planes(body: bytes, shape: Shape, device: Device) -> tuple[Factored, Head]:
     """Return the maps that are coded, and the head; PayloadError if the body does not make sense."""
-    body = drop_ballast(body, shape)
     n_coeff, height, width, channel = shape
     metric = hemisphere_metric(n_coeff)
     component = len(metric.forward_jk)

@@ -80,6 +80,14 @@ def forward_transform(
         Subbands in place (see `list_subbands`), (n_coeff * channel, height, width padded to a multiple of 8). Near
         orthonormal: see lifting.clh.
     """
+    planes = split_channels(coeffs_khwc, scale_k, device)
+    transform_planes("analyse", planes, coeffs_khwc.shape[2], levels, device)
+    device.finish()
+    return planes
+
+
+def split_channels(coeffs_khwc: NDArray[np.float32], scale_k: NDArray[np.float32], device: Device) -> DeviceArray:
+    """Queue the scaling of maps, and return their channels as planes, (n_coeff * channel, height, padded width)."""
     n_coeff, height, width, channels = coeffs_khwc.shape
     planes = empty_planes(coeffs_khwc.shape, device)
     _launch(
@@ -91,20 +99,14 @@ def forward_transform(
         device.upload(np.ascontiguousarray(scale_k, dtype=np.float32)),
         *(height, width, channels, *planes.shape[1:]),
     )
-    transform_planes("analyse", planes, width, levels, device)
-    device.finish()
     return planes
 
 
-def inverse_transform(
-    planes: DeviceArray, shape: tuple[int, int, int, int], scale_k: NDArray[np.float32], levels: int, device: Device
+def join_channels(
+    planes: DeviceArray, shape: tuple[int, int, int, int], scale_k: NDArray[np.float32], device: Device
 ) -> NDArray[np.float32]:
-    """Undo `forward_transform`: overwrites `planes`, returns (n_coeff, height, width, channel) float32 coefficients.
-
-    `scale_k` multiplies each map; what would exceed float32 is clamped to its largest number.
-    """
+    """Return scaled maps of a shape (n_coeff, height, width, channel) of what `split_channels` makes."""
     n_coeff, height, width, channels = shape
-    transform_planes("synthesise", planes, width, levels, device)
     coeffs = device.empty(shape, np.float32)
     _launch(
         device,
@@ -116,6 +118,17 @@ def inverse_transform(
         *(height, width, channels, *planes.shape[1:]),
     )
     return device.download(coeffs)
+
+
+def inverse_transform(
+    planes: DeviceArray, shape: tuple[int, int, int, int], scale_k: NDArray[np.float32], levels: int, device: Device
+) -> NDArray[np.float32]:
+    """Undo `forward_transform`: overwrites `planes`, returns (n_coeff, height, width, channel) float32 coefficients.
+
+    `scale_k` multiplies each map; what would exceed float32 is clamped to its largest number.
+    """
+    transform_planes("synthesise", planes, shape[2], levels, device)
+    return join_channels(planes, shape, scale_k, device)
 
 
 def transform_planes(verb: str, planes: DeviceArray, width: int, levels: int, device: Device) -> None:

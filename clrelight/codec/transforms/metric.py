@@ -38,10 +38,11 @@ class Metric:
 def hemisphere_metric(n_coeff: int, axes: str = "smooth") -> Metric:
     """Return the metric of the whole hemisphere, ``G = integral y y' = V S^2 V'``, in coordinates orthonormal in it.
 
-    ``axes="singular"`` is ``z = S V' c``, the whitened coordinates themselves; ``"smooth"`` rotates them to the
-    principal axes of the Laplace-Beltrami operator, from smooth to rough. G couples only functions of one order m, so
-    all steps run order by order: there the eigenvalues are distinct, and every machine finds the same axes. Nothing
-    but the degree enters, so a decoder needs no table.
+    ``axes="damped"`` rotates the whitened coordinates ``S V' c`` to the principal axes of ``(1 + l (l + 1))^-1`` in
+    them, from smooth to rough: its eigenvalues are of one size and lie apart, so that every machine finds the same
+    axes. ``"singular"`` is ``S V' c`` itself, and ``"smooth"`` the axes of the Laplace-Beltrami operator, which old
+    payloads have: above degree 8 a decoder on another processor may find others. G couples only functions of one order
+    m, so all steps run order by order. Nothing but the degree enters: a decoder needs no table.
 
     Components are listed like basis functions: the j-th of order m stands where ``l = |m| + j`` would.
     """
@@ -57,7 +58,7 @@ def hemisphere_metric(n_coeff: int, axes: str = "smooth") -> Metric:
     for m in range(degree + 1):
         degrees = np.arange(m, degree + 1)
         scale = np.sqrt(2.0) if m == 0 else 1.0  # the integral of 1, or of cos^2, over the azimuth
-        into, out_of = _axes(scale * basis[:, indices_of(degrees, m)], degrees, axes == "smooth")
+        into, out_of = _axes(scale * basis[:, indices_of(degrees, m)], degrees, axes)
         for order in {m, -m}:
             rows = degrees * (degrees + 1) + order
             forward[np.ix_(rows[: len(into)], rows)] = into
@@ -66,13 +67,16 @@ def hemisphere_metric(n_coeff: int, axes: str = "smooth") -> Metric:
     return Metric(forward[kept], inverse[:, kept])
 
 
-def _axes(block: NDArray[np.float64], degrees: NDArray[np.integer], smooth: bool) -> tuple[NDArray, NDArray]:
+def _axes(block: NDArray[np.float64], degrees: NDArray[np.integer], axes: str) -> tuple[NDArray, NDArray]:
     """Return forward and inverse of the functions of one order, given at quadrature points with their weights."""
     _, singular, right = np.linalg.svd(block, full_matrices=False)
     held = singular > _KEPT
     inverse = right[held].T / singular[held]
     forward = singular[held, None] * right[held]
-    if smooth:
+    if axes == "damped":
+        _, turn = np.linalg.eigh(-(forward / (1.0 + degrees * (degrees + 1.0))) @ forward.T)
+        forward, inverse = turn.T @ forward, inverse @ turn
+    elif axes == "smooth":
         _, turn = np.linalg.eigh((inverse * (degrees * (degrees + 1.0))[:, None] ** 2).T @ inverse)
         forward, inverse = turn.T @ forward, inverse @ turn
     # The sign that LAPACK leaves open: the first entry that is nearly the largest is positive.

@@ -1,0 +1,333 @@
+"""How the codec `klt` finds its step, and what it writes: body 4."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.entropy.range_coding import BitCounter
+from clrelight.codec.entropy.symbols import zero_order_bits
+from clrelight.codec.entropy.unit_streams import Coded, default_tables, encode_streams
+from clrelight.codec.entropy.units import LEVELS, Layout, Tile, Window, lay_out, list_tiles, list_units
+from clrelight.codec.formats.klt_units import (
+    HEAD_SIZE,
+    MEAN_STEPS,
+    STEP_RANGE,
+    Head,
+    Shape,
+    count_streams,
+    index_bytes,
+    is_together,
+    pack_axes,
+    pack_body,
+)
+from clrelight.codec.transforms.lifting import padded_width, transform_planes
+from clrelight.codec.transforms.principal import MAX_ENTRY, Axes, quantise_axes
+from clrelight.codec.transforms.whitening import ReadRows, make_planes, reshaped, whitening_of
+from clrelight.device import Device
+from clrelight.errors import InputError
+from clrelight.opencl.arguments import DeviceArray
+
+PRICE = 0.12
+"""Squared steps of error that a bit must save."""
+_PRICES = (0.03, 0.6)
+"""The range of prices by which the tiles of a large map meet a budget."""
+_PRICE_POWER = 0.45
+"""Bytes fall about with this power of the price."""
+_TRIED = 0.08
+"""An axis along which pixels deviate less than this part of a step is not tried."""
+_WHOLE = 1 << 19
+"""Pixels up to which a map is tried as a whole; of larger ones, pieces."""
+_PIECE, _PIECES = 256, 12
+_MAX_TRIED = 1 << 26
+"""Values of the planes that are tried at once: what bounds memory."""
+_LEAST_USED, _AIM = 0.992, 0.997
+_LEAST_FOUND, _AIM_FOUND = 0.985, 0.993
+_MAX_TRIALS = 24
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Wavelet coefficients of the planes of a part of the map, and which of them are coded.
+
+    Attributes
+    ----------
+    values : DeviceArray, shape (n_plane, height, pitch), float32
+    layout : Layout
+    height, width : int
+        Of the part; rows of the planes may be longer.
+    """
+
+    values: DeviceArray
+    layout: Layout
+    height: int
+    width: int
+
+
+class Encoder:
+    """A map ready to be encoded at any step.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        (n_coeff, height, width, channel).
+    read : callable
+        Gives rows of the map, in the domain of `transfer`.
+    transfer : str
+    device : Device
+    memory : int
+        Bytes that the planes of a tile may take.
+    """
+
+    def __init__(self, shape: Shape, read: ReadRows, transfer: str, device: Device, memory: int = 1 << 30) -> None:
+        self._shape, self._read, self._transfer, self._device, self._memory = shape, read, transfer, device, memory
+        self._n_pixel = shape[1] * shape[2]
+        self._whitening = whitening_of(shape, read)
+        largest = float(np.abs(self._whitening.mean_d).max())
+        # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
+        self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
+        self._pieces: list[_Part] = []
+        self._prepared = 0
+
+    def encode(self, step: float) -> tuple[bytes, dict[str, float]]:
+        """Return the body at a step, and the step with the number of planes; InputError if the step is too fine."""
+        step = float(np.float32(step))
+        if step < self._finest:
+            raise InputError(f"klt step must be {self._finest:.3g} or more for this map, got {step:g}")
+        axes = self._try(step)[1]
+        streams = [b""] * count_streams(self._shape)
+        for tile in self._tiles(axes):
+            coded = self._encode_part(self._take_tile(tile, axes), step)
+            for t, stream in zip(tile.streams, coded.streams, strict=True):
+                streams[t] = stream
+        return self._pack(axes, step, streams), {"step": step, "planes": float(len(axes.scales_j))}
+
+    def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
+        """Return the body that fills a budget of bytes best, and what was found; InputError if none is as small."""
+        step, axes = self._find_step(budget)
+        tiles = self._tiles(axes)
+        if len(tiles) <= 1:
+            body, step = self._fit_step(budget, step, axes, tiles)
+        else:
+            body = self._fit_prices(budget, step, axes, tiles)
+        return body, {"step": step, "planes": float(len(axes.scales_j))}
+
+    def _pack(self, axes: Axes, step: float, streams: list[bytes]) -> bytes:
+        whitening = self._whitening
+        if not len(axes.scales_j):
+            streams = []
+        head = Head(whitening.exponent, step, len(axes.scales_j), self._transfer, 0)
+        return pack_body(head, whitening.rotation_cc, axes, self._mean(step), streams)
+
+    def _mean(self, step: float) -> NDArray[np.int64]:
+        return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
+
+    # Trials: on pieces of a large map, and in exact coordinates.
+
+    def _prepare(self, count: int) -> None:
+        """Make the first planes of the pieces."""
+        if count <= self._prepared:
+            return
+        _, height, width, _ = self._shape
+        count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
+        planes = self._whitening.exact(count)
+        self._pieces = [self._take_part(window, None, planes) for window in _list_pieces(height, width, count)]
+        self._prepared = count
+
+    def _take_tile(self, tile: Tile, axes: Axes) -> _Part:
+        return self._take_part(tile.window, tile, self._whitening.solved(axes))
+
+    def _take_part(self, window: Window, tile: Tile | None, planes: tuple[NDArray, NDArray]) -> _Part:
+        rows, columns = (window.top, window.bottom), (window.left, window.right)
+        values = make_planes(self._read, rows, columns, *planes, self._device)
+        transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
+        if tile is None:  # a map of its own
+            size, window = window.shape, Window(0, 0, *window.shape)
+            units = list_units(*size)
+        else:
+            size, units = (self._shape[1], self._shape[2]), tile.units
+        layout = lay_out(units, *size, window, values.shape[2], is_together(self._shape))
+        return _Part(values, layout, *window.shape)
+
+    def _encode_part(
+        self, part: _Part, step: float, price: float = PRICE, count: int | None = None, keep: bool = False
+    ) -> Coded:
+        """Return the streams of a part's first planes; its values are lost unless they are to be kept."""
+        shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
+        values = reshaped(part.values, shape)
+        index = self._device.empty(shape, np.int32) if keep else as_integers(values)
+        return encode_streams(self._device, part.layout, values, index, default_tables(), price, 1.0 / step)
+
+    def _try(self, step: float) -> tuple[float, Axes]:
+        """Return about the bytes at a step, and the axes that are worth theirs."""
+        count = int((self._whitening.deviation_j > _TRIED * step).sum())
+        self._prepare(count)
+        vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
+        axes = quantise_axes(vectors, deviation, self._n_pixel, step)
+        streams = 0.0
+        if count:
+            coded = [self._encode_part(piece, step, count=count, keep=True) for piece in self._pieces]
+            share = self._n_pixel / sum(piece.height * piece.width for piece in self._pieces)
+            error_j = np.sum([c.error_j for c in coded], axis=0) * share
+            bits_j = np.sum([c.bits_j for c in coded], axis=0) * share
+            energy_j = np.sum([self._energy(piece, count) for piece in self._pieces], axis=0) * share / step**2
+            lost_j = energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
+            row_j = np.array([zero_order_bits(np.abs(row)) for row in axes.entries_jd])
+            pays = energy_j - error_j - lost_j > PRICE * (bits_j + row_j)
+            axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
+            streams = sum(c.size for c in coded) * share - float(bits_j[~pays].sum()) / 8.0
+        tables = pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
+        return HEAD_SIZE + len(tables) + streams + self._index_about(streams), axes
+
+    def _energy(self, piece: _Part, count: int) -> NDArray[np.float64]:
+        values = self._device.download(piece.values)[:count, :, : piece.width]
+        return np.einsum("jyx,jyx->j", values, values, dtype=np.float64)
+
+    def _index_about(self, streams: float) -> float:
+        count = count_streams(self._shape)
+        return index_bytes([int(streams / count) + 1] * count)
+
+    def _find_step(self, budget: int) -> tuple[float, Axes]:
+        """Return about the step at which the map takes as many bytes, and its axes."""
+        found: dict[float, Axes] = {}
+
+        def count(place: float) -> float:
+            size, found[place] = self._try(2.0**place)
+            return size
+
+        place = _search(count, -5.0, self._bounds(), budget, (_LEAST_FOUND, _AIM_FOUND))
+        return 2.0**place, found[place]
+
+    def _bounds(self) -> tuple[float, float]:
+        return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))
+
+    # What is written: planes solved against the axes as they are coded.
+
+    def _tiles(self, axes: Axes) -> list[Tile]:
+        count, (_, height, width, _) = len(axes.scales_j), self._shape
+        if not count:
+            return []
+        if is_together(self._shape):
+            return [Tile(list_units(height, width), [0], Window(0, 0, height, width), height * width)]
+        return list_tiles(height, width, count, self._memory)
+
+    def _fit_step(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
+        """Return the body of a map that is one tile, at the step where it fits the budget best, and that step."""
+        parts = [self._take_tile(tile, axes) for tile in tiles]
+        fitting: list[tuple[int, bytes, float]] = []
+        least = 0
+
+        def count(place: float) -> float:
+            nonlocal least
+            exact = float(np.float32(2.0**place))
+            streams = [s for part in parts for s in self._encode_part(part, exact, keep=True).streams]
+            body = self._pack(axes, exact, streams)
+            least = len(body)
+            if len(body) <= budget:
+                fitting.append((len(body), body, exact))
+            return len(body)
+
+        _search(count, float(np.log2(step)), self._bounds(), budget, (_LEAST_USED, _AIM))
+        if not fitting:
+            raise InputError(f"klt needs {least} bytes for this map even at its coarsest step, the budget is {budget}")
+        _, body, step = max(fitting, key=lambda each: each[0])
+        return body, step
+
+    def _fit_prices(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> bytes:
+        """Return the body of a map of many tiles: each is coded at the price that leaves the others their share."""
+        step = float(np.float32(step))
+        streams = [b""] * count_streams(self._shape)
+        fixed = HEAD_SIZE + len(pack_axes(self._whitening.rotation_cc, axes, self._mean(step)))
+        left = budget - fixed - self._index_about(float(budget))
+        pixels_left, expected = float(self._n_pixel), 1.0
+        for number, tile in enumerate(tiles):
+            part, last = self._take_tile(tile, axes), number + 1 == len(tiles)
+            share = left * tile.n_pixel / pixels_left
+            coded, price = self._encode_near(part, step, share, expected, last)
+            # What a tile takes at the usual price, beside what there is for it, tells of the next one.
+            expected = (coded.size / share) * (price / PRICE) ** _PRICE_POWER
+            left, pixels_left = left - coded.size, pixels_left - tile.n_pixel
+            for t, stream in zip(tile.streams, coded.streams, strict=True):
+                streams[t] = stream
+        body = self._pack(axes, step, streams)
+        if len(body) > budget:
+            raise InputError(f"klt needs {len(body)} bytes for this map at step {step:.3g}, the budget is {budget}")
+        return body
+
+    def _encode_near(
+        self, part: _Part, step: float, share: float, expected: float, last: bool
+    ) -> tuple[Coded, float]:
+        """Return a tile's streams at the price that brings them to a share of bytes; below it for the last tile."""
+        price = float(np.clip(PRICE * expected ** (1.0 / _PRICE_POWER), *_PRICES))
+        if not last:
+            return self._encode_part(part, step, price), price
+        tried: list[tuple[float, Coded]] = []
+        for _ in range(8):
+            coded = self._encode_part(part, step, price, keep=True)
+            tried.append((price, coded))
+            if 0.97 * share <= coded.size <= share:
+                break
+            price *= (coded.size / (0.985 * share)) ** (1.0 / _PRICE_POWER)
+            price = float(np.clip(price, _PRICES[0], 64.0))
+        below = [each for each in tried if each[1].size <= share]
+        price, coded = max(below, key=lambda each: each[1].size) if below else min(tried, key=lambda e: e[1].size)
+        return coded, price
+
+
+def as_integers(values: DeviceArray) -> DeviceArray:
+    """Return the same memory as whole numbers."""
+    host = None if values.host is None else values.host.view(np.int32)
+    return DeviceArray(values.buffer, values.shape, np.dtype(np.int32), host)
+
+
+def _search(
+    count: Callable[[float], float], place: float, bounds: tuple[float, float], budget: int, aims: tuple[float, float]
+) -> float:
+    """Return the logarithm of a step whose bytes come nearest to a budget from below, or of the coarsest one.
+
+    A secant in logarithms of step and size, kept in its bracket; it ends where the part of the budget that is used is
+    the first of `aims` or more, and aims at the second.
+    """
+    fine, coarse = bounds
+    target = aims[1] * max(budget, 1)
+    place = min(max(place, fine), coarse)
+    tried: list[tuple[float, float]] = []
+    for _ in range(_MAX_TRIALS):
+        size = max(count(place), 1.0)
+        tried.append((place, size))
+        if size > budget:
+            fine = max(fine, place)
+        else:
+            coarse = min(coarse, place)
+            if size >= aims[0] * budget:
+                break
+        if coarse - fine < 1e-4:
+            if coarse == bounds[1] and place != coarse:
+                tried.append((coarse, max(count(coarse), 1.0)))
+            break
+        near = sorted(tried, key=lambda pair: abs(np.log(pair[1] / target)))[:2]
+        slope = -0.8
+        if len(near) == 2 and near[0][1] != near[1][1]:
+            slope = (near[1][0] - near[0][0]) / float(np.log(near[1][1]) - np.log(near[0][1]))
+        # In logarithms of 2 a step's bytes fall by a power between 0.3 and 3.
+        place = near[0][0] + min(max(slope, -4.8), -0.48) * float(np.log(target) - np.log(near[0][1]))
+        if not fine < place < coarse:
+            place = (fine + coarse) / 2.0
+    below = [pair for pair in tried if pair[1] <= budget]
+    return max(below, key=lambda pair: pair[1])[0] if below else min(tried, key=lambda pair: pair[1])[0]
+
+
+def _list_pieces(height: int, width: int, count: int) -> list[Window]:
+    """Return what of a map is tried: all of it, or pieces that lie all over it."""
+    if height * width <= _WHOLE and height * width * count <= _MAX_TRIED:
+        return [Window(0, 0, height, width)]
+    side_h, side_w = min(_PIECE, height), min(_PIECE, width)
+    most = max(min(_PIECES, _MAX_TRIED // (side_h * side_w * max(count, 1))), 1)
+    across = min(max(round((most * width / height) ** 0.5), 1), most, max(width // side_w, 1))
+    down = max(min(most // across, height // side_h), 1)
+    tops = [int((height - side_h) * (i + 0.5) / down) & ~31 for i in range(down)]
+    lefts = [int((width - side_w) * (i + 0.5) / across) & ~31 for i in range(across)]
+    return [Window(top, left, top + side_h, left + side_w) for top in tops for left in lefts]

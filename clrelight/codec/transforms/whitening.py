@@ -1,0 +1,144 @@
+"""A map's principal axes over coefficients and channels together, in coordinates whose errors all cost alike.
+
+All of it is one matrix from the coefficients of a pixel to its planes, found from some of the pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.transforms.lifting import padded_width, split_channels
+from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes
+from clrelight.device import Device
+from clrelight.matmul import apply_operator, pack_operator
+from clrelight.opencl.arguments import DeviceArray
+
+AXES = "damped"
+"""Those of `hemisphere_metric` that every processor finds alike."""
+_SAMPLED_ROWS, _SAMPLED_PIXELS = 256, 1 << 16
+_PIECE_BYTES = 1 << 26
+
+ReadRows = Callable[[int, int], NDArray[np.float32]]
+"""Returns rows of all maps, (n_coeff, rows, width, channel), from the first to the one before the end."""
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """What leads from the coefficients of a pixel, (k c) in a row, to coordinates d, and to principal axes j.
+
+    Attributes
+    ----------
+    exponent : int
+        Power of two that coefficients are divided by.
+    rotation_cc : ndarray, shape (channel, channel), int8
+        Rows are the rotated channels, in units of 1 / `ROTATION_UNIT`.
+    forward_dq : ndarray, shape (channel * n_component, n_coeff * channel), float64
+        The division, the hemisphere's metric and the rotation.
+    mean_d : ndarray, float64
+    vectors_jd : ndarray, float64
+        Axes of unit length, by the deviation of the pixels along them.
+    deviation_j : ndarray, float64
+        Standard deviations, descending.
+    """
+
+    exponent: int
+    rotation_cc: NDArray[np.int8]
+    forward_dq: NDArray[np.float64]
+    mean_d: NDArray[np.float64]
+    vectors_jd: NDArray[np.float64]
+    deviation_j: NDArray[np.float64]
+
+    def exact(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return what makes the first planes: a matrix (count, n_coeff * channel), and what is taken off."""
+        vectors = self.vectors_jd[:count]
+        return vectors @ self.forward_dq, vectors @ self.mean_d
+
+    def solved(self, axes: Axes) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the same for axes as the decoder knows them: planes are coordinates along them by least squares."""
+        vectors = axes.vectors_jd
+        # The axes being near orthonormal, their Gram matrix is near the identity, and far smaller than they are.
+        solution = np.linalg.pinv(vectors @ vectors.T, hermitian=True) @ vectors
+        return solution @ self.forward_dq, solution @ self.mean_d
+
+
+def whitening_of(shape: tuple[int, int, int, int], read: ReadRows) -> Whitening:
+    """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does."""
+    from threadpoolctl import threadpool_limits
+
+    pixels_pkc = _sample(shape, read)
+    with threadpool_limits(1, user_api="blas"):  # sums of threads that share them anew each time differ
+        return _whiten(pixels_pkc, shape[0], shape[3])
+
+
+def _whiten(pixels_pkc: NDArray[np.float64], n_coeff: int, channel: int) -> Whitening:
+    largest = float(np.abs(pixels_pkc).max())
+    exponent = int(np.clip(np.frexp(largest)[1], -126, 126)) if largest else 0
+    forward_jk = np.ldexp(hemisphere_metric(n_coeff, AXES).forward_jk, -exponent)
+    turned_pjc = np.einsum("jk,pkc->pjc", forward_jk, pixels_pkc, optimize=True)
+    flat = turned_pjc.reshape(-1, channel)
+    _, axes = np.linalg.eigh(flat.T @ flat)
+    rotation_cc = np.rint(ROTATION_UNIT * axes[:, ::-1].T).astype(np.int8)
+    turn_dc = rotation_cc / ROTATION_UNIT
+    forward_dq = np.einsum("dc,jk->djkc", turn_dc, forward_jk).reshape(channel * len(forward_jk), n_coeff * channel)
+    pixels_pd = np.einsum("pjc,dc->pdj", turned_pjc, turn_dc, optimize=True).reshape(len(turned_pjc), -1)
+    mean_d = pixels_pd.mean(axis=0)
+    pixels_pd -= mean_d
+    variance, vectors = np.linalg.eigh(pixels_pd.T @ pixels_pd / len(pixels_pd))
+    deviation = np.sqrt(np.maximum(variance[::-1], 0.0))
+    return Whitening(exponent, rotation_cc, forward_dq, mean_d, vectors[:, ::-1].T, deviation)
+
+
+def _sample(shape: tuple[int, int, int, int], read: ReadRows) -> NDArray[np.float64]:
+    """Return the coefficients of pixels that lie all over the image, (n_pixel, n_coeff, channel)."""
+    _, height, width, _ = shape
+    step = -(-height // _SAMPLED_ROWS)
+    rows = range(step // 2, height, step)
+    column_step = -(-width * len(rows) // _SAMPLED_PIXELS)
+    chosen = [read(y, y + 1)[:, 0, (7 * i) % column_step :: column_step] for i, y in enumerate(rows)]
+    return np.concatenate(chosen, axis=1).transpose(1, 0, 2).astype(np.float64)
+
+
+def make_planes(
+    read: ReadRows,
+    rows: tuple[int, int],
+    columns: tuple[int, int],
+    operator_jq: NDArray[np.float64],
+    offset_j: NDArray[np.float64],
+    device: Device,
+) -> DeviceArray:
+    """Return planes of a part of an image, (n_plane, height, padded width), float32: ``operator coefficients - offset``."""
+    count, n_value = operator_jq.shape
+    width = columns[1] - columns[0]
+    pitch = padded_width(width)
+    planes = device.empty((count, rows[1] - rows[0], pitch), np.float32)
+    packed, offset = pack_operator(device, operator_jq), device.upload(offset_j.astype(np.float32))
+    step = max(_PIECE_BYTES // (4 * pitch * (n_value + count)), 1)
+    for first in range(*rows, step):
+        end = min(first + step, rows[1])
+        coeffs_khwc = np.ascontiguousarray(read(first, end)[:, :, columns[0] : columns[1]])
+        ones = np.ones(len(coeffs_khwc), np.float32)
+        split = split_channels(coeffs_khwc, ones, device)
+        flat = (end - first) * pitch
+        part = device.empty((count, flat), np.float32)
+        apply_operator(device, packed, reshaped(split, (n_value, flat)), part)
+        device.launch(
+            "codec/units_encode.cl",
+            "place_planes",
+            (end - first, count),
+            *(planes, part, offset, first - rows[0], flat, *planes.shape[1:], width),
+        )
+        device.finish()  # the rows' memory is read again
+    return planes
+
+
+def reshaped(array: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:
+    """Return the same memory, or the first of it, under another shape."""
+    host = array.host
+    if host is not None:
+        host = host.reshape(-1)[: int(np.prod(shape, dtype=np.int64))].reshape(shape)
+    return replace(array, shape=shape, host=host)
