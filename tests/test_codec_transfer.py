@@ -5,8 +5,9 @@ import pytest
 
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.codec.formats.klt import Klt
-from clrelight.codec.formats.klt_body import parse_head
+from clrelight.codec.formats.klt_units import parse_body
 from clrelight.codec.transforms.code_values import code_values_of, radiance_of
+from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
@@ -93,7 +94,7 @@ def test_code_values_are_left_where_radiance_is_better(device, byte_budget, bett
     shown, errors, curves = srgb(np.clip(show(coeffs), 0, 1)), {}, {}
     for transfer in ("linear", "srgb"):
         encoded = encode(coeffs, Klt(byte_budget=byte_budget, transfer=transfer), device)
-        curves[transfer] = parse_head(encoded.body, encoded.shape).transfer
+        curves[transfer] = parse_body(encoded.body, encoded.shape).head.transfer
         decoded = show(decode(encoded.to_bytes(), device))
         errors[transfer] = np.mean((srgb(np.clip(decoded, 0, 1)) - shown) ** 2)
     assert curves == {"linear": "linear", "srgb": better}
@@ -112,17 +113,24 @@ def test_a_stack_fills_in_what_is_left_open():
     assert half.for_transfer("srgb") is half
 
 
-def test_only_linear_planes_relight_as_they_are(device):
+def test_code_values_are_evaluated_at_a_light_before_they_become_radiance(device):
     coeffs = shaded_sphere(16)
-    assert decode_view(encode(coeffs, Klt(step=0.05, transfer="linear"), device), device) is not None
-    assert decode_view(encode(coeffs, Klt(step=0.05, transfer="srgb"), device), device) is None
+    values = code_values_of(coeffs, device)
+    exact = encode(values, Klt(step=1e-4, transfer="linear"), device)
+    bent = encode(coeffs, Klt(step=1e-4, transfer="srgb"), device)
+    directions = dense_hemisphere()[::500]
+    in_code_values = decode_view(exact, device).relight(directions, device)
+    image = decode_view(bent, device).relight(directions, device)
+    expected = np.copysign(srgb_to_linear(np.abs(in_code_values)), in_code_values)
+    if parse_body(bent.body, bent.shape).head.transfer == "srgb":
+        np.testing.assert_allclose(image, expected, atol=2e-4)
 
 
 def test_unknown_curves_are_refused(device):
     with pytest.raises(InputError, match="klt transfer must be one of linear, srgb, got 'gamma'"):
         Klt(transfer="gamma")
     encoded = encode(shaded_sphere(8), Klt(step=0.05, transfer="srgb"), device)
-    at = 12  # behind version, levels, exponent, step, count and two biases
+    at = 10  # behind version, levels, exponent, step and count
     assert encoded.body[at] == 1
     with pytest.raises(PayloadError, match="transfer curve 7"):
         Klt.decode_body(encoded.body[:at] + b"\7" + encoded.body[at + 1 :], encoded.shape, device)

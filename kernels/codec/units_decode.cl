@@ -131,8 +131,10 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
                         const int plane, __global const int *parents, const int pitch, const size_t plane_size)
 {
     const int rows = unit[ROWS + band], columns = unit[COLUMNS + band];
-    if (rows <= 0 || columns <= 0)
+    if (rows <= 0 || columns <= 0) {
+        clear_sizes(work, band, UNIT); /* the next band looks there */
         return;
+    }
     __global const int *parent = unit[PARENT + band] < 0 ? 0 : parents + unit[PARENT + band];
     make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch,
                plane_size);

@@ -192,8 +192,10 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
                         __global float *bits, __global float *errors, const size_t plane_size)
 {
     const int rows = unit[ROWS + band], columns = unit[COLUMNS + band];
-    if (rows <= 0 || columns <= 0)
+    if (rows <= 0 || columns <= 0) {
+        clear_sizes(work, band, UNIT); /* the next band looks there */
         return;
+    }
     __global const int *parent = unit[PARENT + band] < 0 ? 0 : indices + unit[PARENT + band];
     __global const float *value = values + unit[OFFSET + band];
     __global int *index = indices + unit[OFFSET + band];

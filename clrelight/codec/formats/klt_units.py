@@ -92,9 +92,10 @@ def pack_body(
 def pack_axes(rotation_cc: NDArray[np.int8], axes: Axes, mean: NDArray[np.int64]) -> bytes:
     """Return the tables of a body."""
     channel, count = len(rotation_cc), len(axes.scales_j)
+    shape = (channel, len(mean) // channel)
     encoder = Encoder()
-    code_vectors(encoder, (1, channel, len(mean) // channel), mean.reshape(1, channel, -1))
-    code_vectors(encoder, (count, channel, len(mean) // channel), axes.entries_jd.reshape(count, channel, -1))
+    code_vectors(encoder, (1, *shape), mean.reshape(1, *shape))
+    code_vectors(encoder, (count, *shape), axes.entries_jd.reshape(count, *shape))
     return rotation_cc.tobytes() + axes.scales_j.tobytes() + encoder.to_bytes()
 
 

@@ -1,0 +1,218 @@
+"""Units of klt: streams, tiles, regions, levels and damage."""
+
+import numpy as np
+import pytest
+
+from clrelight.codec import encode
+from clrelight.codec.entropy.unit_streams import FLAGS, Tables, decode_streams, default_tables, encode_streams
+from clrelight.codec.entropy.units import LEVELS, Window, lay_out, list_tiles, list_units
+from clrelight.codec.formats.klt import Klt
+from clrelight.codec.formats.klt_decode import Region, UnitReader, UnitView, decode_region
+from clrelight.codec.formats.klt_encode import Encoder
+from clrelight.codec.formats.klt_units import parse_body, read_stream
+from clrelight.errors import InputError, PayloadError
+from clrelight.harmonics.basis import evaluate_basis
+from tests.reference.entropy import join_plane
+
+
+def code(device, values, *, together=True, price=0.0, tables=None):
+    """Encode wavelet coefficients in steps, and return the streams with what they decode to and what was chosen."""
+    tables = tables or default_tables()
+    count, height, width = values.shape
+    layout = lay_out(list_units(height, width), height, width, Window(0, 0, height, width), width, together)
+    taken = device.empty(values.shape, np.float32, np.ascontiguousarray(values, np.float32))
+    index = device.empty(values.shape, np.int32)
+    coded = encode_streams(device, layout, taken, index, tables, price)
+    found = device.empty(values.shape, np.int32, np.zeros(values.shape, np.int32))
+    fault = decode_streams(device, layout, coded.streams, tables, found, count)
+    assert not fault.any()
+    return coded, layout, device.download(found).copy(), device.download(index).copy()
+
+
+def random_values(shape, scale, seed=0):
+    """Mostly small numbers, and some large ones."""
+    rng = np.random.default_rng(seed)
+    return rng.laplace(size=shape) * scale * np.exp(rng.standard_normal(shape[:1]) * 2)[:, None, None]
+
+
+@pytest.mark.parametrize("shape", [(3, 64, 96), (1, 1, 1), (2, 1, 70), (2, 33, 1), (4, 47, 131), (2, 200, 150)])
+@pytest.mark.parametrize("scale", [0.1, 1.0, 300.0])
+@pytest.mark.parametrize("together", [True, False])
+def test_streams_decode_to_what_was_coded(device, shape, scale, together):
+    values = random_values(shape, scale)
+    coded, _, found, index = code(device, values, together=together)
+    np.testing.assert_array_equal(found, index)
+    assert np.abs(found - values).max() <= 0.5 * (1 + 1e-6 * np.abs(values).max()) + 0.05
+    assert len(coded.streams) == (1 if together else len(list_units(*shape[1:])))
+
+
+def test_the_largest_numbers_pass(device):
+    values = np.array([[[-1e8, 1e8, 3.0], [1e7, -1e7, 0.0]]])
+    _, _, found, index = code(device, values)
+    np.testing.assert_array_equal(found, index)
+    np.testing.assert_allclose(found, values, rtol=1e-6)
+
+
+def test_bits_that_save_too_little_are_not_spent(device):
+    values = random_values((4, 96, 96), 0.4)
+    sizes, errors = [], []
+    for price in (0.0, 0.1, 0.3):
+        coded, _, found, _ = code(device, values, price=price)
+        sizes.append(coded.size)
+        errors.append(float(((found - values) ** 2).sum()))
+        np.testing.assert_allclose(coded.error_j.sum(), errors[-1], rtol=1e-3)
+        assert abs(coded.bits_j.sum() / 8 - coded.size) < 0.02 * coded.size + 40
+    assert sizes[0] > sizes[1] > sizes[2] and errors[0] < errors[1] < errors[2]
+    # What was saved is worth its price at the least.
+    assert errors[1] - errors[0] < 0.1 * 8 * (sizes[0] - sizes[1])
+
+
+def test_tables_are_learnt_from(device):
+    """What comes again and again costs less and less, whatever was expected."""
+    counts = np.full_like(default_tables().count_ms, 10)
+    flags = np.full((FLAGS, 2), (8192, 2), np.uint16)
+    values = random_values((30, 128, 128), 0.5)
+    plain, _, found, index = code(device, values, tables=Tables(counts, flags))
+    np.testing.assert_array_equal(found, index)
+    entropy = -sum(p * np.log2(p) for p in np.unique(index, return_counts=True)[1] / index.size)
+    assert 8 * plain.size < 1.02 * entropy * index.size
+
+
+def test_the_same_map_is_the_same_bytes(device):
+    coeffs = made_map(96, 80)
+    assert encode(coeffs, Klt(rate=0.3), device).body == encode(coeffs, Klt(rate=0.3), device).body
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_damage_ends_in_a_fault_or_in_numbers(device, seed):
+    """The kernel alone, without the checksums that stand before it."""
+    rng = np.random.default_rng(seed)
+    values = random_values((5, 70, 90), 2.0, seed)
+    coded, layout, index, _ = code(device, values, together=bool(seed % 2))
+    for trial in range(30):
+        streams = [bytearray(stream) for stream in coded.streams]
+        stream = streams[int(rng.integers(len(streams)))]
+        kind = trial % 3
+        if kind == 0:
+            stream[int(rng.integers(len(stream)))] ^= int(rng.integers(1, 256))
+        elif kind == 1:
+            del stream[int(rng.integers(len(stream))) :]
+        else:
+            stream[:] = rng.integers(0, 256, len(stream), np.uint8).tobytes()
+        found = device.empty(index.shape, np.int32, np.zeros(index.shape, np.int32))
+        fault = decode_streams(device, layout, [bytes(s) for s in streams], default_tables(), found, len(index))
+        assert set(np.unique(fault)) <= {0, 1}
+        assert fault.any() or kind == 0
+        assert np.abs(device.download(found)).max() <= 1 << 29
+
+
+def made_map(height, width, degree=2, channel=3, seed=3):
+    """A smooth map with edges and a little noise."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:height, :width]
+    planes = np.stack([np.sin(0.031 * x + 0.05 * y), np.cos(0.11 * y), ((x // 37 + y // 51) % 3) * 0.3])
+    loadings = rng.standard_normal(((degree + 1) ** 2, channel, 3)) * 0.4
+    coeffs = np.einsum("kcr,rhw->khwc", loadings, planes)
+    return (coeffs + 0.004 * rng.standard_normal(coeffs.shape)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def large(device):
+    """A map of many precincts and streams, and its body."""
+    coeffs = made_map(1100, 1300, degree=1, channel=2)
+    encoder = Encoder(coeffs.shape, lambda first, end: coeffs[:, first:end], "linear", device)
+    body, _ = encoder.encode(0.03)
+    return coeffs, body, parse_body(body, coeffs.shape)
+
+
+def test_a_region_is_a_part_of_the_whole(device, large):
+    coeffs, body, parsed = large
+    whole = decode_region(body, parsed, coeffs.shape, Region(0, 0, 1100, 1300), device)
+    assert np.abs(whole - coeffs).max() < 0.2
+    for top, left, bottom, right in [(0, 0, 1, 1), (500, 500, 530, 525), (511, 513, 1025, 1100), (900, 0, 1100, 1300)]:
+        part = decode_region(body, parsed, coeffs.shape, Region(top, left, bottom, right), device)
+        np.testing.assert_allclose(part, whole[:, top:bottom, left:right], atol=2e-6)
+
+
+def test_a_region_reads_few_units(device, large):
+    coeffs, body, parsed = large
+    taken = []
+
+    class Counted:
+        def __len__(self):
+            return len(body)
+
+        def __getitem__(self, part):
+            taken.append(part)
+            return body[part]
+
+    decode_region(Counted(), parsed, coeffs.shape, Region(600, 600, 640, 640), device)
+    assert sum(part.stop - part.start for part in taken) < 0.25 * len(body)
+
+
+@pytest.mark.parametrize("level", [1, 2, 5])
+def test_a_level_is_the_low_subband(device, large, level):
+    coeffs, body, parsed = large
+    reader = UnitReader(body, parsed, coeffs.shape, device)
+    size = [-(-side >> level) for side in coeffs.shape[1:3]]
+    planes = reader.planes(Region(0, 0, *size, level))
+    transformed, _ = reader._decode(Region(0, 0, 1100, 1300), None)
+    # An independent synthesis of what stands in the low subband of the level.
+    for plane, coded in zip(planes, transformed[:, : size[0], : size[1]], strict=True):
+        expected = join_plane(coded.astype(np.float64), LEVELS - level) * 0.5**level
+        np.testing.assert_allclose(plane, expected, atol=1e-4 * np.abs(expected).max())
+    part = reader.planes(Region(3, 5, 20, 21, level))
+    np.testing.assert_allclose(part, planes[:, 3:20, 5:21], atol=1e-4 * np.abs(planes).max())
+
+
+def test_an_image_needs_no_planes(device, large):
+    coeffs, body, parsed = large
+    directions = np.array([[0.3, -0.2, np.sqrt(1 - 0.13)], [0.0, 0.0, 1.0]])
+    view = UnitView(body, parsed, coeffs.shape)
+    expected = np.einsum("ik,khwc->ihwc", evaluate_basis(directions, 1), view.to_coeffs(device))
+    one = view.relight(directions[:1], device)
+    np.testing.assert_allclose(one, expected[:1], atol=1e-5)
+    region = Region(400, 700, 900, 1000)
+    np.testing.assert_allclose(view.relight_region(directions, region, device), expected[:, 400:900, 700:1000], atol=1e-5)
+
+
+def test_strips_say_what_the_whole_says(device):
+    coeffs = made_map(1200, 600, degree=1, channel=1)
+    sizes, decoded = [], []
+    for memory in (1 << 30, 1 << 20):
+        encoder = Encoder(coeffs.shape, lambda first, end: coeffs[:, first:end], "linear", device, memory)
+        body, _ = encoder.encode(0.02)
+        sizes.append(len(body))
+        decoded.append(decode_region(body, parse_body(body, coeffs.shape), coeffs.shape, Region(0, 0, 1200, 600), device))
+    assert abs(sizes[0] - sizes[1]) <= 1e-3 * sizes[0]
+    assert np.abs(decoded[0] - decoded[1]).max() < 0.1 and np.mean((decoded[0] - decoded[1]) ** 2) < 1e-7
+    assert len(list_tiles(1200, 600, 4, 1 << 20)) == 3
+
+
+@pytest.mark.parametrize("memory", [1 << 30, 1 << 20])
+@pytest.mark.parametrize("rate", [0.1, 0.5])
+def test_a_budget_is_used_and_not_passed(device, memory, rate):
+    coeffs = made_map(1200, 700, degree=1, channel=3)
+    encoder = Encoder(coeffs.shape, lambda first, end: coeffs[:, first:end], "linear", device, memory)
+    budget = int(rate * coeffs.size / 8)
+    body, _ = encoder.encode_within(budget)
+    assert 0.985 * budget <= len(body) <= budget
+
+
+def test_no_budget_is_passed_by_a_byte(device):
+    coeffs = made_map(60, 50)
+    with pytest.raises(InputError, match="klt needs [0-9]+ bytes for this map even at its coarsest step"):
+        encode(coeffs, Klt(byte_budget=20), device)
+
+
+def test_every_byte_is_guarded(device, large):
+    coeffs, body, parsed = large
+    rng = np.random.default_rng(0)
+    first = int(parsed.start_t[0])
+    for at in [*range(0, first, 7), *rng.integers(first, len(body), 40)]:
+        damaged = bytearray(body)
+        damaged[at] ^= int(rng.integers(1, 256))
+        with pytest.raises(PayloadError):
+            again = parse_body(bytes(damaged), coeffs.shape)
+            for stream in range(len(again.sum_t)):
+                read_stream(bytes(damaged), again, stream)
