@@ -1,5 +1,7 @@
 """Units of klt: streams, tiles, regions, levels and damage."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -116,13 +118,18 @@ def made_map(height, width, degree=2, channel=3, seed=3):
     return (coeffs + 0.004 * rng.standard_normal(coeffs.shape)).astype(np.float32)
 
 
-@pytest.fixture(scope="module")
-def large(device):
-    """A map of many precincts and streams, and its body."""
+@functools.cache
+def encode_large(device):
+    """Return a map of many precincts and streams, its body, and that parsed."""
     coeffs = made_map(1100, 1300, degree=1, channel=2)
     encoder = Encoder(coeffs.shape, lambda first, end: coeffs[:, first:end], "linear", device)
     body, _ = encoder.encode(0.03)
     return coeffs, body, parse_body(body, coeffs.shape)
+
+
+@pytest.fixture
+def large(device):
+    return encode_large(device)
 
 
 def test_a_region_is_a_part_of_the_whole(device, large):
@@ -146,8 +153,8 @@ def test_a_region_reads_few_units(device, large):
             taken.append(part)
             return body[part]
 
-    decode_region(Counted(), parsed, coeffs.shape, Region(600, 600, 640, 640), device)
-    assert sum(part.stop - part.start for part in taken) < 0.25 * len(body)
+    decode_region(Counted(), parsed, coeffs.shape, Region(750, 750, 790, 790), device)
+    assert sum(part.stop - part.start for part in taken) < 0.2 * len(body)
 
 
 @pytest.mark.parametrize("level", [1, 2, 5])

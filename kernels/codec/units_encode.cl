@@ -277,7 +277,7 @@ INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *
         for (int x = 0; x < columns; ++x) {
             const int k = low_context(work, plane, y, x), shift = LOW_SHIFT(k), context = LOW_CONTEXT(k);
             const float v = value[(size_t)y * pitch + x] * e->scale;
-            const int magnitude = (int)LEAST((v < 0.0f ? -v : v) + 0.5f, (float)(MAX_MAGNITUDE >> 2)), found = v < 0.0f ? -magnitude : magnitude;
+            const int magnitude = (int)LEAST((v < 0.0f ? -v : v) + 0.5f, (float)(MAX_MAGNITUDE >> 1)), found = v < 0.0f ? -magnitude : magnitude;
             const int residual = found - expect_low(low + (size_t)y * pitch + x, pitch, y, x);
             const int size = residual < 0 ? -residual : residual, symbol = LEAST(size >> shift, LAST);
             low[(size_t)y * pitch + x] = found;

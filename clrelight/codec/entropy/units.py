@@ -159,13 +159,17 @@ class Tile:
     streams : list of int
         Their numbers among all units; 0 alone where all are one stream.
     window : Window
+    top, bottom : int
+        Rows of pixels that the units are of.
     n_pixel : int
-        Pixels that the units are of.
+        Their pixels.
     """
 
     units: list[Unit]
     streams: list[int]
     window: Window
+    top: int
+    bottom: int
     n_pixel: int
 
 
@@ -174,7 +178,7 @@ def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
     units = list_units(height, width)
     whole = Window(0, 0, height, width)
     if 4 * height * width * count <= memory or height <= PRECINCT:
-        return [Tile(units, list(range(len(units))), whole, height * width)]
+        return [Tile(units, list(range(len(units))), whole, 0, height, height * width)]
     row_bytes = 4 * width * count
     rows = max((memory // row_bytes - 2 * MARGIN) // PRECINCT, 1) * PRECINCT
     tiles = []
@@ -182,5 +186,5 @@ def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
         bottom = min(top + rows, height)
         chosen = [t for t, unit in enumerate(units) if top <= unit.row << (unit.level or LEVELS) < bottom]
         window = Window(max(top - MARGIN, 0), 0, min(bottom + MARGIN, height), width)
-        tiles.append(Tile([units[t] for t in chosen], chosen, window, (bottom - top) * width))
+        tiles.append(Tile([units[t] for t in chosen], chosen, window, top, bottom, (bottom - top) * width))
     return tiles

@@ -30,8 +30,8 @@ from clrelight.harmonics.index import degree_of
 from clrelight.matmul import apply_operator, multiply_columns, pack_operator
 from clrelight.opencl.arguments import DeviceArray
 
-_REACH = 8
-"""Samples of a subband beyond a region that its synthesis looks at, and some more."""
+_REACH = 6
+"""Samples of a subband beyond a region that its synthesis looks at: half of the next finer, and three, rounded up."""
 _PIECE_BYTES = 1 << 26
 
 

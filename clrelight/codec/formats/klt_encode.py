@@ -46,6 +46,10 @@ _MAX_TRIED = 1 << 26
 """Values of the planes that are tried at once: what bounds memory."""
 _LEAST_USED, _AIM = 0.992, 0.997
 _LEAST_FOUND, _AIM_FOUND = 0.985, 0.993
+_LEAST_FILLED, _LEAST_LAST = 0.99, 0.98
+_MAX_PASSES, _LAST_TRIALS = 3, 7
+_STEP_POWER = 0.9
+"""Steps grow about with this power of what bytes are to shrink by."""
 _MAX_TRIALS = 24
 
 
@@ -57,12 +61,15 @@ class _Part:
     ----------
     values : DeviceArray, shape (n_plane, height, pitch), float32
     layout : Layout
+    row : int
+        Its middle.
     height, width : int
         Of the part; rows of the planes may be longer.
     """
 
     values: DeviceArray
     layout: Layout
+    row: int
     height: int
     width: int
 
@@ -90,6 +97,7 @@ class Encoder:
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
         self._pieces: list[_Part] = []
+        self._sizes: list[int] = []  # bytes of the pieces, when they were tried last
         self._prepared = 0
 
     def encode(self, step: float) -> tuple[bytes, dict[str, float]]:
@@ -112,7 +120,7 @@ class Encoder:
         if len(tiles) <= 1:
             body, step = self._fit_step(budget, step, axes, tiles)
         else:
-            body = self._fit_prices(budget, step, axes, tiles)
+            body, step = self._fit_prices(budget, step, axes, tiles)
         return body, {"step": step, "planes": float(len(axes.scales_j))}
 
     def _pack(self, axes: Axes, step: float, streams: list[bytes]) -> bytes:
@@ -144,13 +152,14 @@ class Encoder:
         rows, columns = (window.top, window.bottom), (window.left, window.right)
         values = make_planes(self._read, rows, columns, *planes, self._device)
         transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
+        middle = (window.top + window.bottom) // 2
         if tile is None:  # a map of its own
             size, window = window.shape, Window(0, 0, *window.shape)
             units = list_units(*size)
         else:
             size, units = (self._shape[1], self._shape[2]), tile.units
         layout = lay_out(units, *size, window, values.shape[2], is_together(self._shape))
-        return _Part(values, layout, *window.shape)
+        return _Part(values, layout, middle, *window.shape)
 
     def _encode_part(
         self, part: _Part, step: float, price: float = PRICE, count: int | None = None, keep: bool = False
@@ -170,6 +179,7 @@ class Encoder:
         streams = 0.0
         if count:
             coded = [self._encode_part(piece, step, count=count, keep=True) for piece in self._pieces]
+            self._sizes = [c.size for c in coded]
             share = self._n_pixel / sum(piece.height * piece.width for piece in self._pieces)
             error_j = np.sum([c.error_j for c in coded], axis=0) * share
             bits_j = np.sum([c.bits_j for c in coded], axis=0) * share
@@ -178,7 +188,7 @@ class Encoder:
             row_j = np.array([zero_order_bits(np.abs(row)) for row in axes.entries_jd])
             pays = energy_j - error_j - lost_j > PRICE * (bits_j + row_j)
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
-            streams = sum(c.size for c in coded) * share - float(bits_j[~pays].sum()) / 8.0
+            streams = sum(self._sizes) * share - float(bits_j[~pays].sum()) / 8.0
         tables = pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
         return HEAD_SIZE + len(tables) + streams + self._index_about(streams), axes
 
@@ -211,7 +221,7 @@ class Encoder:
         if not count:
             return []
         if is_together(self._shape):
-            return [Tile(list_units(height, width), [0], Window(0, 0, height, width), height * width)]
+            return [Tile(list_units(height, width), [0], Window(0, 0, height, width), 0, height, height * width)]
         return list_tiles(height, width, count, self._memory)
 
     def _fit_step(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
@@ -236,44 +246,71 @@ class Encoder:
         _, body, step = max(fitting, key=lambda each: each[0])
         return body, step
 
-    def _fit_prices(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> bytes:
-        """Return the body of a map of many tiles: each is coded at the price that leaves the others their share."""
-        step = float(np.float32(step))
+    def _fit_prices(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
+        """Return the body of a map of many tiles, and its step: what tiles take beyond expectation, the price saves."""
+        best: tuple[bytes, float] | None = None
+        for _ in range(_MAX_PASSES):
+            step = float(np.float32(step))
+            body, usual = self._pass_tiles(budget, step, axes, tiles)
+            if len(body) <= budget and (best is None or len(body) > len(best[0])):
+                best = body, step
+            if _LEAST_FILLED * budget <= len(body) <= budget:
+                break
+            step = min(max(step * (usual / (_AIM * budget)) ** _STEP_POWER, self._finest), STEP_RANGE[1])
+        if best is None:
+            raise InputError(f"klt needs {len(body)} bytes for this map at step {step:.3g}, the budget is {budget}")
+        return best
+
+    def _pass_tiles(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
+        """Return a body, and about the bytes that it would have at the usual price."""
         streams = [b""] * count_streams(self._shape)
         fixed = HEAD_SIZE + len(pack_axes(self._whitening.rotation_cc, axes, self._mean(step)))
-        left = budget - fixed - self._index_about(float(budget))
-        pixels_left, expected = float(self._n_pixel), 1.0
+        fixed += self._index_about(float(budget))
+        foretold = self._foretell(tiles)
+        spent = usual = 0.0
         for number, tile in enumerate(tiles):
-            part, last = self._take_tile(tile, axes), number + 1 == len(tiles)
-            share = left * tile.n_pixel / pixels_left
-            coded, price = self._encode_near(part, step, share, expected, last)
-            # What a tile takes at the usual price, beside what there is for it, tells of the next one.
-            expected = (coded.size / share) * (price / PRICE) ** _PRICE_POWER
-            left, pixels_left = left - coded.size, pixels_left - tile.n_pixel
+            left, last = budget - fixed - spent, number + 1 == len(tiles)
+            # What has come so far tells how the trials err.
+            trust = usual / float(foretold[:number].sum()) if number else 1.0
+            ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
+            price = min(max(PRICE * ratio ** (-1.0 / _PRICE_POWER), _PRICES[0]), _PRICES[1])
+            part = self._take_tile(tile, axes)
+            coded, price = self._encode_last(part, step, left, price) if last else (self._encode_part(part, step, price), price)
+            spent += coded.size
+            usual += coded.size * (price / PRICE) ** _PRICE_POWER
             for t, stream in zip(tile.streams, coded.streams, strict=True):
                 streams[t] = stream
-        body = self._pack(axes, step, streams)
-        if len(body) > budget:
-            raise InputError(f"klt needs {len(body)} bytes for this map at step {step:.3g}, the budget is {budget}")
-        return body
+        return self._pack(axes, step, streams), usual + fixed
 
-    def _encode_near(
-        self, part: _Part, step: float, share: float, expected: float, last: bool
-    ) -> tuple[Coded, float]:
-        """Return a tile's streams at the price that brings them to a share of bytes; below it for the last tile."""
-        price = float(np.clip(PRICE * expected ** (1.0 / _PRICE_POWER), *_PRICES))
-        if not last:
-            return self._encode_part(part, step, price), price
+    def _foretell(self, tiles: list[Tile]) -> NDArray[np.float64]:
+        """Return about the bytes of each tile at the usual price, by those of the pieces that lie near."""
+        rows = np.array([piece.row for piece in self._pieces])
+        centres = np.unique(rows)
+        sizes = np.array(self._sizes) / [piece.height * piece.width for piece in self._pieces]
+        means = [sizes[rows == row].mean() for row in centres]
+        middles = [(tile.top + tile.bottom) / 2 for tile in tiles]
+        return np.interp(middles, centres, means) * [tile.n_pixel for tile in tiles]
+
+    def _encode_last(self, part: _Part, step: float, left: float, price: float) -> tuple[Coded, float]:
+        """Return the streams of the last tile at the price that fills what is left best, and that price."""
         tried: list[tuple[float, Coded]] = []
-        for _ in range(8):
+        for _ in range(_LAST_TRIALS):
             coded = self._encode_part(part, step, price, keep=True)
             tried.append((price, coded))
-            if 0.97 * share <= coded.size <= share:
+            if _LEAST_LAST * left <= coded.size <= left:
                 break
-            price *= (coded.size / (0.985 * share)) ** (1.0 / _PRICE_POWER)
-            price = float(np.clip(price, _PRICES[0], 64.0))
-        below = [each for each in tried if each[1].size <= share]
-        price, coded = max(below, key=lambda each: each[1].size) if below else min(tried, key=lambda e: e[1].size)
+            near = sorted(tried, key=lambda each: abs(np.log(each[1].size / max(left, 1.0))))[:2]
+            power = _PRICE_POWER
+            if len(near) == 2 and near[0][1].size != near[1][1].size and near[0][0] != near[1][0]:
+                power = -np.log(near[0][1].size / near[1][1].size) / np.log(near[0][0] / near[1][0])
+                power = min(max(power, 0.1), 2.0)
+            aim = (1.0 + _LEAST_LAST) / 2.0 * max(left, 1.0)
+            price = min(max(near[0][0] * (near[0][1].size / aim) ** (1.0 / power), _PRICES[0]), 2 * _PRICES[1])
+        below = [each for each in tried if each[1].size <= left]
+        if below:
+            price, coded = max(below, key=lambda each: each[1].size)
+        else:
+            price, coded = min(tried, key=lambda each: each[1].size)
         return coded, price
 
 
