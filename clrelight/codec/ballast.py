@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import struct
 
+from clrelight.codec.streams import Body, front_of
 from clrelight.errors import InputError, PayloadError
 
 _FREE_COEFFICIENTS = 1 << 24
@@ -34,18 +35,19 @@ def add_ballast(body: bytes, shape: Shape, budget: int | None = None) -> bytes:
     return body + bytes(zeros) + _COUNT.pack(zeros)
 
 
-def drop_ballast(body: bytes, shape: Shape) -> bytes:
+def drop_ballast(body: Body, shape: Shape) -> Body:
     """Return what was coded; PayloadError if so few bytes cannot be of this shape."""
     least = _least_bytes(shape)
     if not least:
         return body
     if len(body) < least:
         raise PayloadError(f"{len(body)} bytes cannot be a map of shape {tuple(shape)}")
-    (zeros,) = _COUNT.unpack_from(body, len(body) - _COUNT.size)
-    end = len(body) - _COUNT.size - zeros
-    if end < 0 or any(body[end : -_COUNT.size]) or (zeros and len(body) != least):
+    counted = len(body) - _COUNT.size
+    (zeros,) = _COUNT.unpack(body[counted : len(body)])
+    end = counted - zeros
+    if end < 0 or any(body[end:counted]) or (zeros and len(body) != least):
         raise PayloadError(f"a body of {len(body)} bytes cannot have {zeros} bytes of ballast")
-    return body[:end]
+    return front_of(body, end)
 
 
 def _least_bytes(shape: Shape) -> int:

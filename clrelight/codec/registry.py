@@ -213,7 +213,7 @@ class Codec(Configurable, ABC):
         return Noise.of_coefficients(second_moments(errors_kp))
 
     @classmethod
-    def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> View | None:
+    def decode_view(cls, body: Body, shape: tuple[int, int, int, int], device: Device) -> View | None:
         """Return what relights without becoming coefficients first; None where coefficients are all there is."""
         return None
 
@@ -399,7 +399,7 @@ def decode_view(payload: Encoded | bytes, device: Device) -> View | None:
     PayloadError as `decode` raises it.
     """
     encoded, codec = _open(payload)
-    return codec.decode_view(encoded.body[:], encoded.shape, device)
+    return codec.decode_view(encoded.body, encoded.shape, device)
 
 
 def _open(payload: Encoded | bytes) -> tuple[Encoded, type[Codec]]:

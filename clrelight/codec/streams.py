@@ -65,6 +65,25 @@ class _Rest:
         return self._body[self._start + start : self._start + stop]
 
 
+class _Front:
+    """The first bytes of a body."""
+
+    def __init__(self, body: Body, end: int) -> None:
+        self._body, self._end = body, end
+
+    def __len__(self) -> int:
+        return self._end
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, stop, _ = part.indices(self._end)
+        return self._body[start:stop]
+
+
+def front_of(body: Body, end: int) -> Body:
+    """Return the first bytes of a body."""
+    return body[:end] if isinstance(body, bytes) else _Front(body, end)
+
+
 def rest_of(body: Body, start: int) -> Body:
     """Return what of a body stands behind its first `start` bytes."""
     return body[start:] if isinstance(body, bytes) else _Rest(body, start)
@@ -194,6 +213,9 @@ class ArrayPlanes:
 class Room:
     """Where intermediate maps lie, and how much memory parts may take: here all that they need."""
 
+    memory_bytes = 1 << 30
+    """Bytes that a codec which chooses the size of its parts may take for them."""
+
     def make_planes(self, shape: tuple[int, ...]) -> Planes:
         """Return maps of a shape, to be filled."""
         return ArrayPlanes(shape)
@@ -222,7 +244,7 @@ class BoundedRoom(Room):
     """
 
     def __init__(self, memory_bytes: int, progress: Progress | None = None) -> None:
-        self._memory_bytes, self._part_bytes = memory_bytes, memory_bytes // PARTS
+        self.memory_bytes, self._part_bytes = memory_bytes, memory_bytes // PARTS
         self.progress = progress
 
     def part_rows(self, shape: Shape, multiple: int) -> int:
@@ -234,7 +256,7 @@ class BoundedRoom(Room):
         if rows < least:
             raise InputError(
                 f"{least} row(s) of these coefficients, {PARTS} times, take {PARTS * least * row_bytes} bytes, "
-                f"more than the memory budget {self._memory_bytes}"
+                f"more than the memory budget {self.memory_bytes}"
             )
         return height if rows >= height else rows - rows % multiple
 

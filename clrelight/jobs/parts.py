@@ -31,7 +31,7 @@ def check_memory(work: str, needed: int, memory: int | None, otherwise: str = ""
     """
     if needed <= (DEFAULT_MEMORY if memory is None else memory):
         return []
-    text = f"{work} holds whole maps, about {needed / 2**20:.0f} MiB"
+    text = f"{work} takes {needed / 2**20:.3g} MiB at once"
     if memory is not None:
         advice = f"; {otherwise}" if otherwise else ""
         raise InputError(f"{text}, more than the {memory / 2**20:.3g} MiB of --memory{advice}")
@@ -42,7 +42,7 @@ def take_source(coefficients: CoefficientMap, codec: Codec, device: Device, room
     """Return the coefficients of a fit: in memory where they are, or the room, or else the codec, holds them whole."""
     shape = tuple(coefficients.coeffs_khwc.shape)
     in_memory = isinstance(coefficients.coeffs_khwc, np.ndarray)
-    if in_memory or fits(room, shape) or codec.bytes_to_encode(shape):
+    if in_memory or fits(room, shape) or codec.encoding_holds:
         return array_source(coefficients.to_float32().coeffs_khwc, device)
     return StoredSource(coefficients.coeffs_khwc, device, room)
 

@@ -174,17 +174,37 @@ class Tile:
 
 
 def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
-    """Return the tiles of an image of so many planes: strips of precincts that fit a number of bytes, from the top."""
+    """Return the tiles of an image of so many planes: whole precincts whose windows fit a number of bytes, rows first.
+
+    Strips as wide as the image where one fits, which rows are read once for; one precinct at the least.
+    """
     units = list_units(height, width)
-    whole = Window(0, 0, height, width)
-    if 4 * height * width * count <= memory or height <= PRECINCT:
-        return [Tile(units, list(range(len(units))), whole, 0, height, height * width)]
-    row_bytes = 4 * width * count
-    rows = max((memory // row_bytes - 2 * MARGIN) // PRECINCT, 1) * PRECINCT
+    if 4 * height * width * count <= memory:
+        return [Tile(units, list(range(len(units))), Window(0, 0, height, width), 0, height, height * width)]
+    rows, columns = tile_sides(height, width, count, memory)
     tiles = []
     for top in range(0, height, rows):
-        bottom = min(top + rows, height)
-        chosen = [t for t, unit in enumerate(units) if top <= unit.row << (unit.level or LEVELS) < bottom]
-        window = Window(max(top - MARGIN, 0), 0, min(bottom + MARGIN, height), width)
-        tiles.append(Tile([units[t] for t in chosen], chosen, window, top, bottom, (bottom - top) * width))
+        for left in range(0, width, columns):
+            bottom, right = min(top + rows, height), min(left + columns, width)
+            chosen = [t for t, unit in enumerate(units) if _begins_in(unit, top, left, bottom, right)]
+            window = Window(
+                max(top - MARGIN, 0), max(left - MARGIN, 0), min(bottom + MARGIN, height), min(right + MARGIN, width)
+            )
+            n_pixel = (bottom - top) * (right - left)
+            tiles.append(Tile([units[t] for t in chosen], chosen, window, top, bottom, n_pixel))
     return tiles
+
+
+def tile_sides(height: int, width: int, count: int, memory: int) -> tuple[int, int]:
+    """Return the rows and columns of tiles of so many planes whose windows fit a number of bytes, if any do."""
+    values = memory // (4 * max(count, 1))
+    rows = (values // width - 2 * MARGIN) // PRECINCT * PRECINCT
+    if rows >= PRECINCT or height <= PRECINCT and values >= width * height:
+        return min(max(rows, PRECINCT), height), width
+    columns = (values // min(PRECINCT + 2 * MARGIN, height) - 2 * MARGIN) // PRECINCT * PRECINCT
+    return min(PRECINCT, height), min(max(columns, PRECINCT), width)
+
+
+def _begins_in(unit: Unit, top: int, left: int, bottom: int, right: int) -> bool:
+    depth = unit.level or LEVELS
+    return top <= unit.row << depth < bottom and left <= unit.column << depth < right

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -9,26 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
+from clrelight.codec.entropy.units import MARGIN, PRECINCT
 from clrelight.codec.formats import klt_body
-from clrelight.codec.formats.klt_decode import UnitView, decode_rows
+from clrelight.codec.formats.klt_decode import UnitView, bytes_at_once, decode_rows
 from clrelight.codec.formats.klt_encode import Encoder
-from clrelight.codec.formats.klt_units import STEP_RANGE, VERSION, parse_body
-from clrelight.codec.registry import Codec, View, register
-from clrelight.codec.streams import ArrayTarget
+from clrelight.codec.formats.klt_units import HEAD_SIZE, STEP_RANGE, VERSION, parse_body, parse_head
+from clrelight.codec.registry import PartsCodec, View, register
+from clrelight.codec.streams import Body, BodyWriter, Room, Shape, Source, Target
 from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
+from clrelight.codec.transforms.whitening import ReadRows
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import InputError
 
 _CODED = 4.0
 """Times the squared error of the way through a curve and back at which that way is not what to save at."""
-_MEMORY = 1 << 30
-"""Bytes of planes at once."""
+_WHOLE_BYTES = 1 << 29
+"""Bytes of a map that is coded behind a curve and without it; of a larger one, pieces are."""
+_PIECE = 256
 
 
 @register
 @dataclass(frozen=True)
-class Klt(Codec):
+class Klt(PartsCodec):
     """Whitened coordinates, their principal axes over coefficients and channels, 9/7 wavelet, and units of rANS.
 
     One quantiser step for everything, in a metric where it costs the same image error everywhere. An axis is coded if
@@ -78,54 +82,112 @@ class Klt(Codec):
         """See `Codec`."""
         return self if self.transfer is not None else replace(self, transfer=transfer)
 
-    def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
+    def bytes_to_encode(self, shape: Shape) -> int:
+        """See `Codec`: the planes of one tile, of which a map may need as many as it has values a pixel."""
+        side = PRECINCT + 2 * MARGIN
+        return 8 * shape[0] * shape[3] * min(shape[1], side) * min(shape[2], side)
+
+    @classmethod
+    def bytes_to_decode(cls, body: Body, shape: Shape) -> int:
+        """See `Codec`."""
+        front = drop_ballast(body, shape)
+        if not _is_in_units(front):
+            return 12 * math.prod(shape)
+        return bytes_at_once(shape, parse_head(front[:HEAD_SIZE], shape).n_plane)
+
+    def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`; the step chosen and the number of planes are reported."""
+        shape, device = source.shape, source.device
         if self.transfer != "srgb":
-            return self._encode_as("linear", coeffs_khwc, device)
+            content, info = self._encode_as("linear", shape, _reader(source), device, source.room)
+        elif 4 * math.prod(shape) <= _WHOLE_BYTES:
+            content, info = self._encode_either(source.whole(), device, source.room)
+        else:
+            transfer = self._choose_transfer(source)
+            content, info = self._encode_as(transfer, shape, _reader(source, transfer), device, source.room)
+        body.write_all(content)
+        return info
+
+    def _encode_either(
+        self, coeffs_khwc: NDArray[np.float32], device: Device, room: Room
+    ) -> tuple[bytes, dict[str, float]]:
+        """Return a map behind the curve, or without it, whichever leaves less error of code values."""
         shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device)
         there_and_back = code_value_error(radiance_of(values_khwc, device), coeffs_khwc, device)
-        bent = self._encode_as("srgb", values_khwc, device)
-        del values_khwc  # as large as the map: room to decode in
+        bent = self._encode_as("srgb", shape, lambda first, end: values_khwc[:, first:end], device, room)
         lost = code_value_error(self.decode_body(bent[0], shape, device), coeffs_khwc, device)
         if lost > _CODED * there_and_back:
             return bent
         try:
-            plain = self._encode_as("linear", coeffs_khwc, device)
+            plain = self._encode_as("linear", shape, lambda first, end: coeffs_khwc[:, first:end], device, room)
         except InputError:  # the step or budget is none for this way
             return bent
         left = code_value_error(self.decode_body(plain[0], shape, device), coeffs_khwc, device)
         return bent if lost < left else plain
 
+    def _choose_transfer(self, source: Source) -> str:
+        """Return the curve that is better for pieces of a large map."""
+        n_coeff, height, width, channel = source.shape
+        side_h, side_w = min(_PIECE, height), min(_PIECE, width)
+        pieces = []
+        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            top, left = (height - side_h) * (2 * i + 1) // 4, (width - side_w) * (2 * j + 1) // 4
+            pieces.append(source.read_rows(top, top + side_h)[:, :, left : left + side_w].copy())
+        mosaic_khwc = np.concatenate(pieces, axis=1)
+        share = mosaic_khwc.size / math.prod(source.shape)
+        codec = self if self.byte_budget is None else replace(self, byte_budget=max(int(self.byte_budget * share), 1))
+        content, _ = codec._encode_either(mosaic_khwc, source.device, Room())
+        return parse_body(drop_ballast(content, mosaic_khwc.shape), mosaic_khwc.shape).head.transfer
+
     def _encode_as(
-        self, transfer: str, coeffs_khwc: NDArray[np.float32], device: Device
+        self, transfer: str, shape: Shape, read: ReadRows, device: Device, room: Room
     ) -> tuple[bytes, dict[str, float]]:
-        shape = coeffs_khwc.shape
-        encoder = Encoder(shape, lambda first, end: coeffs_khwc[:, first:end], transfer, device, _MEMORY)
+        encoder = Encoder(shape, read, transfer, device, room.memory_bytes, room.tell)
         if self.step is not None:
             body, info = encoder.encode(self.step)
             return add_ballast(body, shape), info
-        budget = int(self.byte_budget if self.byte_budget is not None else (self.rate or 0.0) * coeffs_khwc.size / 8.0)
-        body, info = encoder.encode_within(budget - ballast_overhead(shape))
-        return add_ballast(body, shape, budget), info
+        budget = self.byte_budget
+        if budget is None:
+            budget = (self.rate or 0.0) * math.prod(shape) / 8.0
+        body, info = encoder.encode_within(int(budget) - ballast_overhead(shape))
+        return add_ballast(body, shape, int(budget)), info
 
     @classmethod
-    def decode_body(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> NDArray[np.float32]:
+    def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
         """See `Codec`."""
+        shape = target.shape
         body = drop_ballast(body, shape)
-        if body[:1] == bytes([VERSION]):
-            target = ArrayTarget(shape)
-            decode_rows(body, parse_body(body, shape), target, device, _MEMORY)
-            return target.coeffs()
-        view, head = klt_body.decode_planes(body, shape, device)
+        if _is_in_units(body):
+            decode_rows(body, parse_body(body, shape), target, device, target.room.memory_bytes)
+            return
+        view, head = klt_body.decode_planes(body[:], shape, device)
         coeffs_khwc = view.to_coeffs(device)
-        return radiance_of(coeffs_khwc, device) if head.transfer == "srgb" else coeffs_khwc
+        target.put_rows(0, radiance_of(coeffs_khwc, device) if head.transfer == "srgb" else coeffs_khwc)
 
     @classmethod
-    def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> View | None:
-        """Return the planes and the matrix that make coefficients, or images, of them; of old bodies, None behind a curve."""
+    def decode_view(cls, body: Body, shape: Shape, device: Device) -> View | None:
+        """Return what relights without coefficients; of old bodies None behind a curve."""
         body = drop_ballast(body, shape)
-        if body[:1] == bytes([VERSION]):
+        if _is_in_units(body):
             return UnitView(body, parse_body(body, shape), shape)
-        if klt_body.parse_head(body, shape).transfer != "linear":
+        content = body[:]
+        if klt_body.parse_head(content, shape).transfer != "linear":
             return None
-        return klt_body.decode_planes(body, shape, device)[0]
+        return klt_body.decode_planes(content, shape, device)[0]
+
+
+def _is_in_units(body: Body) -> bool:
+    return body[:1] == bytes([VERSION])
+
+
+def _reader(source: Source, transfer: str = "linear") -> ReadRows:
+    """Return what gives rows of a source, looked at, in the domain of a curve."""
+
+    def read(first: int, end: int) -> NDArray[np.float32]:
+        coeffs_khwc = source.read_rows(first, end)
+        source.check(coeffs_khwc, first)
+        if transfer == "srgb":
+            return code_values_of(np.ascontiguousarray(coeffs_khwc), source.device)
+        return coeffs_khwc
+
+    return read

@@ -16,6 +16,7 @@ from clrelight.codec.entropy.units import (
     Window,
     lay_out,
     list_units,
+    tile_sides,
 )
 from clrelight.codec.formats.klt_units import Parsed, Shape, is_together, read_stream
 from clrelight.codec.streams import Body, Target
@@ -257,8 +258,8 @@ class _Strips:
     def __init__(self, reader: UnitReader, shape: Shape, count: int, memory: int) -> None:
         self._reader, self._count = reader, count
         _, self._height, self._width, _ = shape
-        rows = memory // (12 * self._width * max(count, 1)) - 2 * MARGIN
-        self._step = self._height if rows >= self._height else max(rows // PRECINCT, 1) * PRECINCT
+        # What is decoded, what of it is transformed back, and the planes of the strip.
+        self._step, self._columns = tile_sides(self._height, self._width, count, memory // 3)
         self._first, self._held = 0, np.zeros((count, 0, self._width), np.float32)
 
     def rows(self, first: int, end: int) -> NDArray[np.float32]:
@@ -268,13 +269,29 @@ class _Strips:
             if not self._first <= first < self._first + self._held.shape[1]:
                 self._first = first // self._step * self._step
                 bottom = min(self._first + self._step, self._height)
-                region = Region(self._first, 0, bottom, self._width)
                 self._held = np.zeros((self._count, 0, self._width), np.float32)  # its memory goes first
-                self._held = _planes_of(self._reader, region, self._count)
+                self._held = self._decode(self._first, bottom)
             last = min(end, self._first + self._held.shape[1])
             found.append(self._held[:, first - self._first : last - self._first])
             first = last
         return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
+
+
+    def _decode(self, top: int, bottom: int) -> NDArray[np.float32]:
+        if self._columns >= self._width:
+            return _planes_of(self._reader, Region(top, 0, bottom, self._width), self._count)
+        planes_jyx = np.empty((self._count, bottom - top, self._width), np.float32)
+        for left in range(0, self._width, self._columns):
+            right = min(left + self._columns, self._width)
+            planes_jyx[:, :, left:right] = _planes_of(self._reader, Region(top, left, bottom, right), self._count)
+        return planes_jyx
+
+
+def bytes_at_once(shape: Shape, count: int) -> int:
+    """Return about the bytes that planes take at the least while a body is decoded."""
+    _, height, width, _ = shape
+    side = PRECINCT + 2 * MARGIN
+    return 4 * count * (min(height, PRECINCT) * width + 2 * min(height, side) * min(width, side))
 
 
 class UnitView:

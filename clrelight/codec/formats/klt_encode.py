@@ -24,6 +24,7 @@ from clrelight.codec.formats.klt_units import (
     pack_axes,
     pack_body,
 )
+from clrelight.codec.streams import Progress
 from clrelight.codec.transforms.lifting import padded_width, transform_planes
 from clrelight.codec.transforms.principal import MAX_ENTRY, Axes, quantise_axes
 from clrelight.codec.transforms.whitening import ReadRows, make_planes, reshaped, whitening_of
@@ -87,9 +88,20 @@ class Encoder:
     device : Device
     memory : int
         Bytes that the planes of a tile may take.
+    progress : callable, optional
+        Told how many rows of the image are coded.
     """
 
-    def __init__(self, shape: Shape, read: ReadRows, transfer: str, device: Device, memory: int = 1 << 30) -> None:
+    def __init__(
+        self,
+        shape: Shape,
+        read: ReadRows,
+        transfer: str,
+        device: Device,
+        memory: int = 1 << 30,
+        progress: Progress | None = None,
+    ) -> None:
+        self._progress = progress
         self._shape, self._read, self._transfer, self._device, self._memory = shape, read, transfer, device, memory
         self._n_pixel = shape[1] * shape[2]
         self._whitening = whitening_of(shape, read)
@@ -111,6 +123,7 @@ class Encoder:
             coded = self._encode_part(self._take_tile(tile, axes), step)
             for t, stream in zip(tile.streams, coded.streams, strict=True):
                 streams[t] = stream
+            self._tell(tile)
         return self._pack(axes, step, streams), {"step": step, "planes": float(len(axes.scales_j))}
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
@@ -280,7 +293,12 @@ class Encoder:
             usual += coded.size * (price / PRICE) ** _PRICE_POWER
             for t, stream in zip(tile.streams, coded.streams, strict=True):
                 streams[t] = stream
+            self._tell(tile)
         return self._pack(axes, step, streams), usual + fixed
+
+    def _tell(self, tile: Tile) -> None:
+        if self._progress is not None:
+            self._progress(tile.bottom, self._shape[1])
 
     def _foretell(self, tiles: list[Tile]) -> NDArray[np.float64]:
         """Return about the bytes of each tile at the usual price, by those of the pieces that lie near."""
