@@ -5,7 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clrelight.codec import codec_class, decode, encode
-from clrelight.codec.registry import Encoded
+from clrelight.codec.encoded import (
+    Encoded,
+)
 from clrelight.dataset import LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError

@@ -1,5 +1,8 @@
 """Codecs: a coefficient map to bytes and back. One file per codec; importing this package registers them all."""
 
+from clrelight.codec.encoded import (
+    Encoded,
+)
 from clrelight.codec.factored import Factored
 from clrelight.codec.formats.bc6h import Bc6h
 from clrelight.codec.formats.cpca import Cpca
@@ -14,7 +17,6 @@ from clrelight.codec.formats.wavelet import Wavelet
 from clrelight.codec.formats.whitened import Whitened
 from clrelight.codec.registry import (
     Codec,
-    Encoded,
     PartsCodec,
     array_source,
     bytes_to_decode,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import struct
 
-from clrelight.codec.streams import Body, front_of
+from clrelight.codec.bodies import Body, front_of
 from clrelight.errors import InputError, PayloadError
 
 _FREE_COEFFICIENTS = 1 << 24

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec import Encoded, bytes_to_decode, decode_stream
 from clrelight.codec import decode as decode_payload
-from clrelight.codec.streams import Room
+from clrelight.codec.rooms import Room
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device
 from clrelight.jobs.encode import size_facts

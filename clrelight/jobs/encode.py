@@ -16,7 +16,7 @@ import numpy as np
 from clrelight import codec as codecs
 from clrelight.codec import Codec, Encoded
 from clrelight.codec.rate.noise import Noise
-from clrelight.codec.streams import Shape
+from clrelight.codec.rooms import Shape
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device
 from clrelight.errors import InputError

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from clrelight.codec import Codec, Encoded, array_source, decode, decode_stream, encode_stream
-from clrelight.codec.streams import ArraySource, MemoryBody, Shape, Source
+from clrelight.codec.bodies import MemoryBody
+from clrelight.codec.rooms import Shape
+from clrelight.codec.streams import ArraySource, Source
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError

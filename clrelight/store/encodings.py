@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from clrelight.codec.registry import Encoded
-from clrelight.codec.streams import Body
+from clrelight.codec.bodies import Body
+from clrelight.codec.encoded import (
+    Encoded,
+)
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store.fits import read_record, write_record

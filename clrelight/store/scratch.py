@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.streams import BodyWriter, BoundedRoom, Planes, Progress
+from clrelight.codec.bodies import BodyWriter
+from clrelight.codec.rooms import BoundedRoom, Planes, Progress
 from clrelight.durable import Part, naming
 from clrelight.interrupts import holding
 

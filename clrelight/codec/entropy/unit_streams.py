@@ -72,7 +72,13 @@ class Coded:
 
 
 def encode_streams(
-    device: Device, layout: Layout, values: DeviceArray, index: DeviceArray, tables: Tables, price: float, scale: float = 1.0
+    device: Device,
+    layout: Layout,
+    values: DeviceArray,
+    index: DeviceArray,
+    tables: Tables,
+    price: float,
+    scale: float = 1.0,
 ) -> Coded:
     """Encode planes of wavelet coefficients in steps.
 
@@ -169,7 +175,9 @@ def decode_streams(
     """
     n_stream = len(streams)
     size_t = np.array([len(s) for s in streams], np.uint32)
-    place_t2 = np.stack([np.concatenate([[0], np.cumsum(size_t[:-1], dtype=np.uint32)]), size_t], axis=1).astype(np.uint32)
+    place_t2 = np.stack([np.concatenate([[0], np.cumsum(size_t[:-1], dtype=np.uint32)]), size_t], axis=1).astype(
+        np.uint32
+    )
     stream = device.upload(np.frombuffer(b"".join(streams) or b"\0", np.uint8))
     first, unit = device.upload(layout.first_t2), device.upload(layout.unit_uf)
     counts, flags = device.upload(tables.count_ms), device.upload(tables.flag_f2)

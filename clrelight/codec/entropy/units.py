@@ -1,13 +1,14 @@
 """Code the indices of wavelet-transformed planes in units that any machine decodes alone, and alike.
 
-A unit is one place of one level and holds HL, LH and HH of all planes there, or LL of all planes; its samples know those
-of its parent, one level coarser, and nothing else outside. Units follow each other from coarse to fine. A stream is one
-unit, or all of them where a map is small; compiled loops (``units_encode.cl``, ``units_decode.cl``) code streams side by
-side. What stands in a stream: docs/bitstream.md.
+A unit is one place of one level and holds HL, LH and HH of all planes there, or LL of all planes; its samples know
+those of its parent, one level coarser, and nothing else outside. Units follow each other from coarse to fine. A stream
+is one unit, or all of them where a map is small; compiled loops (``units_encode.cl``, ``units_decode.cl``) code streams
+side by side. What stands in a stream: docs/bitstream.md.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -78,7 +79,7 @@ def _low_side(side: int, level: int) -> int:
 
 
 def describe_units(units: list[Unit], height: int, width: int, window: Window, pitch: int) -> NDArray[np.int32]:
-    """Return how units lie in the planes of a window, whose rows have `pitch` values, (n_unit, 19): see ``units.clh``."""
+    """Return how units lie in a window's planes, whose rows have `pitch` values, (n_unit, 19): see ``units.clh``."""
     fields = np.zeros((len(units), _FIELDS), np.int32)
     fields[:, 10:13] = -1
     for at, unit in zip(fields, units, strict=True):
@@ -139,7 +140,7 @@ class Layout:
         level_t = self.unit_uf[self.first_t2[:, 0], 0]
         rank_t = np.where(level_t == 0, LEVELS, level_t)
         starts = [0, *(np.flatnonzero(np.diff(rank_t)) + 1).tolist(), len(rank_t)]
-        return list(zip(starts[:-1], starts[1:], strict=True))
+        return list(itertools.pairwise(starts))
 
 
 def lay_out(units: list[Unit], height: int, width: int, window: Window, pitch: int, together: bool) -> Layout:
@@ -147,6 +148,7 @@ def lay_out(units: list[Unit], height: int, width: int, window: Window, pitch: i
     count = len(units)
     firsts = [[0, count]] if together else [[u, u + 1] for u in range(count)]
     return Layout(describe_units(units, height, width, window, pitch), np.array(firsts, np.int32))
+
 
 @dataclass(frozen=True)
 class Tile:
@@ -199,7 +201,7 @@ def tile_sides(height: int, width: int, count: int, memory: int) -> tuple[int, i
     """Return the rows and columns of tiles of so many planes whose windows fit a number of bytes, if any do."""
     values = memory // (4 * max(count, 1))
     rows = (values // width - 2 * MARGIN) // PRECINCT * PRECINCT
-    if rows >= PRECINCT or height <= PRECINCT and values >= width * height:
+    if rows >= PRECINCT or (height <= PRECINCT and values >= width * height):
         return min(max(rows, PRECINCT), height), width
     columns = (values // min(PRECINCT + 2 * MARGIN, height) - 2 * MARGIN) // PRECINCT * PRECINCT
     return min(PRECINCT, height), min(max(columns, PRECINCT), width)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from clrelight.codec.registry import Encoded
+from clrelight.codec.encoded import (
+    Encoded,
+)
 from clrelight.codec.transforms import blocks
 from clrelight.errors import InputError
 

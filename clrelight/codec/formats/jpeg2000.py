@@ -9,10 +9,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.formats import codestream
 from clrelight.codec.padding import check_padding, least_bytes, pad_body
-from clrelight.codec.registry import PartsCodec, register
-from clrelight.codec.streams import Body, BodyWriter, Source, Target
+from clrelight.codec.registry import (
+    PartsCodec,
+    register,
+)
+from clrelight.codec.streams import Source, Target
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 

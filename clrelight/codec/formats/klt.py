@@ -10,13 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
+from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.entropy.units import MARGIN, PRECINCT
 from clrelight.codec.formats import klt_body
 from clrelight.codec.formats.klt_decode import UnitView, bytes_at_once, decode_rows
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_units import HEAD_SIZE, STEP_RANGE, VERSION, parse_body, parse_head
-from clrelight.codec.registry import PartsCodec, View, register
-from clrelight.codec.streams import Body, BodyWriter, Room, Shape, Source, Target
+from clrelight.codec.registry import (
+    PartsCodec,
+    View,
+    register,
+)
+from clrelight.codec.rooms import Room, Shape
+from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
 from clrelight.codec.transforms.whitening import ReadRows
 from clrelight.conventions import TRANSFERS
@@ -127,7 +133,7 @@ class Klt(PartsCodec):
 
     def _choose_transfer(self, source: Source) -> str:
         """Return the curve that is better for pieces of a large map."""
-        n_coeff, height, width, channel = source.shape
+        _, height, width, _ = source.shape
         side_h, side_w = min(_PIECE, height), min(_PIECE, width)
         pieces = []
         for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
@@ -146,11 +152,9 @@ class Klt(PartsCodec):
         if self.step is not None:
             body, info = encoder.encode(self.step)
             return add_ballast(body, shape), info
-        budget = self.byte_budget
-        if budget is None:
-            budget = (self.rate or 0.0) * math.prod(shape) / 8.0
-        body, info = encoder.encode_within(int(budget) - ballast_overhead(shape))
-        return add_ballast(body, shape, int(budget)), info
+        budget = int(self.byte_budget if self.byte_budget is not None else (self.rate or 0.0) * math.prod(shape) / 8.0)
+        body, info = encoder.encode_within(budget - ballast_overhead(shape))
+        return add_ballast(body, shape, budget), info
 
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.range_coding import BitCounter
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_streams import Coded, default_tables, encode_streams
 from clrelight.codec.entropy.units import LEVELS, Layout, Tile, Window, lay_out, list_tiles, list_units
+from clrelight.codec.formats.klt_trials import (
+    PRICE_POWER,
+    PRICES,
+    fill_by_price,
+    foretell,
+    list_pieces,
+    search_step,
+)
 from clrelight.codec.formats.klt_units import (
     HEAD_SIZE,
     MEAN_STEPS,
@@ -24,34 +31,23 @@ from clrelight.codec.formats.klt_units import (
     pack_axes,
     pack_body,
 )
-from clrelight.codec.streams import Progress
-from clrelight.codec.transforms.lifting import padded_width, transform_planes
+from clrelight.codec.rooms import Progress
+from clrelight.codec.transforms.lifting import transform_planes
 from clrelight.codec.transforms.principal import MAX_ENTRY, Axes, quantise_axes
-from clrelight.codec.transforms.whitening import ReadRows, make_planes, reshaped, whitening_of
+from clrelight.codec.transforms.whitening import ReadRows, make_planes, reshaped, whitening_of, with_type
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.opencl.arguments import DeviceArray
 
 PRICE = 0.12
 """Squared steps of error that a bit must save."""
-_PRICES = (0.03, 0.6)
-"""The range of prices by which the tiles of a large map meet a budget."""
-_PRICE_POWER = 0.45
-"""Bytes fall about with this power of the price."""
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
-_WHOLE = 1 << 19
-"""Pixels up to which a map is tried as a whole; of larger ones, pieces."""
-_PIECE, _PIECES = 256, 12
-_MAX_TRIED = 1 << 26
-"""Values of the planes that are tried at once: what bounds memory."""
 _LEAST_USED, _AIM = 0.992, 0.997
 _LEAST_FOUND, _AIM_FOUND = 0.985, 0.993
-_LEAST_FILLED, _LEAST_LAST = 0.99, 0.98
-_MAX_PASSES, _LAST_TRIALS = 3, 7
+_LEAST_FILLED, _MAX_PASSES = 0.99, 3
 _STEP_POWER = 0.9
 """Steps grow about with this power of what bytes are to shrink by."""
-_MAX_TRIALS = 24
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,7 @@ class Encoder:
     device : Device
     memory : int
         Bytes that the planes of a tile may take.
-    progress : callable, optional
+    progress : callable
         Told how many rows of the image are coded.
     """
 
@@ -99,7 +95,7 @@ class Encoder:
         transfer: str,
         device: Device,
         memory: int = 1 << 30,
-        progress: Progress | None = None,
+        progress: Progress = lambda done, total: None,
     ) -> None:
         self._progress = progress
         self._shape, self._read, self._transfer, self._device, self._memory = shape, read, transfer, device, memory
@@ -123,7 +119,7 @@ class Encoder:
             coded = self._encode_part(self._take_tile(tile, axes), step)
             for t, stream in zip(tile.streams, coded.streams, strict=True):
                 streams[t] = stream
-            self._tell(tile)
+            self._progress(tile.bottom, self._shape[1])
         return self._pack(axes, step, streams), {"step": step, "planes": float(len(axes.scales_j))}
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
@@ -155,7 +151,7 @@ class Encoder:
         _, height, width, _ = self._shape
         count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
         planes = self._whitening.exact(count)
-        self._pieces = [self._take_part(window, None, planes) for window in _list_pieces(height, width, count)]
+        self._pieces = [self._take_part(window, None, planes) for window in list_pieces(height, width, count)]
         self._prepared = count
 
     def _take_tile(self, tile: Tile, axes: Axes) -> _Part:
@@ -180,7 +176,7 @@ class Encoder:
         """Return the streams of a part's first planes; its values are lost unless they are to be kept."""
         shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
         values = reshaped(part.values, shape)
-        index = self._device.empty(shape, np.int32) if keep else as_integers(values)
+        index = self._device.empty(shape, np.int32) if keep else with_type(values, np.int32)
         return encode_streams(self._device, part.layout, values, index, default_tables(), price, 1.0 / step)
 
     def _try(self, step: float) -> tuple[float, Axes]:
@@ -221,7 +217,7 @@ class Encoder:
             size, found[place] = self._try(2.0**place)
             return size
 
-        place = _search(count, -5.0, self._bounds(), budget, (_LEAST_FOUND, _AIM_FOUND))
+        place = search_step(count, -5.0, self._bounds(), budget, (_LEAST_FOUND, _AIM_FOUND))
         return 2.0**place, found[place]
 
     def _bounds(self) -> tuple[float, float]:
@@ -253,7 +249,7 @@ class Encoder:
                 fitting.append((len(body), body, exact))
             return len(body)
 
-        _search(count, float(np.log2(step)), self._bounds(), budget, (_LEAST_USED, _AIM))
+        search_step(count, float(np.log2(step)), self._bounds(), budget, (_LEAST_USED, _AIM))
         if not fitting:
             raise InputError(f"klt needs {least} bytes for this map even at its coarsest step, the budget is {budget}")
         _, body, step = max(fitting, key=lambda each: each[0])
@@ -262,127 +258,43 @@ class Encoder:
     def _fit_prices(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return the body of a map of many tiles, and its step: what tiles take beyond expectation, the price saves."""
         best: tuple[bytes, float] | None = None
+        least = 0
         for _ in range(_MAX_PASSES):
             step = float(np.float32(step))
             body, usual = self._pass_tiles(budget, step, axes, tiles)
+            least = len(body)
             if len(body) <= budget and (best is None or len(body) > len(best[0])):
                 best = body, step
             if _LEAST_FILLED * budget <= len(body) <= budget:
                 break
             step = min(max(step * (usual / (_AIM * budget)) ** _STEP_POWER, self._finest), STEP_RANGE[1])
         if best is None:
-            raise InputError(f"klt needs {len(body)} bytes for this map at step {step:.3g}, the budget is {budget}")
+            raise InputError(f"klt needs {least} bytes for this map at step {step:.3g}, the budget is {budget}")
         return best
 
     def _pass_tiles(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return a body, and about the bytes that it would have at the usual price."""
         streams = [b""] * count_streams(self._shape)
-        fixed = HEAD_SIZE + len(pack_axes(self._whitening.rotation_cc, axes, self._mean(step)))
-        fixed += self._index_about(float(budget))
-        foretold = self._foretell(tiles)
-        spent = usual = 0.0
+        tables = len(pack_axes(self._whitening.rotation_cc, axes, self._mean(step)))
+        fixed = HEAD_SIZE + tables + self._index_about(float(budget))
+        of_pixel = np.array(self._sizes) / [piece.height * piece.width for piece in self._pieces]
+        foretold = foretell([piece.row for piece in self._pieces], of_pixel, tiles)
+        spent, usual = 0.0, 0.0
         for number, tile in enumerate(tiles):
-            left, last = budget - fixed - spent, number + 1 == len(tiles)
+            left = budget - fixed - spent
             # What has come so far tells how the trials err.
             trust = usual / float(foretold[:number].sum()) if number else 1.0
             ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
-            price = min(max(PRICE * ratio ** (-1.0 / _PRICE_POWER), _PRICES[0]), _PRICES[1])
+            price = min(max(PRICE * ratio ** (-1.0 / PRICE_POWER), PRICES[0]), PRICES[1])
             part = self._take_tile(tile, axes)
-            coded, price = self._encode_last(part, step, left, price) if last else (self._encode_part(part, step, price), price)
+            if number + 1 == len(tiles):
+                encode = functools.partial(self._encode_part, part, step, keep=True)
+                coded, price = fill_by_price(encode, left, price)
+            else:
+                coded = self._encode_part(part, step, price)
             spent += coded.size
-            usual += coded.size * (price / PRICE) ** _PRICE_POWER
+            usual += coded.size * (price / PRICE) ** PRICE_POWER
             for t, stream in zip(tile.streams, coded.streams, strict=True):
                 streams[t] = stream
-            self._tell(tile)
-        return self._pack(axes, step, streams), usual + fixed
-
-    def _tell(self, tile: Tile) -> None:
-        if self._progress is not None:
             self._progress(tile.bottom, self._shape[1])
-
-    def _foretell(self, tiles: list[Tile]) -> NDArray[np.float64]:
-        """Return about the bytes of each tile at the usual price, by those of the pieces that lie near."""
-        rows = np.array([piece.row for piece in self._pieces])
-        centres = np.unique(rows)
-        sizes = np.array(self._sizes) / [piece.height * piece.width for piece in self._pieces]
-        means = [sizes[rows == row].mean() for row in centres]
-        middles = [(tile.top + tile.bottom) / 2 for tile in tiles]
-        return np.interp(middles, centres, means) * [tile.n_pixel for tile in tiles]
-
-    def _encode_last(self, part: _Part, step: float, left: float, price: float) -> tuple[Coded, float]:
-        """Return the streams of the last tile at the price that fills what is left best, and that price."""
-        tried: list[tuple[float, Coded]] = []
-        for _ in range(_LAST_TRIALS):
-            coded = self._encode_part(part, step, price, keep=True)
-            tried.append((price, coded))
-            if _LEAST_LAST * left <= coded.size <= left:
-                break
-            near = sorted(tried, key=lambda each: abs(np.log(each[1].size / max(left, 1.0))))[:2]
-            power = _PRICE_POWER
-            if len(near) == 2 and near[0][1].size != near[1][1].size and near[0][0] != near[1][0]:
-                power = -np.log(near[0][1].size / near[1][1].size) / np.log(near[0][0] / near[1][0])
-                power = min(max(power, 0.1), 2.0)
-            aim = (1.0 + _LEAST_LAST) / 2.0 * max(left, 1.0)
-            price = min(max(near[0][0] * (near[0][1].size / aim) ** (1.0 / power), _PRICES[0]), 2 * _PRICES[1])
-        below = [each for each in tried if each[1].size <= left]
-        if below:
-            price, coded = max(below, key=lambda each: each[1].size)
-        else:
-            price, coded = min(tried, key=lambda each: each[1].size)
-        return coded, price
-
-
-def as_integers(values: DeviceArray) -> DeviceArray:
-    """Return the same memory as whole numbers."""
-    host = None if values.host is None else values.host.view(np.int32)
-    return DeviceArray(values.buffer, values.shape, np.dtype(np.int32), host)
-
-
-def _search(
-    count: Callable[[float], float], place: float, bounds: tuple[float, float], budget: int, aims: tuple[float, float]
-) -> float:
-    """Return the logarithm of a step whose bytes come nearest to a budget from below, or of the coarsest one.
-
-    A secant in logarithms of step and size, kept in its bracket; it ends where the part of the budget that is used is
-    the first of `aims` or more, and aims at the second.
-    """
-    fine, coarse = bounds
-    target = aims[1] * max(budget, 1)
-    place = min(max(place, fine), coarse)
-    tried: list[tuple[float, float]] = []
-    for _ in range(_MAX_TRIALS):
-        size = max(count(place), 1.0)
-        tried.append((place, size))
-        if size > budget:
-            fine = max(fine, place)
-        else:
-            coarse = min(coarse, place)
-            if size >= aims[0] * budget:
-                break
-        if coarse - fine < 1e-4:
-            if coarse == bounds[1] and place != coarse:
-                tried.append((coarse, max(count(coarse), 1.0)))
-            break
-        near = sorted(tried, key=lambda pair: abs(np.log(pair[1] / target)))[:2]
-        slope = -0.8
-        if len(near) == 2 and near[0][1] != near[1][1]:
-            slope = (near[1][0] - near[0][0]) / float(np.log(near[1][1]) - np.log(near[0][1]))
-        # In logarithms of 2 a step's bytes fall by a power between 0.3 and 3.
-        place = near[0][0] + min(max(slope, -4.8), -0.48) * float(np.log(target) - np.log(near[0][1]))
-        if not fine < place < coarse:
-            place = (fine + coarse) / 2.0
-    below = [pair for pair in tried if pair[1] <= budget]
-    return max(below, key=lambda pair: pair[1])[0] if below else min(tried, key=lambda pair: pair[1])[0]
-
-
-def _list_pieces(height: int, width: int, count: int) -> list[Window]:
-    """Return what of a map is tried: all of it, or pieces that lie all over it."""
-    if height * width <= _WHOLE and height * width * count <= _MAX_TRIED:
-        return [Window(0, 0, height, width)]
-    side_h, side_w = min(_PIECE, height), min(_PIECE, width)
-    most = max(min(_PIECES, _MAX_TRIED // (side_h * side_w * max(count, 1))), 1)
-    across = min(max(round((most * width / height) ** 0.5), 1), most, max(width // side_w, 1))
-    down = max(min(most // across, height // side_h), 1)
-    tops = [int((height - side_h) * (i + 0.5) / down) & ~31 for i in range(down)]
-    lefts = [int((width - side_w) * (i + 0.5) / across) & ~31 for i in range(across)]
-    return [Window(top, left, top + side_h, left + side_w) for top in tops for left in lefts]
+        return self._pack(axes, step, streams), usual + fixed

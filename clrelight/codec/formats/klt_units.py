@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.range_coding import Decoder, Encoder
 from clrelight.codec.entropy.units import LEVELS, list_units
-from clrelight.codec.streams import Body
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes, code_vectors
 from clrelight.codec.transforms.whitening import AXES

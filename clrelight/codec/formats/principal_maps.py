@@ -11,9 +11,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.bodies import Body, BodyWriter, rest_of
 from clrelight.codec.factored import WhitenedMaps
-from clrelight.codec.registry import Codec, PartsCodec, codec_class, register
-from clrelight.codec.streams import Body, BodyWriter, Source, Target, rest_of
+from clrelight.codec.registry import (
+    Codec,
+    PartsCodec,
+    codec_class,
+    register,
+)
+from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import sample_stride
 from clrelight.device import Device
@@ -105,7 +111,7 @@ class PrincipalMaps(PartsCodec):
         inner.decode_parts(inside, target.mapped(inverse_kj, device), device)
 
     @classmethod
-    def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> WhitenedMaps:
+    def decode_view(cls, body: Body, shape: tuple[int, int, int, int], device: Device) -> WhitenedMaps:
         """Return the maps along the axes, which relight as they are."""
         inner, inverse_kj, inside = _open(body, shape[0])
         return WhitenedMaps(inner.decode_body(inside[:], (inverse_kj.shape[1], *shape[1:]), device), inverse_kj)

@@ -9,11 +9,15 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.formats import uniform_search as search
 from clrelight.codec.rate.noise import Noise, sample_columns, second_moments
-from clrelight.codec.registry import PartsCodec, register
+from clrelight.codec.registry import (
+    PartsCodec,
+    register,
+)
 from clrelight.codec.slabs import slabs
-from clrelight.codec.streams import Body, BodyWriter, Source, Target
+from clrelight.codec.streams import Source, Target
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
+from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.entropy.subband_kernel import decoder_for
 from clrelight.codec.entropy.subbands import Statistics, code_indices
 from clrelight.codec.rate.allocation import (
@@ -25,8 +26,11 @@ from clrelight.codec.rate.allocation import (
 from clrelight.codec.rate.expectation import expect_codes, expect_moments
 from clrelight.codec.rate.noise import Noise
 from clrelight.codec.rate.step_search import step_of
-from clrelight.codec.registry import PartsCodec, register
-from clrelight.codec.streams import Body, BodyWriter, Source, Target
+from clrelight.codec.registry import (
+    PartsCodec,
+    register,
+)
+from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.lifting import (
     dequantise_map,
     empty_planes,
@@ -136,7 +140,7 @@ class Wavelet(PartsCodec):
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
         """See `Codec`; map by map."""
-        tables, payload = _Tables.from_bytes(drop_ballast(body[:], target.shape), target.shape[0])
+        tables, payload = _Tables.from_bytes(drop_ballast(body, target.shape)[:], target.shape[0])
         n_coeff, height, width, channels = target.shape
         bands = list_subbands(height, width, tables.levels)
         biases = (tables.biases[0] / BIAS_SCALE, tables.biases[1] / BIAS_SCALE)

@@ -6,10 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+from clrelight.codec.bodies import Body, BodyWriter, rest_of
 from clrelight.codec.factored import WhitenedMaps
 from clrelight.codec.rate.noise import Noise
-from clrelight.codec.registry import Codec, PartsCodec, codec_class, register
-from clrelight.codec.streams import Body, BodyWriter, Source, Target, rest_of
+from clrelight.codec.registry import (
+    Codec,
+    PartsCodec,
+    codec_class,
+    register,
+)
+from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -78,7 +84,7 @@ class Whitened(PartsCodec):
         inner.decode_parts(inside, target.mapped(inverse_kj, device), device)
 
     @classmethod
-    def decode_view(cls, body: bytes, shape: tuple[int, int, int, int], device: Device) -> WhitenedMaps:
+    def decode_view(cls, body: Body, shape: tuple[int, int, int, int], device: Device) -> WhitenedMaps:
         """Return the whitened maps, which relight as they are."""
         inner, inside = _open(body)
         inverse_kj = hemisphere_metric(shape[0], "singular").inverse_kj

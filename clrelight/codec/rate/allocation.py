@@ -13,7 +13,8 @@ from clrelight.codec.entropy.subband_kernel import SubbandEncoder, encoder_for
 from clrelight.codec.entropy.subbands import Statistics, code_indices
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.rate.step_search import COARSEST_CODE, STEPS_PER_OCTAVE, Sample, find_code, step_of, take_sample
-from clrelight.codec.streams import Planes, Source
+from clrelight.codec.rooms import Planes
+from clrelight.codec.streams import Source
 from clrelight.codec.transforms.lifting import Subband, quantise_map
 from clrelight.opencl.arguments import DeviceArray
 

@@ -99,7 +99,8 @@ def _sample(shape: tuple[int, int, int, int], read: ReadRows) -> NDArray[np.floa
     step = -(-height // _SAMPLED_ROWS)
     rows = range(step // 2, height, step)
     column_step = -(-width * len(rows) // _SAMPLED_PIXELS)
-    chosen = [read(y, y + 1)[:, 0, (7 * i) % column_step :: column_step] for i, y in enumerate(rows)]
+    # Copies: rows that are read may be overwritten.
+    chosen = [read(y, y + 1)[:, 0, (7 * i) % column_step :: column_step].copy() for i, y in enumerate(rows)]
     return np.concatenate(chosen, axis=1).transpose(1, 0, 2).astype(np.float64)
 
 
@@ -111,7 +112,7 @@ def make_planes(
     offset_j: NDArray[np.float64],
     device: Device,
 ) -> DeviceArray:
-    """Return planes of a part of an image, (n_plane, height, padded width), float32: ``operator coefficients - offset``."""
+    """Return planes of a part of an image, (n_plane, height, padded width): ``operator coefficients - offset``."""
     count, n_value = operator_jq.shape
     width = columns[1] - columns[0]
     pitch = padded_width(width)
@@ -142,3 +143,9 @@ def reshaped(array: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:
     if host is not None:
         host = host.reshape(-1)[: int(np.prod(shape, dtype=np.int64))].reshape(shape)
     return replace(array, shape=shape, host=host)
+
+
+def with_type(array: DeviceArray, dtype: type[np.generic]) -> DeviceArray:
+    """Return the same memory as values of another type of the same size."""
+    host = None if array.host is None else array.host.view(dtype)
+    return replace(array, dtype=np.dtype(dtype), host=host)

@@ -1,0 +1,186 @@
+"""Which units of body 4 of the codec `klt` a region hangs on, and how they become its planes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.bodies import Body
+from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
+from clrelight.codec.entropy.units import LEVELS, MARGIN, PRECINCT, Unit, Window, lay_out, list_units
+from clrelight.codec.formats.klt_units import Parsed, Shape, is_together, read_stream
+from clrelight.codec.transforms.lifting import list_subbands, padded_width, transform_planes
+from clrelight.device import Device
+from clrelight.errors import PayloadError
+from clrelight.opencl.arguments import DeviceArray
+
+_REACH = 6
+"""Samples of a subband beyond a region that its synthesis looks at: half of the next finer, and three, rounded up."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of an image at a level: rows and columns, from the first to the one before the end, in pixels there."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+    level: int = 0
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.bottom - self.top, self.right - self.left
+
+
+def size_at(side: int, level: int) -> int:
+    """Return the pixels of a side of an image at a level."""
+    return -(-side >> level)
+
+
+class UnitReader:
+    """Decodes what a region needs.
+
+    Parameters
+    ----------
+    body : Body
+        Bytes, or what is read when sliced: only units of the region are.
+    parsed : Parsed
+    shape : tuple of int
+        (n_coeff, height, width, channel).
+    device : Device
+    """
+
+    def __init__(self, body: Body, parsed: Parsed, shape: Shape, device: Device) -> None:
+        self._body, self._parsed, self._shape, self._device = body, parsed, shape, device
+        self._units = list_units(shape[1], shape[2])
+
+    @property
+    def whole(self) -> Region:
+        """The image."""
+        return Region(0, 0, *self._shape[1:3])
+
+    def planes(self, region: Region) -> NDArray[np.float32]:
+        """Return the planes of a region in steps, (n_plane, height, width); PayloadError where units are damaged."""
+        return self._synthesised(region, None)
+
+    def sums(self, region: Region, weight_cj: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return weighted sums of the planes of a region, (n_sum, height, width), float32."""
+        return self._synthesised(region, np.ascontiguousarray(weight_cj.T, np.float32))
+
+    def _synthesised(self, region: Region, weight_jc: NDArray[np.float32] | None) -> NDArray[np.float32]:
+        """Decode the units of a region, and transform their planes or sums back."""
+        level = region.level
+        decoded, rooms = self._decode(region, weight_jc)
+        window = _around(region, *self._shape[1:3])
+        values_jyx = _crop(decoded, rooms, window, level)
+        width = size_at(window.right, level) - (window.left >> level)
+        values = self._device.empty(values_jyx.shape, np.float32, values_jyx)
+        if values.host is None:
+            values = self._device.upload(values_jyx)
+        if level < LEVELS:
+            transform_planes("synthesise", values, width, LEVELS - level, self._device)
+        found = self._device.download(values)
+        top, left = region.top - (window.top >> level), region.left - (window.left >> level)
+        part = found[:, top : top + region.shape[0], left : left + region.shape[1]]
+        # Every level of the transform doubles what is even: an image at a level is a mean.
+        return np.ascontiguousarray(part) if not level else part * np.float32(0.5**level)
+
+    def _decode(self, region: Region, weight_jc: NDArray[np.float32] | None) -> tuple[NDArray[np.float32], Window]:
+        """Return wavelet coefficients of a window of whole units; what the region needs is in them."""
+        _, height, width, _ = self._shape
+        count = self._parsed.head.n_plane
+        together = is_together(self._shape)
+        chosen = list(range(len(self._units))) if together else self._needed(region)
+        units = [self._units[t] for t in chosen]
+        window = Window(0, 0, height, width) if together else _cover(units, height, width)
+        pitch = padded_width(window.shape[1])
+        layout = lay_out(units, height, width, window, pitch, together)
+        streams = [read_stream(self._body, self._parsed, t) for t in ([0] if together else chosen)]
+        index = self._zeros((count, window.shape[0], pitch), np.int32)
+        sums = None if weight_jc is None else self._zeros((weight_jc.shape[1], window.shape[0], pitch), np.float32)
+        fault_t = decode_streams(self._device, layout, streams, default_tables(), index, count, sums, weight_jc)
+        if fault_t.any():
+            raise PayloadError(f"unit {chosen[int(np.argmax(fault_t))]} of the klt body cannot be decoded")
+        if sums is not None:
+            return self._device.download(sums), window
+        self._device.launch(
+            "codec/units_decode.cl", "value_indices", (pitch, window.shape[0], count), index, *index.shape
+        )
+        return self._device.download(index).view(np.float32), window
+
+    def _zeros(self, shape: tuple[int, int, int], dtype: type[np.generic]) -> DeviceArray:
+        """Return zeros on the device: on a CPU, memory that is not there before something is written to it."""
+        if self._device.shares_memory:
+            return self._device.empty(shape, dtype, np.zeros(shape, dtype))
+        return self._device.upload(np.zeros(shape, dtype))
+
+    def _needed(self, region: Region) -> list[int]:
+        """Return the numbers of the units that a region's samples hang on."""
+        _, height, width, _ = self._shape
+        scale = region.level
+        top, left = region.top << scale, region.left << scale
+        bottom, right = min(region.bottom << scale, height), min(region.right << scale, width)
+        chosen = []
+        for t, unit in enumerate(self._units):
+            depth = unit.level or LEVELS
+            if unit.level and unit.level <= scale:
+                continue
+            rows = ((top >> depth) - _REACH, (bottom >> depth) + _REACH)
+            columns = ((left >> depth) - _REACH, (right >> depth) + _REACH)
+            if _meets(unit.row, unit.side, rows) and _meets(unit.column, unit.side, columns):
+                chosen.append(t)
+        return chosen
+
+
+def _meets(first: int, count: int, span: tuple[int, int]) -> bool:
+    return first < span[1] and first + count > span[0]
+
+
+def _cover(units: list[Unit], height: int, width: int) -> Window:
+    """Return the window of whole precincts in which units lie."""
+    rows = [side << (u.level or LEVELS) for u in units for side in (u.row, u.row + u.side)]
+    columns = [side << (u.level or LEVELS) for u in units for side in (u.column, u.column + u.side)]
+    bottom, right = (-(-max(sides) // PRECINCT) * PRECINCT for sides in (rows, columns))
+    top, left = (min(sides) // PRECINCT * PRECINCT for sides in (rows, columns))
+    return Window(top, left, min(bottom, height), min(right, width))
+
+
+def _around(region: Region, height: int, width: int) -> Window:
+    """Return the pixels that a region's transform looks at."""
+    least = 1 << LEVELS
+    top, left = (max((side << region.level) - MARGIN, 0) // least * least for side in (region.top, region.left))
+    bottom = min(-(-((region.bottom << region.level) + MARGIN) // least) * least, height)
+    right = min(-(-((region.right << region.level) + MARGIN) // least) * least, width)
+    return Window(top, left, bottom, right)
+
+
+def _crop(decoded: NDArray[np.float32], held: Window, wanted: Window, level: int) -> NDArray[np.float32]:
+    """Return the subbands of a window from those of another, down to a level; zeros where there are none."""
+    if held == wanted and level == 0:
+        return decoded
+    height = size_at(wanted.bottom, level) - (wanted.top >> level)
+    width = size_at(wanted.right, level) - (wanted.left >> level)
+    result = np.zeros((len(decoded), height, padded_width(width)), np.float32)
+    source = {(band.name, band.level): band for band in list_subbands(*held.shape, LEVELS)}
+    for band in list_subbands(height, width, LEVELS - level):
+        depth = band.level + level
+        found = source.get((band.name, depth))
+        if found is None:
+            continue
+        from_rows, to_rows = _overlap(found.rows, held.top >> depth, band.rows, wanted.top >> depth)
+        from_columns, to_columns = _overlap(found.columns, held.left >> depth, band.columns, wanted.left >> depth)
+        result[:, to_rows, to_columns] = decoded[:, from_rows, from_columns]
+    return result
+
+
+def _overlap(held: slice, held_first: int, wanted: slice, wanted_first: int) -> tuple[slice, slice]:
+    """Return which part of one range is which part of another, both beginning at numbers of one count."""
+    first = max(held_first, wanted_first)
+    end = min(held_first + held.stop - held.start, wanted_first + wanted.stop - wanted.start)
+    count = max(end - first, 0)
+    start, place = held.start + first - held_first, wanted.start + first - wanted_first
+    return slice(start, start + count), slice(place, place + count)

@@ -1,0 +1,105 @@
+"""Where the codec `klt` looks for its step: a search for a number of bytes, and the pieces of a map that are tried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.entropy.unit_streams import Coded
+from clrelight.codec.entropy.units import Tile, Window
+
+_WHOLE = 1 << 19
+"""Pixels up to which a map is tried as a whole; of larger ones, pieces."""
+_PIECE, _PIECES = 256, 12
+_MAX_TRIED = 1 << 26
+"""Values of the planes that are tried at once: what bounds memory."""
+_MAX_TRIALS, _MAX_LAST = 24, 7
+PRICES = (0.03, 0.6)
+"""The range of prices by which the tiles of a large map meet a budget."""
+PRICE_POWER = 0.45
+"""Bytes fall about with this power of the price."""
+_LEAST_LAST = 0.98
+
+
+def search_step(
+    count: Callable[[float], float], place: float, bounds: tuple[float, float], budget: int, aims: tuple[float, float]
+) -> float:
+    """Return the logarithm of a step whose bytes come nearest to a budget from below, or of the coarsest one.
+
+    A secant in logarithms of step and size, kept in its bracket; it ends where the part of the budget that is used is
+    the first of `aims` or more, and aims at the second.
+    """
+    fine, coarse = bounds
+    target = aims[1] * max(budget, 1)
+    place = min(max(place, fine), coarse)
+    tried: list[tuple[float, float]] = []
+    for _ in range(_MAX_TRIALS):
+        size = max(count(place), 1.0)
+        tried.append((place, size))
+        if size > budget:
+            fine = max(fine, place)
+        else:
+            coarse = min(coarse, place)
+            if size >= aims[0] * budget:
+                break
+        if coarse - fine < 1e-4:
+            if coarse == bounds[1] and place != coarse:
+                tried.append((coarse, max(count(coarse), 1.0)))
+            break
+        near = sorted(tried, key=lambda pair: abs(np.log(pair[1] / target)))[:2]
+        slope = -0.8
+        if len(near) == 2 and near[0][1] != near[1][1]:
+            slope = (near[1][0] - near[0][0]) / float(np.log(near[1][1]) - np.log(near[0][1]))
+        # In logarithms of 2 a step's bytes fall by a power between 0.3 and 3.
+        place = near[0][0] + min(max(slope, -4.8), -0.48) * float(np.log(target) - np.log(near[0][1]))
+        if not fine < place < coarse:
+            place = (fine + coarse) / 2.0
+    below = [pair for pair in tried if pair[1] <= budget]
+    return max(below, key=lambda pair: pair[1])[0] if below else min(tried, key=lambda pair: pair[1])[0]
+
+
+def list_pieces(height: int, width: int, count: int) -> list[Window]:
+    """Return what of a map is tried: all of it, or pieces that lie all over it."""
+    if height * width <= _WHOLE and height * width * count <= _MAX_TRIED:
+        return [Window(0, 0, height, width)]
+    side_h, side_w = min(_PIECE, height), min(_PIECE, width)
+    most = max(min(_PIECES, _MAX_TRIED // (side_h * side_w * max(count, 1))), 1)
+    across = min(max(round((most * width / height) ** 0.5), 1), most, max(width // side_w, 1))
+    down = max(min(most // across, height // side_h), 1)
+    tops = [int((height - side_h) * (i + 0.5) / down) & ~31 for i in range(down)]
+    lefts = [int((width - side_w) * (i + 0.5) / across) & ~31 for i in range(across)]
+    return [Window(top, left, top + side_h, left + side_w) for top in tops for left in lefts]
+
+
+def foretell(rows: list[int], of_pixel: NDArray[np.float64], tiles: list[Tile]) -> NDArray[np.float64]:
+    """Return about the bytes of each tile, by those of a pixel of pieces that lie around some rows."""
+    at = np.array(rows)
+    centres = np.unique(at)
+    means = [of_pixel[at == row].mean() for row in centres]
+    middles = [(tile.top + tile.bottom) / 2 for tile in tiles]
+    return np.interp(middles, centres, means) * [tile.n_pixel for tile in tiles]
+
+
+def fill_by_price(encode: Callable[[float], Coded], left: float, price: float) -> tuple[Coded, float]:
+    """Return what is coded at the price that fills the bytes left best, and that price; fewest bytes if none does."""
+    tried: list[tuple[float, Coded]] = []
+    for _ in range(_MAX_LAST):
+        coded = encode(price)
+        tried.append((price, coded))
+        if _LEAST_LAST * left <= coded.size <= left:
+            break
+        near = sorted(tried, key=lambda each: abs(np.log(each[1].size / max(left, 1.0))))[:2]
+        power = PRICE_POWER
+        if len(near) == 2 and near[0][1].size != near[1][1].size and near[0][0] != near[1][0]:
+            power = -float(np.log(near[0][1].size / near[1][1].size) / np.log(near[0][0] / near[1][0]))
+            power = min(max(power, 0.1), 2.0)
+        aim = (1.0 + _LEAST_LAST) / 2.0 * max(left, 1.0)
+        price = min(max(near[0][0] * (near[0][1].size / aim) ** (1.0 / power), PRICES[0]), 2 * PRICES[1])
+    below = [each for each in tried if each[1].size <= left]
+    if below:
+        price, coded = max(below, key=lambda each: each[1].size)
+    else:
+        price, coded = min(tried, key=lambda each: each[1].size)
+    return coded, price
