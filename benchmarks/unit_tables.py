@@ -33,6 +33,8 @@ class Counting(Encoder):
 
     coded: Coded
 
+    _counts = True
+
     def _encode_part(self, *arguments: object, **options: object) -> Coded:  # type: ignore[override]
         self.coded = super()._encode_part(*arguments, **options)  # type: ignore[arg-type]
         return self.coded

@@ -51,7 +51,8 @@ INLINE void encode_flag(encoder_t *e, __global work_t *work, const int flag, con
 {
     const uint zero = work->zero[flag];
     put_item(e, value ? zero : 0, value ? ONE - zero : zero, 0);
-    seen[CONTEXTS * SYMBOLS + 2 * flag + value]++;
+    if (seen)
+        seen[CONTEXTS * SYMBOLS + 2 * flag + value]++;
     learn_flag(work, flag, value);
 }
 
@@ -67,7 +68,8 @@ INLINE void encode_symbol(encoder_t *e, __global work_t *work, const int context
     __global const ushort *left = work->left + context * SYMBOLS;
     const uint begin = left[symbol], right = symbol < LAST ? left[symbol + 1] : ONE;
     put_item(e, begin, right - begin, (uint)lane);
-    seen[context * SYMBOLS + symbol]++;
+    if (seen)
+        seen[context * SYMBOLS + symbol]++;
     work->count[context * SYMBOLS + symbol]++;
     if (--work->patience[context] == 0)
         work->due[(*due)++] = (ushort)context;
@@ -205,7 +207,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
     float error = 0.0f;
     const int hinted = band_flag(plane, sum_hints(work, rows, columns));
     const int cells = choose_cells(e, work, value, index, plane, rows, columns, pitch, plane_size, &error), any = cells > 0;
-    *bits += flag_bits(work, hinted, any);
+    float taken = flag_bits(work, hinted, any);
     encode_flag(e, work, hinted, any, seen);
     if (any) {
         uchar kept[100];
@@ -216,7 +218,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
         for (int row = 0; row * CELL < rows; ++row)
             for (int column = 0; column * CELL < columns; ++column) {
                 const int flag = cell_flag(work, row, column), held = kept[(row + 1) * 10 + column + 1];
-                *bits += flag_bits(work, flag, held);
+                taken += flag_bits(work, flag, held);
                 encode_flag(e, work, flag, held, seen);
                 work->flag[(row + 1) * 10 + column + 1] = (uchar)held;
             }
@@ -234,7 +236,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
                     least_loss(cost, e->price, a, &magnitude);
                 error += (a - magnitude) * (a - magnitude);
                 const int symbol = LEAST(magnitude >> shift, LAST);
-                *bits += cost[symbol] + (symbol ? 1.0f : 0.0f);
+                taken += cost[symbol] + (symbol ? 1.0f : 0.0f);
                 encode_symbol(e, work, context, symbol, i < in_lanes ? i & (LANES - 1) : 0, &due, seen);
                 index[(size_t)y * pitch + x] = v < 0.0f ? -magnitude : magnitude;
                 if (magnitude) {
@@ -249,11 +251,11 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
                     continue;
                 if (magnitude >> shift >= LAST) {
                     put_large(e, (magnitude >> shift) - LAST);
-                    *bits += 2.0f * octave_of((uint)((magnitude >> shift) - LAST) + 1u) + 1.0f;
+                    taken += 2.0f * octave_of((uint)((magnitude >> shift) - LAST) + 1u) + 1.0f;
                 }
                 if (shift) {
                     put_bits(e, (uint)magnitude & ((1u << shift) - 1u), shift);
-                    *bits += shift;
+                    taken += shift;
                 }
                 if (magnitude)
                     put_bits(e, found < 0, 1);
@@ -261,6 +263,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
         }
     }
     *errors += error;
+    *bits += taken;
     note_before(work, band, plane, rows);
 }
 
@@ -271,6 +274,7 @@ INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *
     const int rows = unit[ROWS], columns = unit[COLUMNS];
     __global const float *value = values + unit[OFFSET];
     __global int *low = indices + unit[OFFSET];
+    float taken = 0.0f, error = 0.0f;
     begin_low_plane(work);
     for (int y = 0; y < rows; ++y) {
         int due = 0;
@@ -281,22 +285,24 @@ INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *
             const int residual = found - expect_low(low + (size_t)y * pitch + x, pitch, y, x);
             const int size = residual < 0 ? -residual : residual, symbol = LEAST(size >> shift, LAST);
             low[(size_t)y * pitch + x] = found;
-            *bits += work->cost[context * SYMBOLS + symbol] + shift + (size != 0);
+            taken += work->cost[context * SYMBOLS + symbol] + shift + (size != 0);
             encode_symbol(e, work, context, symbol, 0, &due, seen);
             if (symbol == LAST) {
                 put_large(e, (size >> shift) - LAST);
-                *bits += 2.0f * octave_of((uint)((size >> shift) - LAST) + 1u) + 1.0f;
+                taken += 2.0f * octave_of((uint)((size >> shift) - LAST) + 1u) + 1.0f;
             }
             if (shift)
                 put_bits(e, (uint)size & ((1u << shift) - 1u), shift);
             if (size)
                 put_bits(e, residual < 0, 1);
             work->low[(y + 1) * (UNIT + 2) + x + 1] = size;
-            *errors += (v - found) * (v - found);
+            error += (v - found) * (v - found);
         }
         learn_due(work, due, 1);
     }
     note_low(work, rows, columns);
+    *bits += taken;
+    *errors += error;
 }
 
 /* Write a stream where room is left: states, words, raw bytes from the last to the first. */
@@ -314,7 +320,8 @@ INLINE void finish_stream(encoder_t *e, __global uchar *stream_b, volatile __glo
             *--word = (ushort)x;
             x >>= 16;
         }
-        state[lane] = (x / size << PRECISION) + x % size + begin;
+        const uint times = x / size;
+        state[lane] = (times << PRECISION) + (x - times * size) + begin;
     }
     const uint words = (uint)(end - word), bytes = 4 * LANES + 2 * words + e->raw_size;
     const uint at = atomic_add(taken, bytes);
@@ -358,7 +365,7 @@ __kernel void encode_units(__global int *index_jyx, __global const float *value_
 {
     const int worker = get_global_id(0);
     __global work_t *work = (__global work_t *)(work_wd + worker * (size_t)WORK_BYTES);
-    __global uint *seen = seen_wn + (size_t)worker * size_n;
+    __global uint *seen = size_n > 1 ? seen_wn + (size_t)worker * size_n : 0;
     const size_t plane_size = (size_t)size_y * size_x;
     for (int t = begin + worker; t < end; t += get_global_size(0)) {
         encoder_t e = {item_wi + (size_t)worker * size_i, 0, size_i, raw_wr + (size_t)worker * size_r, 0, size_r, 0, 0, price,

@@ -19,6 +19,9 @@ CONTEXTS = 3 * NEAR * HINT + LOWS
 FLAGS = 7 * 16 + 2 * 16
 ONE = 1 << 14
 _WORK_BYTES = 1 << 18
+_SEEN = CONTEXTS * SYMBOLS + 2 * FLAGS
+_RAW_BYTES = 8
+"""Of a sample at most: what passes the last symbol, bits below a shift, and a sign."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,10 @@ def default_tables() -> Tables:
     return Tables(counts, flags)
 
 
+class ValuesLostError(Exception):
+    """Values are to be made anew, since indices have taken their place in vain."""
+
+
 @dataclass(frozen=True)
 class Coded:
     """Streams, and what was measured while they were made.
@@ -56,7 +63,7 @@ class Coded:
     error_j, bits_j : ndarray, shape (n_plane,), float64
         Squared error of each plane in squared steps, and about the bits that it took.
     symbol_ms, flag_f2 : ndarray, int64
-        How often contexts saw symbols, and flags 0 and 1.
+        How often contexts saw symbols, and flags 0 and 1, where that was counted.
     """
 
     streams: list[bytes]
@@ -79,6 +86,7 @@ def encode_streams(
     tables: Tables,
     price: float,
     scale: float = 1.0,
+    count: bool = False,
 ) -> Coded:
     """Encode planes of wavelet coefficients in steps.
 
@@ -97,47 +105,51 @@ def encode_streams(
         Squared steps of error that a bit must save.
     scale : float
         Steps of a unit of the values.
+    count : bool
+        Whether symbols and flags are counted too.
 
     Returns
     -------
     Coded
         The streams, the same for the same device.
+
+    Raises
+    ------
+    ValuesLostError
+        If streams take more than a byte a sample, and indices were put in the place of values.
     """
     n_plane, n_stream = values.shape[0], len(layout.first_t2)
     samples = _samples(layout) * n_plane
-    workers = min(4 * device.info.compute_units, max(e - b for b, e in layout.batches))
-    room = max(1 << 20, 2 * int(samples.sum()) // 16)
+    workers = min(4 * device.info.compute_units, max(end - begin for begin, end in layout.batches))
     items = int(samples.max()) * 5 // 4 + (1 << 12)  # samples, and flags of cells and bands
-    raws = items // 2
+    place_t2, seen_wn = np.zeros((n_stream, 2), np.uint32), np.zeros((workers, _SEEN if count else 1), np.uint32)
+    error_tj, bits_tj = np.zeros((n_stream, n_plane), np.float32), np.zeros((n_stream, n_plane), np.float32)
+    given = [device.upload(a) for a in (layout.first_t2, layout.unit_uf, tables.count_ms, tables.flag_f2)]
+    work, item = device.empty((workers, _WORK_BYTES), np.uint8), device.empty((workers, items), np.uint32)
+    raw, seen = device.empty((workers, _RAW_BYTES * items), np.uint8), device.empty(seen_wn.shape, np.uint32, seen_wn)
+    room = max(1 << 20, int(samples.sum()))
     while True:
-        stream, taken = device.empty((room,), np.uint8), np.zeros(1, np.uint32)
-        place_t2, error_tj = np.zeros((n_stream, 2), np.uint32), np.zeros((n_stream, n_plane), np.float32)
-        bits_tj = np.zeros((n_stream, n_plane), np.float32)
-        seen_wn = np.zeros((workers, CONTEXTS * SYMBOLS + 2 * FLAGS), np.uint32)
-        held = [device.empty(a.shape, a.dtype, a) for a in (taken, place_t2, error_tj, bits_tj, seen_wn)]
-        first, unit = device.upload(layout.first_t2), device.upload(layout.unit_uf)
-        counts, flags = device.upload(tables.count_ms), device.upload(tables.flag_f2)
-        work = device.empty((workers, _WORK_BYTES), np.uint8)
-        item, raw = device.empty((workers, items), np.uint32), device.empty((workers, raws), np.uint8)
+        taken, stream = np.zeros(1, np.uint32), device.empty((room,), np.uint8)
+        held = [device.empty(a.shape, a.dtype, a) for a in (taken, place_t2, error_tj, bits_tj)]
         for begin, end in layout.batches:
             device.launch(
                 "codec/units_encode.cl",
                 "encode_units",
                 (min(workers, end - begin),),
-                *(index, values, stream, *held[:4], first, unit, counts, flags, work, item, raw, held[4]),
-                *(price, scale, begin, end, room, items, raws, seen_wn.shape[1], *values.shape),
+                *(index, values, stream, *held, *given, work, item, raw, seen),
+                *(price, scale, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
             )
-        taken, place_t2, error_tj, bits_tj, seen_wn = (device.download(a) for a in held)
-        if not place_t2[:, 1].all():
-            raws *= 8
-            continue
-        if int(taken[0]) > room:
-            room = int(taken[0]) + (1 << 16)
-            continue
-        break
+        taken, place_t2, error_tj, bits_tj = (device.download(a) for a in held)
+        if int(taken[0]) <= room:
+            break
+        if index.buffer is values.buffer:
+            raise ValuesLostError
+        room = int(taken[0])
+        for a in (error_tj, bits_tj, seen_wn):
+            a[...] = 0
     content = device.download(stream)
     streams = [content[at : at + size].tobytes() for at, size in place_t2.tolist()]
-    seen_n = seen_wn.sum(axis=0, dtype=np.int64)
+    seen_n = device.download(seen).sum(axis=0, dtype=np.int64) if count else np.zeros(_SEEN, np.int64)
     n_symbol = CONTEXTS * SYMBOLS
     return Coded(
         streams,

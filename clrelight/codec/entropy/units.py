@@ -20,6 +20,8 @@ PRECINCT = 512
 """Side in pixels of what one unit of the coarsest three levels, four of level 2 and sixteen of level 1 are of."""
 
 _FIELDS = 19  # as in units.clh
+_WHOLE, _STRIPS = 1 << 20, 4
+"""Pixels up to which an image may be one tile; a larger one has about as many strips or more."""
 MARGIN = 128
 """Pixels around a tile that its transform looks at: 4 (2^LEVELS - 1), and a multiple of 2^LEVELS."""
 
@@ -181,7 +183,7 @@ def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
     Strips as wide as the image where one fits, which rows are read once for; one precinct at the least.
     """
     units = list_units(height, width)
-    if 4 * height * width * count <= memory:
+    if height * width <= _WHOLE and 4 * height * width * count <= memory:
         return [Tile(units, list(range(len(units))), Window(0, 0, height, width), 0, height, height * width)]
     rows, columns = tile_sides(height, width, count, memory)
     tiles = []
@@ -200,7 +202,7 @@ def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
 def tile_sides(height: int, width: int, count: int, memory: int) -> tuple[int, int]:
     """Return the rows and columns of tiles of so many planes whose windows fit a number of bytes, if any do."""
     values = memory // (4 * max(count, 1))
-    rows = (values // width - 2 * MARGIN) // PRECINCT * PRECINCT
+    rows = min(values // width - 2 * MARGIN, height // _STRIPS + PRECINCT - 1) // PRECINCT * PRECINCT
     if rows >= PRECINCT or (height <= PRECINCT and values >= width * height):
         return min(max(rows, PRECINCT), height), width
     columns = (values // min(PRECINCT + 2 * MARGIN, height) - 2 * MARGIN) // PRECINCT * PRECINCT

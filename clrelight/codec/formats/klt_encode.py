@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
-from clrelight.codec.entropy.unit_streams import Coded, default_tables, encode_streams
-from clrelight.codec.entropy.units import LEVELS, Layout, Tile, Window, lay_out, list_tiles, list_units
+from clrelight.codec.entropy.unit_streams import Coded, ValuesLostError, default_tables, encode_streams
+from clrelight.codec.entropy.units import LEVELS, Tile, Window, lay_out, list_tiles, list_units
 from clrelight.codec.formats.klt_trials import (
     PRICE_POWER,
     PRICES,
+    Part,
     fill_by_price,
     foretell,
     list_pieces,
@@ -37,38 +37,17 @@ from clrelight.codec.transforms.principal import MAX_ENTRY, Axes, quantise_axes
 from clrelight.codec.transforms.whitening import ReadRows, make_planes, reshaped, whitening_of, with_type
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.opencl.arguments import DeviceArray
 
 PRICE = 0.12
 """Squared steps of error that a bit must save."""
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
 _LEAST_USED, _AIM = 0.992, 0.997
-_LEAST_FOUND, _AIM_FOUND = 0.985, 0.993
+_FOUND, _NEARLY, _FEW = (0.985, 0.993), (0.93, 0.97), 4
+"""Parts of a budget where a search on all pieces ends, and one on every n-th; and where they aim."""
 _LEAST_FILLED, _MAX_PASSES = 0.99, 3
 _STEP_POWER = 0.9
 """Steps grow about with this power of what bytes are to shrink by."""
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Wavelet coefficients of the planes of a part of the map, and which of them are coded.
-
-    Attributes
-    ----------
-    values : DeviceArray, shape (n_plane, height, pitch), float32
-    layout : Layout
-    row : int
-        Its middle.
-    height, width : int
-        Of the part; rows of the planes may be longer.
-    """
-
-    values: DeviceArray
-    layout: Layout
-    row: int
-    height: int
-    width: int
 
 
 class Encoder:
@@ -88,6 +67,8 @@ class Encoder:
         Told how many rows of the image are coded.
     """
 
+    _counts = False
+
     def __init__(
         self,
         shape: Shape,
@@ -104,7 +85,7 @@ class Encoder:
         largest = float(np.abs(self._whitening.mean_d).max())
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
-        self._pieces: list[_Part] = []
+        self._pieces: list[Part] = []
         self._sizes: list[int] = []  # bytes of the pieces, when they were tried last
         self._prepared = 0
 
@@ -116,7 +97,7 @@ class Encoder:
         axes = self._try(step)[1]
         streams = [b""] * count_streams(self._shape)
         for tile in self._tiles(axes):
-            coded = self._encode_part(self._take_tile(tile, axes), step)
+            coded = self._encode_tile(tile, axes, step, PRICE)
             for t, stream in zip(tile.streams, coded.streams, strict=True):
                 streams[t] = stream
             self._progress(tile.bottom, self._shape[1])
@@ -154,10 +135,10 @@ class Encoder:
         self._pieces = [self._take_part(window, None, planes) for window in list_pieces(height, width, count)]
         self._prepared = count
 
-    def _take_tile(self, tile: Tile, axes: Axes) -> _Part:
+    def _take_tile(self, tile: Tile, axes: Axes) -> Part:
         return self._take_part(tile.window, tile, self._whitening.solved(axes))
 
-    def _take_part(self, window: Window, tile: Tile | None, planes: tuple[NDArray, NDArray]) -> _Part:
+    def _take_part(self, window: Window, tile: Tile | None, planes: tuple[NDArray, NDArray]) -> Part:
         rows, columns = (window.top, window.bottom), (window.left, window.right)
         values = make_planes(self._read, rows, columns, *planes, self._device)
         transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
@@ -168,57 +149,66 @@ class Encoder:
         else:
             size, units = (self._shape[1], self._shape[2]), tile.units
         layout = lay_out(units, *size, window, values.shape[2], is_together(self._shape))
-        return _Part(values, layout, middle, *window.shape)
+        return Part(values, layout, middle, *window.shape)
+
+    def _encode_tile(self, tile: Tile, axes: Axes, step: float, price: float) -> Coded:
+        try:
+            return self._encode_part(self._take_tile(tile, axes), step, price)
+        except ValuesLostError:
+            return self._encode_part(self._take_tile(tile, axes), step, price, keep=True)
 
     def _encode_part(
-        self, part: _Part, step: float, price: float = PRICE, count: int | None = None, keep: bool = False
+        self, part: Part, step: float, price: float = PRICE, count: int | None = None, keep: bool = False
     ) -> Coded:
         """Return the streams of a part's first planes; its values are lost unless they are to be kept."""
         shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
         values = reshaped(part.values, shape)
         index = self._device.empty(shape, np.int32) if keep else with_type(values, np.int32)
-        return encode_streams(self._device, part.layout, values, index, default_tables(), price, 1.0 / step)
+        return encode_streams(
+            self._device, part.layout, values, index, default_tables(), price, 1.0 / step, self._counts
+        )
 
-    def _try(self, step: float) -> tuple[float, Axes]:
-        """Return about the bytes at a step, and the axes that are worth theirs."""
+    def _try(self, step: float, every: int = 1) -> tuple[float, Axes]:
+        """Return about the bytes at a step, and the axes that are worth theirs, by every n-th piece."""
         count = int((self._whitening.deviation_j > _TRIED * step).sum())
         self._prepare(count)
         vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
         axes = quantise_axes(vectors, deviation, self._n_pixel, step)
         streams = 0.0
         if count:
-            coded = [self._encode_part(piece, step, count=count, keep=True) for piece in self._pieces]
+            pieces = self._pieces[every // 2 :: every] or self._pieces
+            coded = [self._encode_part(piece, step, count=count, keep=True) for piece in pieces]
             self._sizes = [c.size for c in coded]
-            share = self._n_pixel / sum(piece.height * piece.width for piece in self._pieces)
-            error_j = np.sum([c.error_j for c in coded], axis=0) * share
+            share = self._n_pixel / sum(piece.height * piece.width for piece in pieces)
             bits_j = np.sum([c.bits_j for c in coded], axis=0) * share
-            energy_j = np.sum([self._energy(piece, count) for piece in self._pieces], axis=0) * share / step**2
-            lost_j = energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
-            row_j = np.array([zero_order_bits(np.abs(row)) for row in axes.entries_jd])
-            pays = energy_j - error_j - lost_j > PRICE * (bits_j + row_j)
+            energy_j = np.sum([piece.energy(count, self._device) for piece in pieces], axis=0) * share / step**2
+            saved_j = energy_j - np.sum([c.error_j for c in coded], axis=0) * share
+            saved_j -= energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
+            pays = saved_j > PRICE * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
             streams = sum(self._sizes) * share - float(bits_j[~pays].sum()) / 8.0
         tables = pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
         return HEAD_SIZE + len(tables) + streams + self._index_about(streams), axes
-
-    def _energy(self, piece: _Part, count: int) -> NDArray[np.float64]:
-        values = self._device.download(piece.values)[:count, :, : piece.width]
-        return np.einsum("jyx,jyx->j", values, values, dtype=np.float64)
 
     def _index_about(self, streams: float) -> float:
         count = count_streams(self._shape)
         return index_bytes([int(streams / count) + 1] * count)
 
     def _find_step(self, budget: int) -> tuple[float, Axes]:
-        """Return about the step at which the map takes as many bytes, and its axes."""
-        found: dict[float, Axes] = {}
+        """Return about the step at which the map takes as many bytes, and its axes: by a few pieces first."""
+        place, found = -5.0, Axes(np.zeros((0, 0), np.int64), np.zeros(0, np.uint8))
+        for every, aims in ((_FEW, _NEARLY), (1, _FOUND)):
+            axes_at: dict[float, Axes] = {}
 
-        def count(place: float) -> float:
-            size, found[place] = self._try(2.0**place)
-            return size
+            def count(place: float, every: int = every, axes_at: dict[float, Axes] = axes_at) -> float:
+                size, axes_at[place] = self._try(2.0**place, every)
+                return size
 
-        place = search_step(count, -5.0, self._bounds(), budget, (_LEAST_FOUND, _AIM_FOUND))
-        return 2.0**place, found[place]
+            place = search_step(count, place, self._bounds(), budget, aims)
+            found = axes_at[place]
+            if len(self._pieces) <= 1:
+                break
+        return 2.0**place, found
 
     def _bounds(self) -> tuple[float, float]:
         return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))
@@ -257,44 +247,48 @@ class Encoder:
 
     def _fit_prices(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return the body of a map of many tiles, and its step: what tiles take beyond expectation, the price saves."""
+        of_pixel = np.array(self._sizes) / [piece.height * piece.width for piece in self._pieces]
+        foretold = foretell([piece.row for piece in self._pieces], of_pixel, tiles)
         best: tuple[bytes, float] | None = None
         least = 0
         for _ in range(_MAX_PASSES):
             step = float(np.float32(step))
-            body, usual = self._pass_tiles(budget, step, axes, tiles)
+            body, foretold = self._pass_tiles(budget, step, axes, tiles, foretold)
             least = len(body)
             if len(body) <= budget and (best is None or len(body) > len(best[0])):
                 best = body, step
             if _LEAST_FILLED * budget <= len(body) <= budget:
                 break
-            step = min(max(step * (usual / (_AIM * budget)) ** _STEP_POWER, self._finest), STEP_RANGE[1])
+            # At the usual price, tiles would have taken what is foretold of them now.
+            factor = (float(foretold.sum()) / (_AIM * budget)) ** _STEP_POWER
+            step, before = min(max(step * factor, self._finest), STEP_RANGE[1]), step
+            foretold *= (before / step) ** (1.0 / _STEP_POWER)
         if best is None:
             raise InputError(f"klt needs {least} bytes for this map at step {step:.3g}, the budget is {budget}")
         return best
 
-    def _pass_tiles(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
-        """Return a body, and about the bytes that it would have at the usual price."""
+    def _pass_tiles(
+        self, budget: int, step: float, axes: Axes, tiles: list[Tile], foretold: NDArray[np.float64]
+    ) -> tuple[bytes, NDArray[np.float64]]:
+        """Return a body, and about the bytes that each tile would have at the usual price."""
         streams = [b""] * count_streams(self._shape)
         tables = len(pack_axes(self._whitening.rotation_cc, axes, self._mean(step)))
         fixed = HEAD_SIZE + tables + self._index_about(float(budget))
-        of_pixel = np.array(self._sizes) / [piece.height * piece.width for piece in self._pieces]
-        foretold = foretell([piece.row for piece in self._pieces], of_pixel, tiles)
-        spent, usual = 0.0, 0.0
+        spent, usual = 0.0, np.zeros(len(tiles))
         for number, tile in enumerate(tiles):
             left = budget - fixed - spent
             # What has come so far tells how the trials err.
-            trust = usual / float(foretold[:number].sum()) if number else 1.0
+            trust = float(usual.sum() / foretold[:number].sum()) if number else 1.0
             ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
             price = min(max(PRICE * ratio ** (-1.0 / PRICE_POWER), PRICES[0]), PRICES[1])
-            part = self._take_tile(tile, axes)
             if number + 1 == len(tiles):
-                encode = functools.partial(self._encode_part, part, step, keep=True)
+                encode = functools.partial(self._encode_part, self._take_tile(tile, axes), step, keep=True)
                 coded, price = fill_by_price(encode, left, price)
             else:
-                coded = self._encode_part(part, step, price)
+                coded = self._encode_tile(tile, axes, step, price)
             spent += coded.size
-            usual += coded.size * (price / PRICE) ** PRICE_POWER
+            usual[number] = coded.size * (price / PRICE) ** PRICE_POWER
             for t, stream in zip(tile.streams, coded.streams, strict=True):
                 streams[t] = stream
             self._progress(tile.bottom, self._shape[1])
-        return self._pack(axes, step, streams), usual + fixed
+        return self._pack(axes, step, streams), usual

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.unit_streams import Coded
-from clrelight.codec.entropy.units import Tile, Window
+from clrelight.codec.entropy.units import Layout, Tile, Window
+from clrelight.device import Device
+from clrelight.opencl.arguments import DeviceArray
 
 _WHOLE = 1 << 19
 """Pixels up to which a map is tried as a whole; of larger ones, pieces."""
-_PIECE, _PIECES = 256, 12
+_PIECE, _PIECES = 128, 48
 _MAX_TRIED = 1 << 26
 """Values of the planes that are tried at once: what bounds memory."""
 _MAX_TRIALS, _MAX_LAST = 24, 7
@@ -21,6 +24,32 @@ PRICES = (0.03, 0.6)
 PRICE_POWER = 0.45
 """Bytes fall about with this power of the price."""
 _LEAST_LAST = 0.98
+
+
+@dataclass(frozen=True)
+class Part:
+    """Wavelet coefficients of the planes of a part of the map, and which of them are coded.
+
+    Attributes
+    ----------
+    values : DeviceArray, shape (n_plane, height, pitch), float32
+    layout : Layout
+    row : int
+        Its middle.
+    height, width : int
+        Of the part; rows of the planes may be longer.
+    """
+
+    values: DeviceArray
+    layout: Layout
+    row: int
+    height: int
+    width: int
+
+    def energy(self, count: int, device: Device) -> NDArray[np.float64]:
+        """Return the sums of squares of the first planes."""
+        values = device.download(self.values)[:count, :, : self.width]
+        return np.einsum("jyx,jyx->j", values, values, dtype=np.float64)
 
 
 def search_step(
@@ -77,7 +106,8 @@ def foretell(rows: list[int], of_pixel: NDArray[np.float64], tiles: list[Tile]) 
     """Return about the bytes of each tile, by those of a pixel of pieces that lie around some rows."""
     at = np.array(rows)
     centres = np.unique(at)
-    means = [of_pixel[at == row].mean() for row in centres]
+    # Few pieces tell little of their rows: half of what they differ by.
+    means = [(of_pixel[at == row].mean() + of_pixel.mean()) / 2 for row in centres]
     middles = [(tile.top + tile.bottom) / 2 for tile in tiles]
     return np.interp(middles, centres, means) * [tile.n_pixel for tile in tiles]
 
@@ -97,6 +127,8 @@ def fill_by_price(encode: Callable[[float], Coded], left: float, price: float) -
             power = min(max(power, 0.1), 2.0)
         aim = (1.0 + _LEAST_LAST) / 2.0 * max(left, 1.0)
         price = min(max(near[0][0] * (near[0][1].size / aim) ** (1.0 / power), PRICES[0]), 2 * PRICES[1])
+        if price in [each[0] for each in tried]:
+            break
     below = [each for each in tried if each[1].size <= left]
     if below:
         price, coded = max(below, key=lambda each: each[1].size)
