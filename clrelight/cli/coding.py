@@ -8,7 +8,15 @@ from typing import Any
 
 import click
 
-from clrelight.cli.options import ByteCount, device_option, is_given, json_option, memory_option
+from clrelight.cli.options import (
+    ByteCount,
+    device_option,
+    is_given,
+    json_option,
+    level_option,
+    memory_option,
+    region_option,
+)
 from clrelight.cli.output import decibel, make_report, print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.psnr import psnr_lines
@@ -97,23 +105,44 @@ def encode(
 @click.command()
 @click.argument("encoded_file", metavar="ENC", type=click.Path())
 @click.argument("out", type=click.Path())
+@region_option
+@level_option
 @memory_option("256MiB", "parts of the map")
 @device_option
 @json_option
 @click.pass_context
-def decode(context: click.Context, encoded_file: str, out: str, memory: int, device: str | None, as_json: bool) -> None:
-    """Turn an encoded file back into a fit.
+def decode(
+    context: click.Context,
+    encoded_file: str,
+    out: str,
+    region: tuple[int, int, int, int] | None,
+    level: int,
+    memory: int,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Turn an encoded file back into a fit, or a part of one.
 
     \b
     Example:
       clrelight decode enc.h5 decoded.h5
+      clrelight decode enc.h5 small.h5 --level 2
     """
     from clrelight.jobs.decode import decode as run_decode
 
     report = make_report(as_json)
     with progress_bar("decoding") as bar:
         given = memory if is_given(context, "memory") else None
-        run_decode(encoded_file, out=out, memory=given, device=device, progress=bar, report=report)
+        run_decode(
+            encoded_file,
+            out=out,
+            region=region,
+            level=level,
+            memory=given,
+            device=device,
+            progress=bar,
+            report=report,
+        )
     print_report(report, as_json, {"fit": out, **_size_lines(report.facts)})
 
 

@@ -91,6 +91,14 @@ def _is_sensible(number: float) -> bool:
     return abs(number) <= _LARGEST if isinstance(number, int) else math.isfinite(number)
 
 
+region_option = click.option(
+    "--region", type=Numbers(int, "X,Y,W,H", 4), help="A part of the image, in pixels: first column and row, and sizes."
+)
+level_option = click.option(
+    "--level", type=click.IntRange(0, 5), default=0, show_default=True, help="Halve width and height so often (klt)."
+)
+
+
 class Degrees(Numbers):
     """SH degrees separated by commas, among which ``auto`` leaves the choice to the fit."""
 

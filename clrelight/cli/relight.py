@@ -8,7 +8,15 @@ from typing import Any
 import click
 
 from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
-from clrelight.cli.options import Exposure, Numbers, device_option, json_option, whole_number
+from clrelight.cli.options import (
+    Exposure,
+    Numbers,
+    device_option,
+    json_option,
+    level_option,
+    region_option,
+    whole_number,
+)
 from clrelight.cli.output import print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError
@@ -54,6 +62,8 @@ class LightOrDirection(Numbers):
 )
 @click.option("--tonemap", type=click.Choice(["clip", "reinhard"]), help="8-bit images of a light file; default: clip.")
 @click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
+@region_option
+@level_option
 @device_option
 @json_option
 def relight(
@@ -67,6 +77,8 @@ def relight(
     about: tuple[float, float, float] | None,
     tonemap: str | None,
     transfer: str | None,
+    region: tuple[int, int, int, int] | None,
+    level: int,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -79,6 +91,7 @@ def relight(
     Example:
       clrelight relight fit.h5 relit.png --light 0.5,0.2,0.8
       clrelight relight enc.h5 frame%03d.exr --lights turntable.lp
+      clrelight relight enc.h5 detail.png --light 0,0,1 --region 1200,800,512,512
       clrelight relight fit.h5 grace.png --light grace.h5 --rotate 90 --exposure auto
     """
     from clrelight.jobs.relight import relight as run_relight
@@ -102,6 +115,8 @@ def relight(
             about=about,
             tonemap=tonemap,
             transfer=transfer,
+            region=region,
+            level=level,
             device=device,
             progress=bar,
             report=report,

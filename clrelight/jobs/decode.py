@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import overload
 
@@ -19,9 +20,10 @@ from clrelight.jobs.encode import size_facts
 from clrelight.jobs.inputs import opened_on, paths_among, take_encoded
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, fits
+from clrelight.jobs.region import Part, decode_part, take_part
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
-from clrelight.store import create_fit
+from clrelight.store import create_fit, write_fit
 from clrelight.store.coding import RowTarget
 from clrelight.store.encodings import stage_encoded
 from clrelight.store.scratch import ScratchRoom, scratch_room
@@ -33,6 +35,8 @@ def decode(
     source: str | os.PathLike[str] | Encoded,
     *,
     out: None = None,
+    region: Sequence[int] | None = None,
+    level: int = 0,
     memory: int | str | None = None,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -45,6 +49,8 @@ def decode(
     source: str | os.PathLike[str] | Encoded,
     *,
     out: str | os.PathLike[str],
+    region: Sequence[int] | None = None,
+    level: int = 0,
     memory: int | str | None = None,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -56,6 +62,8 @@ def decode(
     source: str | os.PathLike[str] | Encoded,
     *,
     out: str | os.PathLike[str] | None = None,
+    region: Sequence[int] | None = None,
+    level: int = 0,
     memory: int | str | None = None,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -68,6 +76,10 @@ def decode(
     source : path or Encoded
     out : path, optional
         A fit file to write, piece by piece; without it the map is returned.
+    region : four whole numbers, optional
+        Column and row of the first pixel, width and height: this part alone, in pixels of the whole image.
+    level : int
+        Width and height are halved so often, without decoding what is not needed (files of codec klt).
     memory : int or str, optional
         Bytes for parts of the map, such as ``"1GiB"``: a codec that needs more is refused. Without it parts take
         256 MiB, and a codec that needs more says so in a note.
@@ -88,9 +100,12 @@ def decode(
     InputError
         If a file is damaged or none of ours, `memory` does not do, or `out` cannot be written.
     """
-    kept, limit = report_for(report), None if memory is None else count_bytes(memory)
+    part, kept = take_part(region, level), report_for(report)
+    limit = None if memory is None else count_bytes(memory)
     with claimed([out], paths_among(source), kept), opened_on(device, kept) as opened:
         since = time.perf_counter()
+        if not part.is_all:
+            return _take_part(source, part, out, opened, kept)
         if out is None:
             encoded, record = take_encoded(source)
             since = kept.add("read", since)
@@ -106,6 +121,28 @@ def decode(
             _write(out, encoded, record, opened, room, kept, progress)
     kept.facts = {"file": os.fsdecode(out), **kept.facts}
     return kept
+
+
+def _take_part(
+    source: str | os.PathLike[str] | Encoded,
+    part: Part,
+    out: str | os.PathLike[str] | None,
+    device: Device,
+    report: Report,
+) -> CoefficientMap | Report:
+    """Decode a part of an image, which is held in memory."""
+    since = time.perf_counter()
+    encoded, record = take_encoded(source)  # type: ignore[arg-type]
+    report.facts |= size_facts(encoded)
+    since = report.add("read", since)
+    coefficients = decode_part(encoded, record, part, device)
+    since = report.add("decode", since)
+    if out is None:
+        return coefficients
+    write_fit(os.fsdecode(out), coefficients)
+    report.add("write", since)
+    report.facts = {"file": os.fsdecode(out), **report.facts}
+    return report
 
 
 def _tell(encoded: Encoded, memory: int | None, report: Report) -> None:

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import decode_view
+from clrelight.codec.formats.klt_decode import UnitView
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.rotation import rotation_matrix
 from clrelight.jobs.inputs import FittedLike, is_encoded, lend_coefficients, take_encoded
+from clrelight.jobs.region import Part, crop, decode_part, refuse_level
 from clrelight.jobs.report import Progress, Report
 from clrelight.lighting.light import Light, share_below
 from clrelight.lighting.relighting import automatic_exposure, relight_under
@@ -52,8 +54,8 @@ class Frames(Protocol):
 class DirectedFrames:
     """Images under one distant light each."""
 
-    def __init__(self, directions_i3: NDArray[np.float64], exposure: float) -> None:
-        self._directions_i3, self._exposure = directions_i3, exposure
+    def __init__(self, directions_i3: NDArray[np.float64], exposure: float, part: Part | None = None) -> None:
+        self._directions_i3, self._exposure, self._part = directions_i3, exposure, part or Part()
 
     @property
     def count(self) -> int:
@@ -65,7 +67,7 @@ class DirectedFrames:
         """See `Frames`."""
         below = np.flatnonzero(self._directions_i3[:, 2] < 0)
         report.note(*(f"light {i} is below the horizon, where a hemispherical fit knows nothing" for i in below))
-        with _lend_view(source, device, report, progress) as view:
+        with _lend_view(source, self._part, device, report, progress) as view:
             yield self._images(view, report), view.transfer
 
     def _images(self, view: _View, report: Report) -> Iterator[NDArray[np.float32]]:
@@ -81,16 +83,18 @@ class DirectedFrames:
 class LightFrames:
     """Images under light from everywhere, one for each step of a turntable."""
 
-    def __init__(self, light: Light, exposure: float | None, steps: int, axis: Sequence[float]) -> None:
+    def __init__(
+        self, light: Light, exposure: float | None, steps: int, axis: Sequence[float], part: Part | None = None
+    ) -> None:
         if not 1 <= steps <= MAX_STEPS:
             raise InputError(f"turntable must be 1 to {MAX_STEPS}, got {steps}")
         self.count = steps
-        self._light, self._exposure, self._axis = light, exposure, axis
+        self._light, self._exposure, self._axis, self._part = light, exposure, axis, part or Part()
 
     @contextmanager
     def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
         """See `Frames`."""
-        with lend_coefficients(source, device, report, progress) as coefficients:
+        with lend_part(source, self._part, device, report, progress) as coefficients:
             yield self._images(coefficients, device, report), coefficients.transfer
 
     def _images(self, coefficients: CoefficientMap, device: Device, report: Report) -> Iterator[NDArray[np.float32]]:
@@ -122,7 +126,9 @@ class _View:
 
 
 @contextmanager
-def _lend_view(source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[_View]:
+def _lend_view(
+    source: FittedLike, part: Part, device: Device, report: Report, progress: Progress | None
+) -> Iterator[_View]:
     """Lend a view to relight.
 
     An encoding with a basis of its own relights there: only the light vector is transformed.
@@ -132,16 +138,41 @@ def _lend_view(source: FittedLike, device: Device, report: Report, progress: Pro
         encoded, record = take_encoded(source)  # type: ignore[arg-type]
         view = decode_view(encoded, device)
         report.add("decode", since)
-        if view is not None:
+        region = part.of(*encoded.shape[1:3])
+        if isinstance(view, UnitView):
+            in_units, bytes_each = view, 4 * math.prod(region.shape) * encoded.shape[3]
+            yield _View(lambda i3: in_units.relight_region(i3, region, device), bytes_each, record.transfer)
+            return
+        if view is not None and part.is_all:
             picture_bytes = 4 * math.prod(encoded.shape[1:])
             yield _View(lambda directions_i3: view.relight(directions_i3, device), picture_bytes, record.transfer)
             return
-    with lend_coefficients(source, device, report, progress) as coefficients:
+    with lend_part(source, part, device, report, progress) as coefficients:
         yield _View(
             lambda directions_i3: relight(coefficients, directions_i3, device=device),
             4 * math.prod(coefficients.image_shape),
             coefficients.transfer,
         )
+
+
+@contextmanager
+def lend_part(
+    source: FittedLike, part: Part, device: Device, report: Report, progress: Progress | None
+) -> Iterator[CoefficientMap]:
+    """Lend a part of a fit, decoded where it is encoded; InputError where there is no such part."""
+    if part.is_all:
+        with lend_coefficients(source, device, report, progress) as coefficients:
+            yield coefficients
+    elif is_encoded(source):
+        since = time.perf_counter()
+        encoded, record = take_encoded(source)  # type: ignore[arg-type]
+        coefficients = decode_part(encoded, record, part, device)
+        report.add("decode", since)
+        yield coefficients
+    else:
+        refuse_level(part, "a fit")
+        with lend_coefficients(source, device, report, progress) as coefficients:
+            yield crop(coefficients, part)
 
 
 def turn_light(light: Light, rotation: Rotation) -> Light:

@@ -28,6 +28,7 @@ from clrelight.jobs.pictures import (
     write_animation,
     write_view,
 )
+from clrelight.jobs.region import Part, take_part
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_stops
 from clrelight.light_files import read_light_file
@@ -49,6 +50,8 @@ def relight(
     about: Sequence[float] | None = None,
     tonemap: str | None = None,
     transfer: str | None = None,
+    region: Sequence[int] | None = None,
+    level: int = 0,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -68,6 +71,8 @@ def relight(
     about: Sequence[float] | None = None,
     tonemap: str | None = None,
     transfer: str | None = None,
+    region: Sequence[int] | None = None,
+    level: int = 0,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -86,6 +91,8 @@ def relight(
     about: Sequence[float] | None = None,
     tonemap: str | None = None,
     transfer: str | None = None,
+    region: Sequence[int] | None = None,
+    level: int = 0,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -117,6 +124,10 @@ def relight(
         ``"clip"`` or ``"reinhard"``: of 8-bit images under light from everywhere.
     transfer : str, optional
         ``"linear"`` or ``"srgb"``: curve of 8-bit files; default: the stack's.
+    region : four whole numbers, optional
+        Column and row of the first pixel, width and height: this part alone, in pixels of the whole image.
+    level : int
+        Width and height are halved so often, without decoding what is not shown (files of codec klt).
     device : Device or str, optional
         As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
     progress : callable, optional
@@ -137,7 +148,7 @@ def relight(
         If a direction has no length, a file is damaged or none of ours, or `out` cannot be written.
     """
     target = None if out is None else path_text(out, "an image to write")
-    how = _How(count_stops(exposure), rotate, turntable, about, tonemap, transfer)
+    how = _How(count_stops(exposure), rotate, turntable, about, tonemap, transfer, take_part(region, level))
     how.check(target)
     kept = report_for(report)
     frames: Frames
@@ -149,7 +160,7 @@ def relight(
     else:
         how.refuse_turns()
         directions_i3, flat = _directions(light, lights, kept)
-        frames = DirectedFrames(directions_i3, how.exposure or 0.0)
+        frames = DirectedFrames(directions_i3, how.exposure or 0.0, how.part)
     names = _name(target, frames)
     with claimed(names, paths_among(source, light, lights), kept), opened_on(device, kept) as opened:
         images_ihwc = _show(frames, source, names, how, opened, kept, progress)
@@ -169,6 +180,7 @@ class _How:
     about: Sequence[float] | None
     tonemap: str | None
     transfer: str | None
+    part: Part
 
     def check(self, target: str | None) -> None:
         """Raise InputError if the file that is written, if any, is none for these options, or one is unknown."""
@@ -192,7 +204,7 @@ class _How:
         lit = light if isinstance(light, Light) else read_light(light)
         turned = lit if self.rotate is None else turn_light(lit, self.rotate)
         axis = (0.0, 0.0, 1.0) if self.about is None else tuple(float(v) for v in self.about)
-        return LightFrames(turned, self.exposure, steps, axis)
+        return LightFrames(turned, self.exposure, steps, axis, self.part)
 
     def refuse_turns(self) -> None:
         """Raise InputError if something is asked for that directions do not have."""

@@ -126,7 +126,11 @@ class UnitView:
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
-        return decode_region(self._body, self._parsed, self._shape, Region(0, 0, *self._shape[1:3]), device)
+        return self.coefficients(Region(0, 0, *self._shape[1:3]), device)
+
+    def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
+        """Return those of a part, at its level."""
+        return decode_region(self._body, self._parsed, self._shape, region, device)
 
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""

@@ -1,0 +1,85 @@
+"""Parts of an image, and images at lower resolution: what files of units give without reading all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clrelight.codec import Encoded, decode, decode_view
+from clrelight.codec.entropy.units import LEVELS
+from clrelight.codec.formats.klt_decode import UnitView
+from clrelight.codec.formats.klt_regions import Region, size_at
+from clrelight.dataset import CoefficientMap, FitRecord, read_rows_into
+from clrelight.device import Device
+from clrelight.errors import InputError
+from clrelight.jobs.inputs import whole
+
+
+@dataclass(frozen=True)
+class Part:
+    """What of an image is asked for.
+
+    Attributes
+    ----------
+    box : tuple of int, optional
+        Column and row of the first pixel, width and height, in pixels of the whole image; None: all of it.
+    level : int
+        How often width and height are halved.
+    """
+
+    box: tuple[int, int, int, int] | None = None
+    level: int = 0
+
+    @property
+    def is_all(self) -> bool:
+        """Whether nothing is left out."""
+        return self.box is None and self.level == 0
+
+    def of(self, height: int, width: int) -> Region:
+        """Return the part of an image of a size; InputError where it has none there."""
+        x, y, w, h = self.box or (0, 0, width, height)
+        if x + w > width or y + h > height:
+            raise InputError(f"region {x},{y},{w},{h} does not lie in an image of {width} x {height} pixels")
+        bottom, right = size_at(y + h, self.level), size_at(x + w, self.level)
+        return Region(y >> self.level, x >> self.level, bottom, right, self.level)
+
+
+def take_part(region: Sequence[int] | None, level: int) -> Part:
+    """Return what is asked for; InputError where it makes no sense."""
+    depth = whole(level, "level")
+    if not 0 <= depth <= LEVELS:
+        raise InputError(f"level must be 0 to {LEVELS}, got {level}")
+    if region is None:
+        return Part(None, depth)
+    numbers = [whole(each, "region") for each in region]
+    if len(numbers) != 4 or min(numbers[:2]) < 0 or min(numbers[2:]) < 1:
+        raise InputError(f"region must be X,Y,WIDTH,HEIGHT, the last two 1 or more, got {','.join(map(str, region))}")
+    return Part((numbers[0], numbers[1], numbers[2], numbers[3]), depth)
+
+
+def refuse_level(part: Part, what: str) -> None:
+    """Raise InputError if a lower resolution is asked of what has none."""
+    if part.level:
+        raise InputError(f"{what} holds no levels of resolution: files that codec klt writes now do")
+
+
+def crop(coefficients: CoefficientMap, part: Part) -> CoefficientMap:
+    """Return a part of a fit at full resolution."""
+    region = part.of(*coefficients.image_shape[:2])
+    rows, columns = slice(region.top, region.bottom), slice(region.left, region.right)
+    n_coeff, _, width, channel = coefficients.coeffs_khwc.shape
+    whole_rows = np.empty((n_coeff, region.shape[0], width, channel), coefficients.coeffs_khwc.dtype)
+    read_rows_into(coefficients.coeffs_khwc, rows.start, rows.stop, whole_rows)
+    return FitRecord.of(coefficients).to_map(np.ascontiguousarray(whole_rows[:, :, columns], np.float32))
+
+
+def decode_part(encoded: Encoded, record: FitRecord, part: Part, device: Device) -> CoefficientMap:
+    """Return a part of an encoded fit; of files in units, only what it hangs on is decoded."""
+    view = decode_view(encoded, device)
+    region = part.of(*encoded.shape[1:3])
+    if isinstance(view, UnitView):
+        return record.to_map(view.coefficients(region, device))
+    refuse_level(part, f"an encoding by {encoded.codec}")
+    return crop(record.to_map(decode(encoded, device)), part)
