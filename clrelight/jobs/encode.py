@@ -35,7 +35,7 @@ BASES = ("sh", "whitened", "klt")
 """Coordinates that are coded: as fitted; in the metric of the image; its principal axes."""
 
 _MAX_DECIBELS = 1000.0
-_IN_PARTS = "half, s3tc, bc6h, uniform, wavelet and jpeg2000 take parts"
+_IN_PARTS = "half, s3tc, bc6h, uniform, wavelet, jpeg2000 and klt take parts"
 _TARGET_HOLDS = 5
 """Times the bytes of a map that a search for a quality takes at least."""
 
