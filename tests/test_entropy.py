@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from clrelight.codec.entropy.planes import Thrift, code_planes
+from clrelight.codec.entropy.planes import code_planes
 from clrelight.codec.entropy.range_coding import BitCounter, Decoder, Encoder, ModelSet, code_integers
 from clrelight.codec.entropy.subbands import Statistics, code_indices
 from clrelight.codec.entropy.symbols import (
@@ -120,24 +120,6 @@ def test_zeros_cost_next_to_nothing():
     counter = BitCounter()
     code_planes(counter, list_subbands(64, 64, 5), index.shape, index)
     assert counter.bits < 250
-
-
-def test_thrift_saves_more_than_it_costs():
-    shape, price = (6, 40, 48), 0.2
-    rng = np.random.default_rng(6)
-    values = (rng.laplace(scale=0.6, size=shape) * (rng.random(shape) < 0.5)).astype(np.float32)
-    nearest = np.rint(values).astype(np.int32)
-    bands, costs = list_subbands(*shape[1:], 3), []
-    for thrift in (None, Thrift(values, price)):
-        index, encoder = nearest.copy(), Encoder()
-        code_planes(encoder, bands, shape, index, thrift)
-        decoder = Decoder(encoder.to_bytes())
-        np.testing.assert_array_equal(code_planes(decoder, bands, shape, None), index)
-        decoder.finish()
-        costs.append(float(((index - values) ** 2).sum()) + price * 8 * encoder.byte_count)
-    assert (np.abs(index) <= np.abs(nearest)).all()
-    assert (index * nearest >= 0).all()
-    assert costs[1] < 0.97 * costs[0]
 
 
 def test_counting_changes_nothing():

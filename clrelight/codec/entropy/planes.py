@@ -13,7 +13,6 @@ values of the LL subband, from their neighbours.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,28 +45,11 @@ _MAX_SIZE = 4095  # larger ones are not told apart: four, and a parent with two 
 _MAX_VALUE = 1 << 30
 
 
-@dataclass(frozen=True)
-class Thrift:
-    """Lets the encoder take smaller indices than the nearest ones where they save bits.
-
-    Attributes
-    ----------
-    values_jhw : ndarray, shape (n_plane, height, width), float32
-        What the indices stand for, in steps.
-    price : float
-        Squared steps of error that a bit must save.
-    """
-
-    values_jhw: NDArray[np.float32]
-    price: float
-
-
 def code_planes(
     coder: Coder,
     bands: list[Subband],
     shape: tuple[int, int, int],
     index_jhw: NDArray[np.int32] | None,
-    thrift: Thrift | None = None,
 ) -> NDArray[np.int32]:
     """Code the indices of all planes.
 
@@ -81,9 +63,6 @@ def code_planes(
         (n_plane, height, width).
     index_jhw : ndarray, shape (n_plane, height, width), int32, or None
         What to code, below 2**29 in magnitude; None when decoding.
-    thrift : Thrift, optional
-        Details are chosen anew, at the bits that they cost in their context, and written to `index_jhw`. Only when
-        encoding.
 
     Returns
     -------
@@ -110,9 +89,8 @@ def code_planes(
         if not cells:
             continue
         given = None if decoding else np.concatenate([cell.residual().ravel() for cell in cells])
-        wanted = None if thrift is None else np.concatenate([cell.wanted(thrift).ravel() for cell in cells])
         pieces = [(cell.site, cell.activity) for cell in cells]
-        residuals = code_batch(coder, tables, pieces, given, wanted, thrift.price if thrift is not None else 0.0)
+        residuals = code_batch(coder, tables, pieces, given)
         start = 0
         for cell in cells:
             end = start + cell.activity.size
@@ -202,13 +180,6 @@ class _Cell:
         if not self._coded.low:
             return index
         return differentiate(index) if self._phase == 0 else index - self._expect()
-
-    def wanted(self, thrift: Thrift) -> NDArray[np.float32]:
-        """Return the sizes that the indices stand for, -1 where they are not to be chosen anew."""
-        if self._coded.low:
-            return np.full(self.activity.shape, -1.0, np.float32)
-        band = self._coded.band
-        return np.abs(thrift.values_jhw[:, band.rows, band.columns][self._part])
 
     def keep(self, residual: NDArray[np.int32]) -> None:
         """Note what was coded."""

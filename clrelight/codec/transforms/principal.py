@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.range_coding import Coder, ModelSet, code_integers
-from clrelight.codec.entropy.symbols import CLASSES, class_floor, classify, geometric_prior
-from clrelight.codec.slabs import slabs
-from clrelight.codec.transforms.metric import hemisphere_metric
-from clrelight.device import Device
+from clrelight.codec.entropy.symbols import CLASSES, class_floor, classify, even_prior, geometric_prior
 from clrelight.errors import PayloadError
-from clrelight.matmul import multiply_columns
 
 ROTATION_UNIT = 127
 """The rotation of the channels is sent as whole numbers of this unit."""
@@ -25,24 +22,6 @@ _COARSER = 1.4
 _ROUNDING = 0.3
 _SAMPLED_PIXELS = 16384
 MAX_ENTRY = 1 << 24
-
-
-@dataclass(frozen=True)
-class Whitened:
-    """A map in coordinates whose errors all cost the same image error.
-
-    Attributes
-    ----------
-    pixels_pd : ndarray, shape (height * width, channel * n_component), float32
-        Channels after their rotation, each with its components from smooth to rough; mean removed.
-    mean_d : ndarray, shape (channel * n_component,), float64
-    rotation_cc : ndarray, shape (channel, channel), int8
-        Rows are the rotated channels, in units of 1/127.
-    """
-
-    pixels_pd: NDArray[np.float32]
-    mean_d: NDArray[np.float64]
-    rotation_cc: NDArray[np.int8]
 
 
 @dataclass(frozen=True)
@@ -65,41 +44,6 @@ class Axes:
         return self.entries_jd / np.exp2(self.scales_j[:, None] / SCALES_PER_OCTAVE)
 
 
-def whiten(coeffs_khwc: NDArray[np.float32], exponent: int, device: Device) -> Whitened:
-    """Return a map, times ``2**-exponent``, in the metric of the hemisphere with its channels rotated.
-
-    The channels' rotation (their principal axes) puts what they share into the first, so that tables are mostly zero
-    in the others.
-    """
-    n_coeff, height, width, channel = coeffs_khwc.shape
-    n_pixel = height * width
-    forward_jk = np.ldexp(hemisphere_metric(n_coeff).forward_jk, -exponent)
-    coeffs_kpc = np.ascontiguousarray(coeffs_khwc).reshape(n_coeff, n_pixel, channel)
-
-    def multiply(pixels: slice) -> NDArray[np.float32]:
-        part_kp = np.ascontiguousarray(coeffs_kpc[:, pixels]).reshape(n_coeff, -1)
-        return multiply_columns(device, forward_jk, part_kp).reshape(len(forward_jk), -1, channel)
-
-    sampled = multiply(slice(None, None, sample_stride(n_pixel))).reshape(-1, channel).astype(np.float64)
-    _, axes = np.linalg.eigh(sampled.T @ sampled)
-    rotation_cc = np.rint(ROTATION_UNIT * axes[:, ::-1].T).astype(np.int8)
-    turn_dc = (rotation_cc / ROTATION_UNIT).astype(np.float32)
-    pixels_pd = np.empty((n_pixel, channel * len(forward_jk)), np.float32)
-    for pixels in slabs(n_pixel, 4 * pixels_pd.shape[1]):  # beside the whole, only parts of what leads to it
-        turned_pdj = np.einsum("jpc,dc->pdj", multiply(pixels), turn_dc, optimize=True)
-        pixels_pd[pixels] = turned_pdj.reshape(-1, pixels_pd.shape[1])
-    mean_d = pixels_pd.mean(axis=0, dtype=np.float64)
-    pixels_pd -= mean_d.astype(np.float32)
-    return Whitened(pixels_pd, mean_d, rotation_cc)
-
-
-def principal_axes(whitened: Whitened) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the axes (rows, unit length) and the standard deviation of the pixels along each, both descending."""
-    sampled = whitened.pixels_pd[:: sample_stride(len(whitened.pixels_pd))].astype(np.float64)
-    variance, vectors = np.linalg.eigh(sampled.T @ sampled / len(sampled))
-    return vectors[:, ::-1].T, np.sqrt(np.maximum(variance[::-1], 0.0))
-
-
 def quantise_axes(vectors_jd: NDArray[np.float64], deviation_j: NDArray[np.float64], n_pixel: int, step: float) -> Axes:
     """Return the axes in steps that cost the image what a step of the planes costs it.
 
@@ -114,14 +58,6 @@ def quantise_axes(vectors_jd: NDArray[np.float64], deviation_j: NDArray[np.float
     return Axes(entries, scales)
 
 
-def solve_planes(whitened: Whitened, axes: Axes) -> NDArray[np.float32]:
-    """Return each pixel's coordinates (n_pixel, n_axis) along the axes as the decoder knows them, by least squares."""
-    vectors = axes.vectors_jd
-    # The axes being near orthonormal, their Gram matrix is near the identity, and far smaller than they are.
-    solution = vectors.T @ np.linalg.pinv(vectors @ vectors.T, hermitian=True)
-    return whitened.pixels_pd @ solution.astype(np.float32)
-
-
 def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray[np.int64] | None) -> NDArray[np.int64]:
     """Code vectors of shape (rows, channel, component) one after another, each entry near others of its size.
 
@@ -129,7 +65,7 @@ def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray
     """
     rows, channel, component = shape
     models = ModelSet(_entry_prior())
-    signs = ModelSet(np.full((1, 2), 0.5))
+    signs = ModelSet(even_prior(1, 2))
     entries = np.zeros(shape, np.int64)
     before = np.zeros((channel, component + 2), np.int64)
     before[:, 1:-1] = 4
@@ -153,9 +89,9 @@ def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray
 
 
 @functools.cache
-def _entry_prior() -> NDArray[np.float64]:
-    middle = np.array([0.15, *(0.45 * class_floor(i) for i in range(1, CLASSES))])
-    return geometric_prior(np.minimum(middle, 1e6))
+def _entry_prior() -> NDArray[np.int64]:
+    means = [Fraction(9, 20) * class_floor(i) for i in range(1, CLASSES)]
+    return geometric_prior([Fraction(3, 20), *(min(mean, Fraction(10**6)) for mean in means)])
 
 
 def sample_stride(n_pixel: int) -> int:
