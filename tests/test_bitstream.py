@@ -1,5 +1,6 @@
 """docs/bitstream.md against the program: decoders that know the page alone read what our encoders write."""
 
+import hashlib
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.codec.ballast import add_ballast
 from clrelight.codec.entropy import batches, planes, range_coding, subbands
 from clrelight.codec.entropy.symbols import class_floor, classify, geometric_prior
-from clrelight.codec.formats import codestream, klt_body, wavelet
+from clrelight.codec.formats import codestream, klt_decode, klt_units, wavelet
 from clrelight.codec.padding import pad_body
 from clrelight.codec.transforms import principal
 from clrelight.codec.transforms.lifting import list_subbands
@@ -20,6 +21,7 @@ from tests.reference import entropy
 from tests.reference.bc6h import decode_bc6h
 from tests.reference.cpca import decode_cpca
 from tests.reference.klt import PlaneTables, decode_klt, decode_planes, decode_vectors, hemisphere_axes
+from tests.reference.klt4 import START, decode_klt4
 from tests.reference.payload import Refused, open_payload, without_ballast, without_padding
 from tests.reference.s3tc import decode_s3tc
 from tests.reference.uniform import decode_uniform
@@ -52,17 +54,21 @@ def decode_inside(body, shape):
 
 def decode_whitened(body, shape):
     codec, body = decode_inside(body, shape)
-    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, smooth=False)[1]
+    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, "singular")[1]
     return np.tensordot(inverse, DECODERS[codec](body, (inverse.shape[1], *shape[1:])), 1)
 
 
 def decode_principal(body, shape):
     codec, body = decode_inside(body, shape)
-    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, smooth=True)[1]
+    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, "smooth")[1]
     count, components = int.from_bytes(body[:2], "little"), inverse.shape[1]
     axes = np.frombuffer(body, "<f2", count * components, 2).reshape(count, components).astype(float)
     maps = DECODERS[codec](body[2 + axes.size * 2 :], (count, *shape[1:]))
     return np.tensordot(inverse @ axes.T, maps, 1)
+
+
+def decode_any_klt(body, shape):
+    return decode_klt4(body, shape) if body[:1] == b"\4" else decode_klt(body, shape)
 
 
 DECODERS = {
@@ -74,7 +80,7 @@ DECODERS = {
     "cpca": decode_cpca,
     "jpeg2000": decode_jpeg2000,
     "wavelet": lambda body, shape: decode_wavelet(body, shape)[1],
-    "klt": lambda body, shape: decode_klt(body, shape).coeffs,
+    "klt": lambda body, shape: decode_any_klt(body, shape).coeffs,
     "whitened": decode_whitened,
     "principal": decode_principal,
 }
@@ -103,7 +109,7 @@ def smooth_map(degree, shape, seed=0):
 
 @pytest.fixture
 def taken(monkeypatch):
-    """Return what our decoders hand to the dequantiser, and the vectors of klt, filled while they run."""
+    """Return the indices that our decoders found, and the vectors of klt, filled while they run."""
     found = {"indices": [], "vectors": []}
 
     def spy(module, name, keep):
@@ -116,9 +122,9 @@ def taken(monkeypatch):
 
         monkeypatch.setattr(module, name, run)
 
-    for module in (wavelet, klt_body):
-        spy(module, "dequantise_map", lambda arguments, _: found["indices"].append(arguments[2].copy()))
-    spy(klt_body, "code_vectors", lambda _, result: found["vectors"].append(result))
+    spy(wavelet, "dequantise_map", lambda arguments, _: found["indices"].append(arguments[2].copy()))
+    spy(klt_decode, "decode_streams", lambda a, _: found["indices"].append(a[0].download(a[4]).copy()))
+    spy(klt_units, "code_vectors", lambda _, result: found["vectors"].append(result))
     return found
 
 
@@ -150,14 +156,37 @@ def test_wavelet(device, taken, degree, shape, options):
     assert (np.abs(found - expected) <= 16 * EPS * encoded.body[0] * scale).all()
 
 
+def check_klt(device, taken, coeffs, options):
+    """Return what the page makes of an encoded map, which is what the program makes of it."""
+    encoded = encode(coeffs, codec_class("klt").from_config(options), device)
+    for seen in taken.values():
+        seen.clear()  # encoding may have decoded to compare
+    found, expected = decode_klt4(encoded.body, encoded.shape), decode(encoded, device)
+    mean, axes = taken["vectors"]
+    np.testing.assert_array_equal(found.mean, mean[0])
+    np.testing.assert_array_equal(found.axes, axes)
+    assert len(taken["indices"]) == (len(found.indices) > 0)
+    for index in taken["indices"]:
+        np.testing.assert_array_equal(found.indices, index[..., : coeffs.shape[2]])
+    if options["transfer"] == "linear":
+        np.testing.assert_allclose(found.coeffs, expected, rtol=0, atol=64 * EPS * np.abs(expected).max())
+    # Behind the curve roundings are multiplied by its slope and projected back: magnified where no image shows them.
+    forward = hemisphere_axes(round(len(coeffs) ** 0.5) - 1, "singular")[0]
+    shown, error = (np.tensordot(forward, values, 1) for values in (expected, found.coeffs - expected))
+    assert np.abs(error).max() <= (64 if options["transfer"] == "linear" else 256) * EPS * np.abs(shown).max()
+    return found
+
+
 @pytest.mark.parametrize("transfer", ["linear", "srgb"])
 @pytest.mark.parametrize(
     ("degree", "shape", "step"),
     [
         (0, (1, 1, 1), 2.0**-6),
         (0, (13, 9, 3), 2.0**-8),
+        (0, (70, 131, 1), 2.0**-7),
         (1, (9, 11, 3), 2.0**-12),
         (2, (33, 1, 3), 2.0**-7),
+        (2, (1, 150, 2), 2.0**-9),
         (3, (11, 10, 1), 2.0**-16),
         (4, (8, 7, 2), 2.0**-6),
         (5, (7, 9, 3), 2.0**-5),
@@ -165,28 +194,34 @@ def test_wavelet(device, taken, degree, shape, options):
     ],
 )
 def test_klt(device, taken, degree, shape, step, transfer):
-    options = {"step": step, "transfer": transfer}
-    encoded = encode(smooth_map(degree, shape), codec_class("klt").from_config(options), device)
-    for seen in taken.values():
-        seen.clear()  # encoding may have decoded to compare
-    found, expected = decode_klt(encoded.body, encoded.shape), decode(encoded, device)
-    mean, axes = taken["vectors"]
-    np.testing.assert_array_equal(found.mean, mean[0])
-    np.testing.assert_array_equal(found.axes, axes)
+    found = check_klt(device, taken, smooth_map(degree, shape), {"step": step, "transfer": transfer})
     assert len(found.indices) or step >= 2.0**-6
-    for index in taken["indices"]:
-        np.testing.assert_array_equal(found.indices, index)
-    if transfer == "linear":
-        np.testing.assert_allclose(found.coeffs, expected, rtol=0, atol=64 * EPS * np.abs(expected).max())
-    # Behind the curve roundings are multiplied by its slope and projected back: magnified where no image shows them.
-    forward = hemisphere_axes(degree, smooth=False)[0]
-    shown, error = (np.tensordot(forward, values, 1) for values in (expected, found.coeffs - expected))
-    assert np.abs(error).max() <= (64 if transfer == "linear" else 256) * EPS * np.abs(shown).max()
+
+
+def test_klt_at_fine_steps_has_shifts_and_escapes(device, taken):
+    found = check_klt(device, taken, smooth_map(1, (40, 50, 3)), {"step": 2.0**-17, "transfer": "linear"})
+    assert len(found.indices) > 8  # all groups of contexts
+    details = np.abs(found.indices[:, 2:, 2:])
+    assert details.max() > 1 << 12
+    assert (details == 0).any()
+
+
+@pytest.mark.parametrize("shape", [(514, 530, 1), (3, 90_000, 1)])
+def test_klt_in_streams_of_their_own(device, taken, shape):
+    coeffs = smooth_map(0, shape)
+    coeffs[:, 2:, ::7] += 0.5
+    found = check_klt(device, taken, coeffs, {"step": 0.25, "transfer": "linear"})
+    assert len(found.indices) == 1
+    assert np.count_nonzero(found.indices) > 1000
 
 
 def test_a_klt_payload_behind_the_curve_is_among_those(device):
     codec = codec_class("klt").from_config({"step": 2.0**-5, "transfer": "srgb"})
-    assert encode(smooth_map(2, (12, 12, 3)), codec, device).body[12] == 1
+    assert encode(smooth_map(2, (12, 12, 3)), codec, device).body[10] == 1
+
+
+def test_the_tables_that_units_start_from_are_those_of_the_page():
+    assert hashlib.sha256(START.read_bytes()).hexdigest() in PAGE
 
 
 SHAPES = [(1, 1, 1), (3, 1, 1), (1, 1, 17), (3, 13, 1), (5, 6, 7), (8, 4, 4)]
@@ -287,11 +322,11 @@ def test_classes_are_those_of_the_page():
     assert [entropy.floor_of(i) for i in range(62)] == [class_floor(i) for i in range(62)]
 
 
-@pytest.mark.parametrize("smooth", [True, False])
-def test_the_metric_is_that_of_the_page(smooth):
+@pytest.mark.parametrize("axes", ["damped", "smooth", "singular"])
+def test_the_metric_is_that_of_the_page(axes):
     for degree in range(9):
-        ours = hemisphere_metric((degree + 1) ** 2, "smooth" if smooth else "singular")
-        forward, inverse = hemisphere_axes(degree, smooth)
+        ours = hemisphere_metric((degree + 1) ** 2, axes)
+        forward, inverse = hemisphere_axes(degree, axes)
         tolerance = 1e-6 if degree < 7 else 1e-3
         np.testing.assert_allclose(forward @ ours.inverse_kj, np.eye(len(forward)), rtol=0, atol=tolerance)
         np.testing.assert_allclose(inverse, ours.inverse_kj, rtol=0, atol=tolerance * np.abs(inverse).max())

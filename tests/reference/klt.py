@@ -159,7 +159,7 @@ def decode_batch(decoder, tables, samples):
     return [values.get(i, 0) for i in range(len(samples))]
 
 
-def hemisphere_axes(degree, smooth):
+def hemisphere_axes(degree, axes):
     """Return forward (component, k) and inverse (k, component) of the metric of the hemisphere."""
     size = (degree + 1) ** 2
     forward, inverse = np.zeros((size, size)), np.zeros((size, size))
@@ -172,8 +172,10 @@ def hemisphere_axes(degree, smooth):
         _, s, v = np.linalg.svd(basis[:, l * (l + 1) + m] * (np.sqrt(2) if m == 0 else 1))
         kept = s > 1e-7
         rows, columns = s[kept, None] * v[: len(s)][kept], v[: len(s)][kept].T / s[kept]
-        if smooth:
-            turn = np.linalg.eigh(columns.T @ np.diag((l * (l + 1.0)) ** 2) @ columns)[1]
+        if axes != "singular":
+            of = {"smooth": columns.T @ np.diag((l * (l + 1.0)) ** 2) @ columns}
+            of["damped"] = -rows @ np.diag(1 / (1 + l * (l + 1.0))) @ rows.T
+            turn = np.linalg.eigh(of[axes])[1]
             rows, columns = turn.T @ rows, columns @ turn
         for j, row in enumerate(rows):
             large = np.abs(row) > 0.7 * np.abs(row).max()
@@ -197,7 +199,7 @@ def radiance_of(values, degree):
     shown = np.tensordot(y, values, 1)
     size = np.abs(shown)
     curved = np.sign(shown) * np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
-    forward, inverse = hemisphere_axes(degree, smooth=False)
+    forward, inverse = hemisphere_axes(degree, "singular")
     s = np.linalg.norm(forward, axis=1)
     inverse = inverse[:, s > 1e-3 * s.max()]
     return np.tensordot(inverse @ inverse.T @ (y * w[:, None]).T, curved, 1)
@@ -220,7 +222,7 @@ def decode_klt(body, shape):
     require(len(body) >= at + n, "length")
     scales = np.frombuffer(body, "u1", n, at)
     decoder = RangeDecoder(body[at + n :])
-    _, inverse = hemisphere_axes(degree, smooth=True)
+    _, inverse = hemisphere_axes(degree, "smooth")
     components = inverse.shape[1]
     require(n <= channels * components, "planes")
     mean = decode_vectors(decoder, 1, channels, components)[0]
