@@ -76,9 +76,7 @@ class UnitTables:
         content = START.read_bytes()
         self.counts = [list(content[i : i + SYMBOLS]) for i in range(0, CONTEXTS * SYMBOLS, SYMBOLS)]
         self.zero, self.seen = np.frombuffer(content, "<u2", 2 * FLAGS, CONTEXTS * SYMBOLS).reshape(FLAGS, 2).T.tolist()
-        self.left, self.patience = [[]] * CONTEXTS, [0] * CONTEXTS
-        for context in range(CONTEXTS):
-            self.share(context)
+        self.left, self.patience = {}, {}  # of contexts that came
 
     def share(self, context):
         counts = self.counts[context]
@@ -101,6 +99,8 @@ class UnitTables:
         return symbols
 
     def take_symbol(self, stream, context, lane):
+        if context not in self.left:
+            self.share(context)
         left, slot = self.left[context], stream.slot(lane)
         symbol = max(s for s in range(SYMBOLS) if left[s] <= slot)
         stream.take(lane, left[symbol], left[symbol + 1] - left[symbol])
@@ -187,7 +187,8 @@ def parent_sizes(index, band, row, column, shape):
     """Return the sizes of the parent's samples, or None where it has none at the first sample's place."""
     if band is None or band.height <= row or band.width <= column:
         return None
-    sizes = np.minimum(np.abs(band.view(index)[row:, column:]), 255).repeat(2, axis=0).repeat(2, axis=1)
+    sizes = np.minimum(np.abs(band.view(index)[row : row + 32, column : column + 32]), 255)
+    sizes = sizes.repeat(2, axis=0).repeat(2, axis=1)
     sizes = sizes[: shape[0], : shape[1]]
     return np.pad(sizes, [(0, shape[0] - sizes.shape[0]), (0, shape[1] - sizes.shape[1])])
 
