@@ -6,6 +6,7 @@ seed, its codec and its number alone, so ``--only klt --first 1234 --count 1`` r
 
 from __future__ import annotations
 
+import binascii
 import faulthandler
 import itertools
 import math
@@ -19,6 +20,7 @@ import click
 import numpy as np
 
 from clrelight.codec import codec_class, codec_ids, decode, decode_view, encode
+from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, pack_index
 from clrelight.device import open_device
 from clrelight.errors import PayloadError
 from tests import campaign
@@ -41,6 +43,8 @@ FREE_SECONDS, SECONDS_EACH = 20.0, 1e-6
 """A decoder that takes longer hangs: a thousand times the usual, whatever else the machine does."""
 WRAPPERS = ("principal", "whitened")
 """Codecs that hold another one."""
+UNITS_SEALED = 0.7
+"""The part of them whose inner checksums fit too."""
 FROZEN = Path(__file__).resolve().parent / "frozen"
 RELIT = 3
 """Every so many payloads are relit too, by what needs no coefficients."""
@@ -54,6 +58,29 @@ def seal(payload):
         return payload
     head = payload[: at - 8] + struct.pack("<Q", len(payload) - at - 4)
     return head + struct.pack("<I", zlib.crc32(payload[at + 4 :], zlib.crc32(head))) + payload[at + 4 :]
+
+
+def seal_units(payload):
+    """Return `payload` with the checksums that a klt body of version 4 has inside, so that its units are decoded."""
+    at = 6 + payload[5] + 28 if len(payload) > 5 else len(payload)
+    body = payload[at:]
+    if payload[6 : at - 28] != b"klt" or len(body) < HEAD_SIZE or body[0] != VERSION:
+        return payload
+    shape = struct.unpack_from("<4I", payload, at - 28)
+    count, tables = struct.unpack_from("<HxI", body, 8)
+    front = HEAD_SIZE + tables
+    if count == 0 or not 0 < shape[1] * shape[2] <= 1 << 18 or len(body) < front:
+        return payload
+    place = front
+    while place < len(body) - 1 and body[place] >= 128:
+        place += 1
+    stream = body[place + 5 :]  # behind the last byte of the length and two checksums
+    index = pack_index([stream])
+    return payload[:at] + body[:front] + index + _crc(body[:front] + index) + stream
+
+
+def _crc(content):
+    return struct.pack("<H", binascii.crc_hqx(content, 0))
 
 
 def check_large_claims(device, codec_class, bodies):
@@ -163,7 +190,8 @@ class Campaign:
             original = self.payloads[family][number % len(self.payloads[family])]
             sealed = rng.random() < 0.9
             payload = damage(original, self.others, rng)
-            payload = seal(payload) if sealed else payload
+            if sealed:
+                payload = seal(seal_units(payload) if rng.random() < UNITS_SEALED else payload)
             if payload == original:
                 continue
             if trace:

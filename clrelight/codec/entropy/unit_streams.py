@@ -22,6 +22,8 @@ _WORK_BYTES = 1 << 18
 _SEEN = CONTEXTS * SYMBOLS + 2 * FLAGS
 _RAW_BYTES = 8
 """Of a sample at most: what passes the last symbol, bits below a shift, and a sign."""
+_DECODED_AT_ONCE = 16
+"""Streams of each compute unit: what bounds the memory that they work in."""
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,7 @@ def decode_streams(
     first, unit = device.upload(layout.first_t2), device.upload(layout.unit_uf)
     counts, flags = device.upload(tables.count_ms), device.upload(tables.flag_f2)
     most = max(end - begin for begin, end in layout.batches)
+    most = min(most, max(_DECODED_AT_ONCE * device.info.compute_units, 256))
     work = device.empty((most, _WORK_BYTES), np.uint8)
     fault_t = np.zeros(n_stream, np.int32)
     fault, place = device.empty(fault_t.shape, np.int32, fault_t), device.upload(place_t2)
@@ -201,12 +204,13 @@ def decode_streams(
     if sums is None or weight_jc is None:  # no kernel takes nothing: memory that is never touched
         sums, weight_jc = device.empty((1, *index.shape[1:]), np.float32), np.zeros((index.shape[0], 1), np.float32)
     weight = device.upload(weight_jc)
-    for begin, end in layout.batches:
-        device.launch(
-            "codec/units_decode.cl",
-            "decode_units",
-            (end - begin,),
-            *(index, sums, weight, stream, place, first, unit, counts, flags, work, fault),
-            *(begin, planes, n_sum, *sums.shape),
-        )
+    for batch, end in layout.batches:
+        for begin in range(batch, end, most):
+            device.launch(
+                "codec/units_decode.cl",
+                "decode_units",
+                (min(most, end - begin),),
+                *(index, sums, weight, stream, place, first, unit, counts, flags, work, fault),
+                *(begin, planes, n_sum, *sums.shape),
+            )
     return device.download(fault)

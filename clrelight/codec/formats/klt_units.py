@@ -85,7 +85,7 @@ def pack_body(
 ) -> bytes:
     """Return a body; the head's bytes of axes are filled in."""
     tables = pack_axes(rotation_cc, axes, mean)
-    front = head._replace(axes_bytes=len(tables)).pack() + tables + _pack_index(streams)
+    front = head._replace(axes_bytes=len(tables)).pack() + tables + pack_index(streams)
     return b"".join([front, _SUM.pack(binascii.crc_hqx(front, 0)), *streams])
 
 
@@ -99,7 +99,8 @@ def pack_axes(rotation_cc: NDArray[np.int8], axes: Axes, mean: NDArray[np.int64]
     return rotation_cc.tobytes() + axes.scales_j.tobytes() + encoder.to_bytes()
 
 
-def _pack_index(streams: list[bytes]) -> bytes:
+def pack_index(streams: list[bytes]) -> bytes:
+    """Return where streams lie: the length and the checksum of each."""
     index = bytearray()
     for stream in streams:
         size = len(stream)
