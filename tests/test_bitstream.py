@@ -11,7 +11,7 @@ from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.codec.ballast import add_ballast
 from clrelight.codec.entropy import batches, planes, range_coding, subbands
 from clrelight.codec.entropy.symbols import class_floor, classify, geometric_prior
-from clrelight.codec.formats import codestream, klt_decode, klt_units, wavelet
+from clrelight.codec.formats import codestream, klt_regions, klt_units, wavelet
 from clrelight.codec.padding import pad_body
 from clrelight.codec.transforms import principal
 from clrelight.codec.transforms.lifting import list_subbands
@@ -123,7 +123,7 @@ def taken(monkeypatch):
         monkeypatch.setattr(module, name, run)
 
     spy(wavelet, "dequantise_map", lambda arguments, _: found["indices"].append(arguments[2].copy()))
-    spy(klt_decode, "decode_streams", lambda a, _: found["indices"].append(a[0].download(a[4]).copy()))
+    spy(klt_regions, "decode_streams", lambda a, _: found["indices"].append(a[0].download(a[4]).copy()))
     spy(klt_units, "code_vectors", lambda _, result: found["vectors"].append(result))
     return found
 

@@ -128,11 +128,12 @@ def encode_streams(
     error_tj, bits_tj = np.zeros((n_stream, n_plane), np.float32), np.zeros((n_stream, n_plane), np.float32)
     given = [device.upload(a) for a in (layout.first_t2, layout.unit_uf, tables.count_ms, tables.flag_f2)]
     work, item = device.empty((workers, _WORK_BYTES), np.uint8), device.empty((workers, items), np.uint32)
-    raw, seen = device.empty((workers, _RAW_BYTES * items), np.uint8), device.empty(seen_wn.shape, np.uint32, seen_wn)
+    raw = device.empty((workers, _RAW_BYTES * items), np.uint8)
     room = max(1 << 20, int(samples.sum()))
     while True:
         taken, stream = np.zeros(1, np.uint32), device.empty((room,), np.uint8)
-        held = [device.empty(a.shape, a.dtype, a) for a in (taken, place_t2, error_tj, bits_tj)]
+        held = [_hold(device, a) for a in (taken, place_t2, error_tj, bits_tj)]
+        seen = _hold(device, seen_wn)
         for begin, end in layout.batches:
             device.launch(
                 "codec/units_encode.cl",
@@ -160,6 +161,11 @@ def encode_streams(
         seen_n[:n_symbol].reshape(CONTEXTS, SYMBOLS),
         seen_n[n_symbol:].reshape(FLAGS, 2),
     )
+
+
+def _hold(device: Device, array: NDArray) -> DeviceArray:
+    """Return an array that kernels go on from."""
+    return device.empty(array.shape, array.dtype, array) if device.shares_memory else device.upload(array)
 
 
 def _samples(layout: Layout) -> NDArray[np.int64]:
