@@ -22,10 +22,22 @@ OPTIONS = {
     "klt.3.srgb": {"step": 2.0**-7, "transfer": "srgb"},
     "klt.3.grey": {"step": 2.0**-6},
     "klt.3.fine": {"step": 2.0**-19},
+    "klt.4": {"step": 2.0**-10},
+    "klt.4.srgb": {"step": 2.0**-5, "transfer": "srgb"},
+    "klt.4.grey": {"step": 2.0**-6},
+    "klt.4.fine": {"step": 2.0**-19},
+    "klt.4.wide": {"step": 2.0**-11},
     "wavelet.global": {"rate": 3.0, "allocation": "global", "levels": 5},
     "wavelet.fine": {"rate": 30.0},
 }
-SHAPES = {"klt.3.srgb": (9, 13, 10, 3), "klt.3.grey": (49, 9, 12, 1), "wavelet.global": (9, 13, 10, 1)}
+SHAPES = {
+    "klt.3.srgb": (9, 13, 10, 3),
+    "klt.3.grey": (49, 9, 12, 1),
+    "klt.4.srgb": (9, 13, 10, 3),
+    "klt.4.grey": (169, 9, 12, 1),  # a degree at which axes of old bodies hang on the processor
+    "klt.4.wide": (4, 70, 33, 1),  # several units of the finest level
+    "wavelet.global": (9, 13, 10, 1),
+}
 FOLDER = Path(__file__).resolve().parent
 
 
@@ -54,7 +66,7 @@ def main(names):
             print(f"{payload.name} exists and is kept")
             continue
         codec = name.partition(".")[0]
-        make_map = smooth_map if name == "klt.3.srgb" else frozen_map
+        make_map = smooth_map if name.endswith(".srgb") else frozen_map
         coeffs = make_map(SHAPES.get(name, (4, 9, 11, 3)))
         encoded = encode(coeffs, codec_class(codec).from_config(OPTIONS.get(name, {})), device).to_bytes()
         payload.write_bytes(encoded)
