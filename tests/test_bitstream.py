@@ -215,6 +215,17 @@ def test_klt_in_streams_of_their_own(device, taken, shape):
     assert np.count_nonzero(found.indices) > 500
 
 
+@pytest.mark.parametrize("rows", [99, 130])
+def test_how_far_the_inverse_transform_looks(rows):
+    """A unit is needed by pixels within three of its rows, or columns."""
+    for band in entropy.list_bands(rows, 1, 5):
+        for y in range(band.height):
+            plane = np.zeros((rows, 1))
+            plane[band.top + y] = 1.0
+            changed = np.flatnonzero(entropy.join_plane(plane, 5))
+            assert (changed[-1] >> band.level) - 3 <= y <= (changed[0] >> band.level) + 3
+
+
 def test_a_klt_payload_behind_the_curve_is_among_those(device):
     codec = codec_class("klt").from_config({"step": 2.0**-5, "transfer": "srgb"})
     assert encode(smooth_map(2, (12, 12, 3)), codec, device).body[10] == 1

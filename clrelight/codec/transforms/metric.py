@@ -40,9 +40,10 @@ def hemisphere_metric(n_coeff: int, axes: str = "smooth") -> Metric:
 
     ``axes="damped"`` rotates the whitened coordinates ``S V' c`` to the principal axes of ``(1 + l (l + 1))^-1`` in
     them, from smooth to rough: each eigenvalue of an order is at least a tenth smaller than the one before, so that
-    every machine finds the same axes. ``"singular"`` is ``S V' c`` itself, and ``"smooth"`` the axes of the Laplace-Beltrami operator, which old
-    payloads have: above degree 8 a decoder on another processor may find others. G couples only functions of one order
-    m, so all steps run order by order. Nothing but the degree enters: a decoder needs no table.
+    every machine finds the same axes. ``"singular"`` is ``S V' c`` itself, and ``"smooth"`` the axes of the
+    Laplace-Beltrami operator, which old payloads have: above degree 8 a decoder on another processor may find others.
+    G couples only functions of one order m, so all steps run order by order. Nothing but the degree enters: a decoder
+    needs no table.
 
     Components are listed like basis functions: the j-th of order m stands where ``l = |m| + j`` would.
     """
