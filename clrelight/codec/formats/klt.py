@@ -62,7 +62,9 @@ class Klt(PartsCodec):
     """
 
     id: ClassVar[str] = "klt"
-    summary: ClassVar[str] = "whitened principal axes, 9/7 wavelet and range coding: quality per byte"
+    summary: ClassVar[str] = (
+        "whitened principal axes, 9/7 wavelet and units of rANS: quality per byte, regions and levels"
+    )
 
     rate: float | None = None
     byte_budget: int | None = None
