@@ -38,12 +38,13 @@ INLINE uint take_bits(decoder_t *d, const int count)
     return value;
 }
 
-INLINE int take_large(decoder_t *d)
+/* Exp-Golomb of an order. */
+INLINE int take_large(decoder_t *d, const int order)
 {
-    int octave = 0;
+    int octave = order;
     while (octave < 28 && !d->fault && !take_bits(d, 1))
         octave++;
-    return (int)((1u << octave) | (octave ? take_bits(d, octave) : 0u)) - 1;
+    return (int)((1u << octave) | (octave ? take_bits(d, octave) : 0u)) - (1 << order);
 }
 
 INLINE void begin_stream(decoder_t *d, __global const uchar *bytes, const uint size)
@@ -197,7 +198,7 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
             }
             for (i = 0; i < found && !d->fault; ++i) {
                 const int symbol = work->context[i] & 0xfff, shift = work->context[i] >> 12;
-                int magnitude = symbol == LAST ? LAST + take_large(d) : symbol;
+                int magnitude = symbol == LAST ? LAST + take_large(d, ORDER(shift)) : symbol;
                 if (magnitude > MAX_MAGNITUDE >> shift) {
                     d->fault = 1;
                     break;
@@ -231,7 +232,7 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
             DECODE(state, context, symbol)
             d->state[0] = renormalise(d, state);
             note_symbol(work, context, symbol, &due);
-            int size = symbol == LAST ? LAST + take_large(d) : symbol;
+            int size = symbol == LAST ? LAST + take_large(d, 0) : symbol;
             if (size > MAX_MAGNITUDE >> shift) {
                 d->fault = 1;
                 size = 0;

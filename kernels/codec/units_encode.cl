@@ -36,15 +36,17 @@ INLINE void put_bits(encoder_t *e, const uint value, const int count)
     }
 }
 
-INLINE void put_large(encoder_t *e, const int excess)
+/* Exp-Golomb of an order; returns the bits. */
+INLINE int put_large(encoder_t *e, const int excess, const int order)
 {
-    const uint value = (uint)excess + 1;
+    const uint value = (uint)excess + (1u << order);
     const int octave = octave_of(value);
-    for (int i = 0; i < octave; ++i)
+    for (int i = order; i < octave; ++i)
         put_bits(e, 0, 1);
     put_bits(e, 1, 1);
     if (octave)
         put_bits(e, value & ((1u << octave) - 1u), octave);
+    return 2 * octave + 1 - order;
 }
 
 INLINE void encode_flag(encoder_t *e, __global work_t *work, const int flag, const int value, __global uint *seen)
@@ -249,10 +251,8 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
                 const int found = index[(size_t)y * pitch + x], magnitude = found < 0 ? -found : found;
                 if (!magnitude && !shift)
                     continue;
-                if (magnitude >> shift >= LAST) {
-                    put_large(e, (magnitude >> shift) - LAST);
-                    taken += 2.0f * octave_of((uint)((magnitude >> shift) - LAST) + 1u) + 1.0f;
-                }
+                if (magnitude >> shift >= LAST)
+                    taken += put_large(e, (magnitude >> shift) - LAST, ORDER(shift));
                 if (shift) {
                     put_bits(e, (uint)magnitude & ((1u << shift) - 1u), shift);
                     taken += shift;
@@ -287,10 +287,8 @@ INLINE void encode_low(encoder_t *e, __global work_t *work, __global const int *
             low[(size_t)y * pitch + x] = found;
             taken += work->cost[context * SYMBOLS + symbol] + shift + (size != 0);
             encode_symbol(e, work, context, symbol, 0, &due, seen);
-            if (symbol == LAST) {
-                put_large(e, (size >> shift) - LAST);
-                taken += 2.0f * octave_of((uint)((size >> shift) - LAST) + 1u) + 1.0f;
-            }
+            if (symbol == LAST)
+                taken += put_large(e, (size >> shift) - LAST, 0);
             if (shift)
                 put_bits(e, (uint)size & ((1u << shift) - 1u), shift);
             if (size)

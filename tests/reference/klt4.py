@@ -50,17 +50,17 @@ class Stream:
         self.bits, self.held = self.bits >> count, self.held - count
         return value
 
-    def take_large(self):
-        octave = 0
+    def take_large(self, order):
+        octave = order
         while not self.take_bits(1):
             octave += 1
             require(octave < 28, "octave")
-        return (1 << octave | self.take_bits(octave)) - 1
+        return (1 << octave | self.take_bits(octave)) - (1 << order)
 
-    def take_magnitude(self, symbol, shift):
+    def take_magnitude(self, symbol, shift, order):
         """Return a magnitude of which the symbol was read."""
         if symbol == SYMBOLS - 1:
-            symbol += self.take_large()
+            symbol += self.take_large(order)
         require(symbol << shift <= 1 << 28, "magnitude")
         return symbol << shift | self.take_bits(shift)
 
@@ -138,7 +138,7 @@ def decode_low(stream, tables, values):
                     known = 64
                 k = min((known + 1).bit_length() - 1, 24)
                 contexts.append(576 + min(k, 15))
-                residual = stream.take_magnitude(tables.take_symbol(stream, contexts[-1], 0), max(k - 4, 0))
+                residual = stream.take_magnitude(tables.take_symbol(stream, contexts[-1], 0), max(k - 4, 0), 0)
                 size[y + 1, x + 1] = residual
                 if residual and stream.take_bits(1):
                     residual = -residual
@@ -222,7 +222,7 @@ def decode_band(stream, tables, plane, hint, part, size):
         whole = len(places) // 4 * 4
         lanes = [i % 4 if i < whole else 0 for i in range(len(places))]
         for (y, x), shift, symbol in zip(places, shifts, tables.take_symbols(stream, contexts, lanes), strict=True):
-            magnitude = stream.take_magnitude(symbol, shift)
+            magnitude = stream.take_magnitude(symbol, shift, 4 if shift == 4 else 0)
             if magnitude:
                 part[y, x] = -magnitude if stream.take_bits(1) else magnitude
                 size[y + 1, x + 1] = min(magnitude, 255)
