@@ -130,6 +130,15 @@ class Device:
         buffer = self._cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=host)
         return DeviceArray(buffer, tuple(shape), dtype, host)
 
+    def hold(self, array: NDArray) -> DeviceArray:
+        """Return an array that kernels may write, and that begins as `array`; a CPU device writes into that."""
+        if self.shares_memory:
+            return self.empty(array.shape, array.dtype, array)
+        check_process()
+        flags = self._cl.mem_flags
+        buffer = self._cl.Buffer(self._context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=array)
+        return DeviceArray(buffer, array.shape, array.dtype)
+
     def download(self, array: DeviceArray) -> NDArray:
         """Wait for the queue and return the array's values as NumPy (the same memory on a CPU)."""
         self.finish()

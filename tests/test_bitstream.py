@@ -49,18 +49,19 @@ def decode_jpeg2000(body, shape):
 
 def decode_inside(body, shape):
     """Return the inner codec's id, and what stands behind it."""
-    return body[1 : 1 + body[0]].decode("ascii"), body[1 + body[0] :]
+    end = 1 + body[0] % 128
+    return body[1:end].decode("ascii"), body[end:]
 
 
 def decode_whitened(body, shape):
+    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, "damped" if body[0] >= 128 else "singular")[1]
     codec, body = decode_inside(body, shape)
-    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, "singular")[1]
     return np.tensordot(inverse, DECODERS[codec](body, (inverse.shape[1], *shape[1:])), 1)
 
 
 def decode_principal(body, shape):
+    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, "damped" if body[0] >= 128 else "smooth")[1]
     codec, body = decode_inside(body, shape)
-    inverse = hemisphere_axes(round(shape[0] ** 0.5) - 1, "smooth")[1]
     count, components = int.from_bytes(body[:2], "little"), inverse.shape[1]
     axes = np.frombuffer(body, "<f2", count * components, 2).reshape(count, components).astype(float)
     maps = DECODERS[codec](body[2 + axes.size * 2 :], (count, *shape[1:]))

@@ -20,7 +20,6 @@ from clrelight.fit.run import DEFAULT_MEMORY, collect_tiles
 from clrelight.fit.selection import AUTO, WITHIN
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
-from clrelight.jobs.confidence import write_confidence
 from clrelight.jobs.half_tiles import float16_tiles
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure import measure_split
@@ -194,6 +193,8 @@ def fit(
         job = _Fit(stack, split, prepared, dtype, budget, kept, progress)
         job.tell_facts()
         if confidence is not None:
+            from clrelight.jobs.confidence import write_confidence  # pictures, which no other fit needs
+
             write_confidence(confidence, prepared, kept)
         if out is not None:
             job.to_file(out, True if measure is None else measure)

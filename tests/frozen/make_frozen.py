@@ -27,6 +27,8 @@ OPTIONS = {
     "klt.4.grey": {"step": 2.0**-6},
     "klt.4.fine": {"step": 2.0**-19},
     "klt.4.wide": {"step": 2.0**-11},
+    "principal.2": {"codec": "half"},
+    "whitened.2": {"codec": "half"},
     "wavelet.global": {"rate": 3.0, "allocation": "global", "levels": 5},
     "wavelet.fine": {"rate": 30.0},
 }
@@ -36,6 +38,8 @@ SHAPES = {
     "klt.4.srgb": (9, 13, 10, 3),
     "klt.4.grey": (169, 9, 12, 1),  # a degree at which axes of old bodies hang on the processor
     "klt.4.wide": (4, 70, 33, 1),  # several units of the finest level
+    "principal.2": (169, 5, 6, 1),
+    "whitened.2": (169, 5, 6, 1),
     "wavelet.global": (9, 13, 10, 1),
 }
 FOLDER = Path(__file__).resolve().parent

@@ -132,8 +132,8 @@ def encode_streams(
     room = max(1 << 20, int(samples.sum()))
     while True:
         taken, stream = np.zeros(1, np.uint32), device.empty((room,), np.uint8)
-        held = [_hold(device, a) for a in (taken, place_t2, error_tj, bits_tj)]
-        seen = _hold(device, seen_wn)
+        held = [device.hold(a) for a in (taken, place_t2, error_tj, bits_tj)]
+        seen = device.hold(seen_wn)
         for begin, end in layout.batches:
             device.launch(
                 "codec/units_encode.cl",
@@ -163,11 +163,6 @@ def encode_streams(
     )
 
 
-def _hold(device: Device, array: NDArray) -> DeviceArray:
-    """Return an array that kernels go on from."""
-    return device.empty(array.shape, array.dtype, array) if device.shares_memory else device.upload(array)
-
-
 def _samples(layout: Layout) -> NDArray[np.int64]:
     """Return the samples of a plane that each stream holds."""
     fields = np.maximum(layout.unit_uf, 0).astype(np.int64)
@@ -195,9 +190,7 @@ def decode_streams(
     """
     n_stream = len(streams)
     size_t = np.array([len(s) for s in streams], np.uint32)
-    place_t2 = np.stack([np.concatenate([[0], np.cumsum(size_t[:-1], dtype=np.uint32)]), size_t], axis=1).astype(
-        np.uint32
-    )
+    place_t2 = np.stack([np.cumsum(size_t, dtype=np.uint32) - size_t, size_t], axis=1)
     stream = device.upload(np.frombuffer(b"".join(streams) or b"\0", np.uint8))
     first, unit = device.upload(layout.first_t2), device.upload(layout.unit_uf)
     counts, flags = device.upload(tables.count_ms), device.upload(tables.flag_f2)
@@ -205,7 +198,7 @@ def decode_streams(
     most = min(most, max(_DECODED_AT_ONCE * device.info.compute_units, 256))
     work = device.empty((most, _WORK_BYTES), np.uint8)
     fault_t = np.zeros(n_stream, np.int32)
-    fault, place = device.empty(fault_t.shape, np.int32, fault_t), device.upload(place_t2)
+    fault, place = device.hold(fault_t), device.upload(place_t2)
     n_sum = 0 if weight_jc is None else weight_jc.shape[1]
     if sums is None or weight_jc is None:  # no kernel takes nothing: memory that is never touched
         sums, weight_jc = device.empty((1, *index.shape[1:]), np.float32), np.zeros((index.shape[0], 1), np.float32)

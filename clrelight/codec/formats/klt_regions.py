@@ -12,9 +12,9 @@ from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
 from clrelight.codec.entropy.units import LEVELS, MARGIN, PRECINCT, Unit, Window, lay_out, list_units
 from clrelight.codec.formats.klt_units import Parsed, Shape, is_together, read_stream
 from clrelight.codec.transforms.lifting import list_subbands, padded_width, transform_planes
+from clrelight.codec.transforms.whitening import with_type
 from clrelight.device import Device
 from clrelight.errors import PayloadError
-from clrelight.opencl.arguments import DeviceArray
 
 _REACH = 6
 """Samples of a subband beyond a region that its synthesis looks at: half of the next finer, and three, rounded up."""
@@ -76,11 +76,12 @@ class UnitReader:
         level = region.level
         decoded, rooms = self._decode(region, weight_jc)
         window = _around(region, *self._shape[1:3])
-        values_jyx = _crop(decoded, rooms, window, level)
+        values = self._device.hold(_crop(decoded, rooms, window, level))
         width = size_at(window.right, level) - (window.left >> level)
-        values = self._device.empty(values_jyx.shape, np.float32, values_jyx)
-        if values.host is None:
-            values = self._device.upload(values_jyx)
+        if values.dtype == np.int32:
+            count, *sides = values.shape
+            self._device.launch("codec/units_decode.cl", "value_indices", (*sides[::-1], count), values, *values.shape)
+            values = with_type(values, np.float32)
         if level < LEVELS:
             transform_planes("synthesise", values, width, LEVELS - level, self._device)
         found = self._device.download(values)
@@ -89,8 +90,8 @@ class UnitReader:
         # Every level of the transform doubles what is even: an image at a level is a mean.
         return np.ascontiguousarray(part) if not level else part * np.float32(0.5**level)
 
-    def _decode(self, region: Region, weight_jc: NDArray[np.float32] | None) -> tuple[NDArray[np.float32], Window]:
-        """Return wavelet coefficients of a window of whole units; what the region needs is in them."""
+    def _decode(self, region: Region, weight_jc: NDArray[np.float32] | None) -> tuple[NDArray, Window]:
+        """Return indices, or sums, in a window of whole units; what the region needs is in them."""
         _, height, width, _ = self._shape
         count = self._parsed.head.n_plane
         together = is_together(self._shape)
@@ -100,23 +101,15 @@ class UnitReader:
         pitch = padded_width(window.shape[1])
         layout = lay_out(units, height, width, window, pitch, together)
         streams = [read_stream(self._body, self._parsed, t) for t in ([0] if together else chosen)]
-        index = self._zeros((count, window.shape[0], pitch), np.int32)
-        sums = None if weight_jc is None else self._zeros((weight_jc.shape[1], window.shape[0], pitch), np.float32)
+        # Memory that is not there before something is written to it.
+        index = self._device.hold(np.zeros((count, window.shape[0], pitch), np.int32))
+        sums = None
+        if weight_jc is not None:
+            sums = self._device.hold(np.zeros((weight_jc.shape[1], window.shape[0], pitch), np.float32))
         fault_t = decode_streams(self._device, layout, streams, default_tables(), index, count, sums, weight_jc)
         if fault_t.any():
             raise PayloadError(f"unit {chosen[int(np.argmax(fault_t))]} of the klt body cannot be decoded")
-        if sums is not None:
-            return self._device.download(sums), window
-        self._device.launch(
-            "codec/units_decode.cl", "value_indices", (pitch, window.shape[0], count), index, *index.shape
-        )
-        return self._device.download(index).view(np.float32), window
-
-    def _zeros(self, shape: tuple[int, int, int], dtype: type[np.generic]) -> DeviceArray:
-        """Return zeros on the device: on a CPU, memory that is not there before something is written to it."""
-        if self._device.shares_memory:
-            return self._device.empty(shape, dtype, np.zeros(shape, dtype))
-        return self._device.upload(np.zeros(shape, dtype))
+        return self._device.download(index if sums is None else sums), window
 
     def _needed(self, region: Region) -> list[int]:
         """Return the numbers of the units that a region's samples hang on."""
@@ -158,13 +151,13 @@ def _around(region: Region, height: int, width: int) -> Window:
     return Window(top, left, bottom, right)
 
 
-def _crop(decoded: NDArray[np.float32], held: Window, wanted: Window, level: int) -> NDArray[np.float32]:
+def _crop(decoded: NDArray, held: Window, wanted: Window, level: int) -> NDArray:
     """Return the subbands of a window from those of another, down to a level; zeros where there are none."""
     if held == wanted and level == 0:
         return decoded
     height = size_at(wanted.bottom, level) - (wanted.top >> level)
     width = size_at(wanted.right, level) - (wanted.left >> level)
-    result = np.zeros((len(decoded), height, padded_width(width)), np.float32)
+    result = np.zeros((len(decoded), height, padded_width(width)), decoded.dtype)
     source = {(band.name, band.level): band for band in list_subbands(*held.shape, LEVELS)}
     for band in list_subbands(height, width, LEVELS - level):
         depth = band.level + level

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body, BodyWriter, rest_of
 from clrelight.codec.factored import WhitenedMaps
+from clrelight.codec.formats.inner import NOT_INSIDE, name_inner, open_inner
 from clrelight.codec.registry import (
     Codec,
     PartsCodec,
@@ -22,10 +23,13 @@ from clrelight.codec.registry import (
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import sample_stride
+from clrelight.codec.transforms.whitening import AXES
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
 _COUNT = struct.Struct("<H")
+_BEFORE = "smooth"
+"""Axes of bodies that do not say that theirs are alike everywhere."""
 _LEFT_OUT = 1e-4
 """Share of the image's energy that the axes left out by default may hold."""
 
@@ -50,7 +54,8 @@ class PrincipalMaps(PartsCodec):
     Notes
     -----
     Body: length of the inner codec's id (1 byte), id, the number of axes (2 bytes), axes (n_axis, n_component) float16,
-    the inner body. The maps are solved by least squares against the axes as they are stored.
+    the inner body. The maps are solved by least squares against the axes as they are stored. Bodies of before have
+    other axes of the hemisphere, which above degree 8 processors disagree about.
     """
 
     id: ClassVar[str] = "principal"
@@ -61,7 +66,7 @@ class PrincipalMaps(PartsCodec):
     planes: int | None = None
 
     def __post_init__(self) -> None:
-        if self.codec in _NOT_INSIDE:
+        if self.codec in NOT_INSIDE:
             raise InputError(f"codec {self.codec} changes the basis itself, choose another inside principal")
         if self.planes is not None and not (isinstance(self.planes, int) and 1 <= self.planes <= 65535):
             raise InputError(f"planes must be 1 to 65535, got {self.planes!r}")
@@ -69,15 +74,14 @@ class PrincipalMaps(PartsCodec):
 
     def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`; what the inner codec reports is passed on, and the number of planes."""
-        forward_jk = hemisphere_metric(source.shape[0]).forward_jk
+        forward_jk = hemisphere_metric(source.shape[0], AXES).forward_jk
         z_jp = forward_jk @ _sample_pixels(source)
         scale = float(np.abs(z_jp).max()) or 1.0  # squares of float32's largest numbers stay finite in float64
         energy, vectors = np.linalg.eigh((z_jp / scale) @ (z_jp / scale).T)
         axes = vectors[:, ::-1].T[: self._count_planes(energy[::-1])].astype("<f2")
         along_jk = np.linalg.pinv(axes.astype(np.float64)).T @ forward_jk
         maps = source.mapped(along_jk)
-        name = self.codec.encode("ascii")
-        head = bytes([len(name)]) + name + _COUNT.pack(len(axes)) + axes.tobytes()
+        head = name_inner(self.codec) + _COUNT.pack(len(axes)) + axes.tobytes()
         options = dict(self.options)
         if "rate" in options:
             rate = (options["rate"] * math.prod(source.shape) - 8.0 * len(head)) / math.prod(maps.shape)
@@ -133,26 +137,16 @@ def _sample_pixels(source: Source) -> NDArray[np.float32]:
 
 def _open(body: Body, n_coeff: int) -> tuple[type[Codec], NDArray[np.float64], Body]:
     """Return the inner codec, the matrix that makes coefficients of its maps, and its body; or PayloadError."""
-    inverse_kj = hemisphere_metric(n_coeff).inverse_kj
-    at = 1 + (body[:1][0] if len(body) else 0)
-    if len(body) < at + _COUNT.size:
-        raise PayloadError("a principal body starts with the name of its codec, this one is too short")
-    try:
-        inner = codec_class(body[1:at].decode("ascii"))
-    except (InputError, UnicodeDecodeError):
-        raise PayloadError("a principal body names a codec that is not known") from None
-    if inner.id in _NOT_INSIDE:
-        raise PayloadError(f"a principal body cannot hold codec {inner.id}")
-    (count,) = _COUNT.unpack(body[at : at + _COUNT.size])
+    inner, kind, inside = open_inner(body, PrincipalMaps.id, _BEFORE)
+    inverse_kj = hemisphere_metric(n_coeff, kind).inverse_kj
+    if len(inside) < _COUNT.size:
+        raise PayloadError("a principal body has the number of its axes behind the name, this one is too short")
+    (count,) = _COUNT.unpack(inside[: _COUNT.size])
     component = inverse_kj.shape[1]
-    start = at + _COUNT.size
-    end = start + 2 * count * component
-    if not 1 <= count <= component or len(body) < end:
+    end = _COUNT.size + 2 * count * component
+    if not 1 <= count <= component or len(inside) < end:
         raise PayloadError(f"a principal body of {len(body)} bytes cannot have {count} axes")
-    axes = np.frombuffer(body[start:end], "<f2").reshape(count, component).astype(np.float64)
+    axes = np.frombuffer(inside[_COUNT.size : end], "<f2").reshape(count, component).astype(np.float64)
     if not np.abs(axes).max() <= 1.0:
         raise PayloadError("a principal body holds axes beyond unit length")
-    return inner, inverse_kj @ axes.T, rest_of(body, end)
-
-
-_NOT_INSIDE = ("principal", "whitened", "klt")
+    return inner, inverse_kj @ axes.T, rest_of(inside, end)

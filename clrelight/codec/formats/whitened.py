@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from clrelight.codec.bodies import Body, BodyWriter, rest_of
+from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.factored import WhitenedMaps
+from clrelight.codec.formats.inner import NOT_INSIDE, name_inner, open_inner
 from clrelight.codec.rate.noise import Noise
 from clrelight.codec.registry import (
     Codec,
@@ -17,14 +18,18 @@ from clrelight.codec.registry import (
 )
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.codec.transforms.whitening import AXES
 from clrelight.device import Device
-from clrelight.errors import InputError, PayloadError
+from clrelight.errors import InputError
+
+_BEFORE = "singular"
+"""Axes of bodies that do not say that theirs are alike everywhere."""
 
 
 @register
 @dataclass(frozen=True)
 class Whitened(PartsCodec):
-    """Coefficients in the metric of the hemisphere, ``z = S V' c`` (see `hemisphere_metric`), through another codec.
+    """Coefficients in the metric of the hemisphere (see `hemisphere_metric`), through another codec.
 
     Attributes
     ----------
@@ -36,7 +41,7 @@ class Whitened(PartsCodec):
     Notes
     -----
     Body: length of the inner codec's id (1 byte), id, the inner body. The change of coordinates depends on the degree
-    alone, so nothing else is sent.
+    alone, so nothing else is sent. Bodies of before have other axes, which above degree 11 processors disagree about.
     """
 
     id: ClassVar[str] = "whitened"
@@ -46,14 +51,13 @@ class Whitened(PartsCodec):
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.codec in _NOT_INSIDE:
+        if self.codec in NOT_INSIDE:
             raise InputError(f"codec {self.codec} is whitened itself, choose another inside whitened")
         codec_class(self.codec).from_config(self.options)
 
     def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`; what the inner codec reports is passed on."""
-        name = self.codec.encode("ascii")
-        body.lead(bytes([len(name)]) + name)
+        body.lead(name_inner(self.codec))
         return self._inner().encode_parts(_whiten(source), body)
 
     def predict_noise(self, source: Source) -> Noise | None:
@@ -61,7 +65,7 @@ class Whitened(PartsCodec):
         noise = self._inner().predict_noise(_whiten(source))
         if noise is None:
             return None
-        return Noise(noise.covariance_jj, hemisphere_metric(source.shape[0], "singular").inverse_kj @ noise.basis_kj)
+        return Noise(noise.covariance_jj, hemisphere_metric(source.shape[0], AXES).inverse_kj @ noise.basis_kj)
 
     def _inner(self) -> Codec:
         return codec_class(self.codec).from_config(self.options)
@@ -73,40 +77,23 @@ class Whitened(PartsCodec):
     @classmethod
     def bytes_to_decode(cls, body: Body, shape: tuple[int, int, int, int]) -> int:
         """See `Codec`; the inner codec's."""
-        inner, inside = _open(body)
+        inner, _, inside = open_inner(body, cls.id, _BEFORE)
         return inner.bytes_to_decode(inside, shape)
 
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
         """See `Codec`."""
-        inner, inside = _open(body)
-        inverse_kj = hemisphere_metric(target.shape[0], "singular").inverse_kj
+        inner, axes, inside = open_inner(body, cls.id, _BEFORE)
+        inverse_kj = hemisphere_metric(target.shape[0], axes).inverse_kj
         inner.decode_parts(inside, target.mapped(inverse_kj, device), device)
 
     @classmethod
     def decode_view(cls, body: Body, shape: tuple[int, int, int, int], device: Device) -> WhitenedMaps:
         """Return the whitened maps, which relight as they are."""
-        inner, inside = _open(body)
-        inverse_kj = hemisphere_metric(shape[0], "singular").inverse_kj
+        inner, axes, inside = open_inner(body, cls.id, _BEFORE)
+        inverse_kj = hemisphere_metric(shape[0], axes).inverse_kj
         return WhitenedMaps(inner.decode_body(inside[:], (inverse_kj.shape[1], *shape[1:]), device), inverse_kj)
 
 
 def _whiten(source: Source) -> Source:
-    return source.remember("whitened", lambda: source.mapped(hemisphere_metric(source.shape[0], "singular").forward_jk))
-
-
-def _open(body: Body) -> tuple[type[Codec], Body]:
-    """Return the inner codec and its body, or PayloadError."""
-    length = body[:1][0] if len(body) else 0
-    if len(body) < 1 + length:
-        raise PayloadError("a whitened body starts with the name of its codec, this one is too short")
-    try:
-        inner = codec_class(body[1 : 1 + length].decode("ascii"))
-    except (InputError, UnicodeDecodeError):
-        raise PayloadError("a whitened body names a codec that is not known") from None
-    if inner.id in _NOT_INSIDE:
-        raise PayloadError(f"a whitened body cannot hold codec {inner.id}")
-    return inner, rest_of(body, 1 + length)
-
-
-_NOT_INSIDE = ("principal", "whitened", "klt")
+    return source.remember("whitened", lambda: source.mapped(hemisphere_metric(source.shape[0], AXES).forward_jk))
