@@ -21,6 +21,8 @@ from clrelight.harmonics.index import degree_of
 from clrelight.matmul import apply_operator, multiply_columns, pack_operator
 
 _PIECE_BYTES = 1 << 26
+_KEPT_BYTES = 1 << 26
+"""Bytes of planes that a view keeps, for the lights that follow the first."""
 
 
 def decode_rows(body: Body, parsed: Parsed, target: Target, device: Device, memory: int) -> None:
@@ -123,6 +125,7 @@ class UnitView:
 
     def __init__(self, body: Body, parsed: Parsed, shape: Shape) -> None:
         self._body, self._parsed, self._shape = body, parsed, shape
+        self._planes_jyx: NDArray[np.float32] | None = None  # of a small image, once they are asked for
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
@@ -160,6 +163,10 @@ class UnitView:
     ) -> NDArray[np.float32]:
         """Return sums of planes, by whichever is less work: sums of wavelet coefficients, or planes first."""
         n_sum, count = operator_mj.shape
+        if region == reader.whole and 4 * count * region.shape[0] * region.shape[1] <= _KEPT_BYTES:
+            if self._planes_jyx is None:
+                self._planes_jyx = reader.planes(region)
+            return _sum_planes(self._planes_jyx, operator_mj, device)
         if n_sum < count:
             result = np.empty((n_sum, *region.shape), np.float32)
             step = PRECINCT * 2
@@ -167,5 +174,11 @@ class UnitView:
                 rows = Region(top, region.left, min(top + step, region.bottom), region.right, region.level)
                 result[:, top - region.top : rows.bottom - region.top] = reader.sums(rows, operator_mj)
             return result
-        planes_jyx = reader.planes(region)
-        return multiply_columns(device, operator_mj, planes_jyx.reshape(count, -1)).reshape(n_sum, *region.shape)
+        return _sum_planes(reader.planes(region), operator_mj, device)
+
+
+def _sum_planes(
+    planes_jyx: NDArray[np.float32], operator_mj: NDArray[np.float64], device: Device
+) -> NDArray[np.float32]:
+    count, height, width = planes_jyx.shape
+    return multiply_columns(device, operator_mj, planes_jyx.reshape(count, -1)).reshape(-1, height, width)
