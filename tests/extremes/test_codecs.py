@@ -82,8 +82,8 @@ def test_every_codec_holds_a_map_or_refuses_it(device, codec, name):
         assert not found.any()
     elif name == "one pixel":
         assert off < top  # the tables of `wavelet` leave it few bits
-    else:  # constant
-        assert off < 2e-3 * top
+    else:  # constant; float32 has steps of 1.4e-45 among the subnormal, and a change of axes may round twice
+        assert off < 2e-3 * top + 2 * np.finfo(np.float32).smallest_subnormal
 
 
 @pytest.mark.parametrize(("codec", "part"), [("half", 2.0**-11), ("wavelet", 1e-4), ("whitened", 0.05), ("klt", 0.12)])
