@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from benchmarks.workload import Workload
 from clrelight.codec import codec_class, codec_ids, decode, encode
 from clrelight.codec.formats.half import STRETCH, launch_conversion
-from clrelight.codec.registry import (
-    Codec,
-)
+from clrelight.codec.registry import Codec
 from clrelight.codec.transforms.lifting import forward_transform, inverse_transform, transform_planes
 from clrelight.speed.stage import Stage
 

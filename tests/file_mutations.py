@@ -15,9 +15,7 @@ import click
 import numpy as np
 
 from clrelight import store
-from clrelight.codec.encoded import (
-    Encoded,
-)
+from clrelight.codec.encoded import Encoded
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
 from clrelight.lighting.light import Light

@@ -5,9 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clrelight.codec import codec_class, decode, encode
-from clrelight.codec.encoded import (
-    Encoded,
-)
+from clrelight.codec.encoded import Encoded
 from clrelight.dataset import LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError

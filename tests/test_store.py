@@ -18,9 +18,7 @@ import xxhash
 
 from clrelight import durable, store
 from clrelight.arrays import SAMPLE_DTYPES
-from clrelight.codec.encoded import (
-    Encoded,
-)
+from clrelight.codec.encoded import Encoded
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
 from clrelight.lighting.light import Light

@@ -1,8 +1,6 @@
 """Codecs: a coefficient map to bytes and back. One file per codec; importing this package registers them all."""
 
-from clrelight.codec.encoded import (
-    Encoded,
-)
+from clrelight.codec.encoded import Encoded
 from clrelight.codec.factored import Factored
 from clrelight.codec.formats.bc6h import Bc6h
 from clrelight.codec.formats.cpca import Cpca

@@ -10,13 +10,12 @@ import math
 import struct
 
 from clrelight.codec.bodies import Body, front_of
+from clrelight.codec.rooms import Shape
 from clrelight.errors import InputError, PayloadError
 
 _FREE_COEFFICIENTS = 1 << 24
 _COEFFICIENTS_PER_BYTE = 1 << 17
 _COUNT = struct.Struct("<I")
-
-Shape = tuple[int, int, int, int]
 
 
 def ballast_overhead(shape: Shape) -> int:

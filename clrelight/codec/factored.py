@@ -45,7 +45,7 @@ class Factored:
         n_coeff, channel, _ = self.operator_kcj.shape
         basis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))
         operator = np.einsum("ik,kcj->icj", basis_ik, self.operator_kcj).reshape(len(basis_ik) * channel, -1)
-        images = _finite(multiply_columns(device, operator, self.planes_jp))
+        images = finite_images(multiply_columns(device, operator, self.planes_jp))
         images = images.reshape(len(basis_ik), channel, self.height, self.width)
         return np.ascontiguousarray(images.transpose(0, 2, 3, 1))
 
@@ -70,14 +70,14 @@ class WhitenedMaps:
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         """Return images (n_light, height, width, channel), float32; the light vector is transformed, not the pixels."""
         basis_ik = evaluate_basis(directions_i3, degree_of(len(self.inverse_kj)))
-        return _finite(self._apply(basis_ik @ self.inverse_kj, device))
+        return finite_images(self._apply(basis_ik @ self.inverse_kj, device))
 
     def _apply(self, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         source_jp = self.maps_jhwc.reshape(len(self.maps_jhwc), -1)
         return multiply_columns(device, operator_mj, source_jp).reshape(len(operator_mj), *self.maps_jhwc.shape[1:])
 
 
-def _finite(images: NDArray[np.float32]) -> NDArray[np.float32]:
+def finite_images(images: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the images as they are; PayloadError where they hold an infinity or a NaN."""
     if not np.isfinite(images.min()) or not np.isfinite(images.max()):
         raise PayloadError("the payload relights to values that are not finite: no encoder wrote it")

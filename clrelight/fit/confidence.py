@@ -12,7 +12,7 @@ from clrelight.fit.prediction import Trials
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
 from clrelight.fit.spectrum import SpectrumFit
-from clrelight.fit.threads import on_one_thread
+from clrelight.threads import on_one_thread
 
 SIZE = 128
 """Height and width of the picture in pixels."""

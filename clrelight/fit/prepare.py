@@ -19,8 +19,8 @@ from clrelight.fit.precision import MIXED, SINGLE, check_precision
 from clrelight.fit.registry import FitMethod, method_class
 from clrelight.fit.samples import Samples
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, WITHIN, Choice, choose_model
-from clrelight.fit.threads import on_one_thread
 from clrelight.harmonics.basis import MAX_DEGREE
+from clrelight.threads import on_one_thread
 
 
 @dataclass

@@ -13,10 +13,10 @@ from clrelight.fit.places import find_places, spread_points
 from clrelight.fit.plan import FitPlan, Lighting, is_sphere
 from clrelight.fit.registry import FitMethod, register
 from clrelight.fit.samples import Samples
-from clrelight.fit.threads import on_one_thread
 from clrelight.fit.zonal import LARGEST_DEGREE, Theta, ZonalModel
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count
+from clrelight.threads import on_one_thread
 
 _SLOPES = -3.0, 6.0
 _LARGEST = 1e6

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from clrelight.codec import Encoded, decode, decode_view
-from clrelight.codec.entropy.units import LEVELS
+from clrelight.codec.entropy.units import LEVELS, low_side
 from clrelight.codec.formats.klt_decode import UnitView
-from clrelight.codec.formats.klt_regions import Region, size_at
+from clrelight.codec.formats.klt_regions import Region
 from clrelight.dataset import CoefficientMap, FitRecord, read_rows_into
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -42,7 +42,7 @@ class Part:
         x, y, w, h = self.box or (0, 0, width, height)
         if x + w > width or y + h > height:
             raise InputError(f"region {x},{y},{w},{h} does not lie in an image of {width} x {height} pixels")
-        bottom, right = size_at(y + h, self.level), size_at(x + w, self.level)
+        bottom, right = low_side(y + h, self.level), low_side(x + w, self.level)
         return Region(y >> self.level, x >> self.level, bottom, right, self.level)
 
 

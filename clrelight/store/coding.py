@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 
 from clrelight.arrays import read_rows_into
 from clrelight.codec.finite import all_finite
-from clrelight.codec.registry import (
-    check_decoded,
-    refuse_infinite,
-)
+from clrelight.codec.registry import check_decoded, refuse_infinite
 from clrelight.codec.rooms import Room
 from clrelight.codec.streams import Source, Target, buffers
 from clrelight.device import Device

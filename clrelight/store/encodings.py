@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from clrelight.codec.bodies import Body
-from clrelight.codec.encoded import (
-    Encoded,
-)
+from clrelight.codec.encoded import Encoded
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store.fits import read_record, write_record

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from clrelight.codec import codec_class, codec_ids, decode, encode
-from clrelight.codec.encoded import (
-    Encoded,
-)
+from clrelight.codec.encoded import Encoded
 from clrelight.codec.transforms.lifting import forward_transform, inverse_transform
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError

@@ -71,12 +71,13 @@ def list_units(height: int, width: int) -> list[Unit]:
     units = []
     for level in (0, *range(LEVELS, 0, -1)):
         side, depth = unit_side(level), level or LEVELS
-        rows, columns = _low_side(height, depth), _low_side(width, depth)
+        rows, columns = low_side(height, depth), low_side(width, depth)
         units += [Unit(level, row, column) for row in range(0, rows, side) for column in range(0, columns, side)]
     return units
 
 
-def _low_side(side: int, level: int) -> int:
+def low_side(side: int, level: int) -> int:
+    """Return the samples of a side of the low subband of a level: the pixels of the image at that level."""
     return -(-side >> level)
 
 
@@ -90,8 +91,8 @@ def describe_units(units: list[Unit], height: int, width: int, window: Window, p
         at[0] = unit.level
         if unit.level == 0:
             at[1] = row * pitch + column
-            at[4] = min(unit.side, _low_side(height, depth) - unit.row)
-            at[7] = min(unit.side, _low_side(width, depth) - unit.column)
+            at[4] = min(unit.side, low_side(height, depth) - unit.row)
+            at[7] = min(unit.side, low_side(width, depth) - unit.column)
             continue
         bands = _bands(height, width, depth, window)
         parents = _bands(height, width, depth + 1, window) if depth < LEVELS else []
@@ -111,9 +112,9 @@ def describe_units(units: list[Unit], height: int, width: int, window: Window, p
 @lru_cache(maxsize=64)
 def _bands(height: int, width: int, level: int, window: Window) -> list[tuple[int, int, int, int]]:
     """Return where HL, LH and HH begin in a window's planes, and how many rows and columns the image has of them."""
-    low_row, low_column = _low_side(window.shape[0], level), _low_side(window.shape[1], level)
-    low_h, low_w = _low_side(height, level), _low_side(width, level)
-    high_h, high_w = _low_side(height, level - 1) - low_h, _low_side(width, level - 1) - low_w
+    low_row, low_column = low_side(window.shape[0], level), low_side(window.shape[1], level)
+    low_h, low_w = low_side(height, level), low_side(width, level)
+    high_h, high_w = low_side(height, level - 1) - low_h, low_side(width, level - 1) - low_w
     return [
         (0, low_column, low_h, high_w),
         (low_row, 0, high_h, low_w),

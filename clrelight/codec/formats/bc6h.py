@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body, BodyWriter, columns_of
 from clrelight.codec.formats.half import OVERFLOW, check_not_vanishing, count_overflows, largest_at_first
 from clrelight.codec.rate.noise import Noise, sample_blocks
-from clrelight.codec.registry import (
-    PartsCodec,
-    register,
-)
+from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.slabs import group_size, round_up
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms import blocks

@@ -5,9 +5,7 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from clrelight.codec.encoded import (
-    Encoded,
-)
+from clrelight.codec.encoded import Encoded
 from clrelight.codec.transforms import blocks
 from clrelight.errors import InputError
 

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body, BodyWriter, columns_of
 from clrelight.codec.rate.noise import Noise, sample_columns
-from clrelight.codec.registry import (
-    PartsCodec,
-    register,
-)
+from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.slabs import slabs
 from clrelight.codec.streams import Source, Target
 from clrelight.device import Device

@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.formats import codestream
 from clrelight.codec.padding import check_padding, least_bytes, pad_body
-from clrelight.codec.registry import (
-    PartsCodec,
-    register,
-)
+from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.streams import Source, Target
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError

@@ -15,15 +15,12 @@ from clrelight.codec.entropy.units import MARGIN, PRECINCT
 from clrelight.codec.formats import klt_body
 from clrelight.codec.formats.klt_decode import UnitView, bytes_at_once, decode_rows
 from clrelight.codec.formats.klt_encode import Encoder
-from clrelight.codec.formats.klt_units import HEAD_SIZE, STEP_RANGE, VERSION, parse_body, parse_head
-from clrelight.codec.registry import (
-    PartsCodec,
-    View,
-    register,
-)
+from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, parse_body, parse_head
+from clrelight.codec.registry import PartsCodec, View, register
 from clrelight.codec.rooms import Room, Shape
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
+from clrelight.codec.transforms.principal import STEP_RANGE
 from clrelight.codec.transforms.whitening import ReadRows
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device

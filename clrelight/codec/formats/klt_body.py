@@ -1,4 +1,4 @@
-"""The body of the codec `klt`: what stands in it, and how it is decoded."""
+"""Bodies 2 and 3 of the codec `klt`, which it wrote before: what stands in them, and how they are decoded."""
 
 from __future__ import annotations
 
@@ -12,26 +12,21 @@ from clrelight.codec.entropy.planes import code_planes
 from clrelight.codec.entropy.range_coding import Decoder
 from clrelight.codec.entropy.subbands import Statistics, code_indices
 from clrelight.codec.factored import Factored
+from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import dequantise_map, empty_planes, list_subbands, transform_planes
 from clrelight.codec.transforms.metric import hemisphere_metric
-from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes, code_vectors
+from clrelight.codec.transforms.principal import MEAN_STEPS, STEP_RANGE, Axes, code_vectors, make_operator
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 
 LEVELS = 5
-MEAN_STEPS = 16
-"""The mean is quantised this much finer than the planes: its error is in every pixel."""
-STEP_RANGE = (2.0**-22, 2.0**3)
 BIAS_UNIT = 1.0 / 256.0
 
 _VERSION = 3
 _IN_PAIRS = 2
 """The version whose planes are coded two by two, and whose head names no transfer curve."""
 _HEAD = struct.Struct("<BBhfHbb")
-HEAD_SIZE = _HEAD.size + 1
-
-Shape = tuple[int, int, int, int]
 
 
 class Head(NamedTuple):
@@ -58,18 +53,13 @@ class Head(NamedTuple):
     n_plane: int
     biases: tuple[int, int]
     transfer: str
-    levels: int = LEVELS
-    version: int = _VERSION
+    levels: int
+    version: int
 
     @property
     def size(self) -> int:
         """Bytes in front of the tables."""
-        return _HEAD.size if self.version == _IN_PAIRS else HEAD_SIZE
-
-    def pack(self) -> bytes:
-        """Return the bytes that `parse_head` takes."""
-        head = _HEAD.pack(self.version, self.levels, self.exponent, self.step, self.n_plane, *self.biases)
-        return head + bytes([TRANSFERS.index(self.transfer)])
+        return _HEAD.size + (self.version != _IN_PAIRS)
 
 
 def parse_head(body: bytes, shape: Shape) -> Head:
@@ -114,15 +104,8 @@ def decode_planes(body: bytes, shape: Shape, device: Device) -> tuple[Factored, 
         planes_jp[:count] = _dequantise_planes(index, head.levels, step, head.biases, device)
     decoder.finish()
     vectors_jd = np.concatenate([Axes(entries, scales).vectors_jd, mean[None]])
-    rotation = np.linalg.pinv(rotation_cc / ROTATION_UNIT)
-    operator_kcj = np.einsum(
-        "kn,cd,jdn->kcj",
-        np.ldexp(metric.inverse_kj, head.exponent),
-        rotation,
-        vectors_jd.reshape(-1, channel, component),
-        optimize=True,
-    )
-    if not np.abs(operator_kcj).max() <= np.finfo(np.float32).max or not np.isfinite(planes_jp).all():
+    operator_kcj = make_operator(np.ldexp(metric.inverse_kj, head.exponent), rotation_cc, vectors_jd)
+    if not np.isfinite(planes_jp).all():
         raise PayloadError("a klt body holds values beyond float32's range")
     return Factored(planes_jp, operator_kcj, height, width), head
 

@@ -7,15 +7,16 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.units import MARGIN, PRECINCT, tile_sides
+from clrelight.codec.factored import finite_images
 from clrelight.codec.formats.klt_regions import Region, UnitReader
-from clrelight.codec.formats.klt_units import Parsed, Shape
+from clrelight.codec.formats.klt_units import Parsed
+from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Target
-from clrelight.codec.transforms.code_values import radiance_of
+from clrelight.codec.transforms.code_values import bend, radiance_of
 from clrelight.codec.transforms.lifting import join_channels, padded_width
 from clrelight.codec.transforms.whitening import reshaped
 from clrelight.conventions import srgb_to_linear
 from clrelight.device import Device
-from clrelight.errors import PayloadError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degree_of
 from clrelight.matmul import apply_operator, multiply_columns, pack_operator
@@ -152,11 +153,8 @@ class UnitView:
         sums += operator_mj[:, count, None, None].astype(np.float32)
         images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
         if self._parsed.head.transfer == "srgb":
-            with np.errstate(over="ignore", invalid="ignore"):
-                images = np.copysign(srgb_to_linear(np.abs(images), np.float32), images)
-        if not np.isfinite(images.min()) or not np.isfinite(images.max()):
-            raise PayloadError("the payload relights to values that are not finite: no encoder wrote it")
-        return np.ascontiguousarray(images)
+            images = bend(srgb_to_linear, images)
+        return np.ascontiguousarray(finite_images(images))
 
     def _sums(
         self, reader: UnitReader, region: Region, operator_mj: NDArray[np.float64], device: Device

@@ -21,19 +21,16 @@ from clrelight.codec.formats.klt_trials import (
 )
 from clrelight.codec.formats.klt_units import (
     HEAD_SIZE,
-    MEAN_STEPS,
-    STEP_RANGE,
     Head,
-    Shape,
     count_streams,
     index_bytes,
     is_together,
     pack_axes,
     pack_body,
 )
-from clrelight.codec.rooms import Progress
+from clrelight.codec.rooms import Progress, Shape
 from clrelight.codec.transforms.lifting import transform_planes
-from clrelight.codec.transforms.principal import MAX_ENTRY, Axes, quantise_axes
+from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
 from clrelight.codec.transforms.whitening import ReadRows, make_planes, reshaped, whitening_of, with_type
 from clrelight.device import Device
 from clrelight.errors import InputError

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
-from clrelight.codec.entropy.units import LEVELS, MARGIN, PRECINCT, Unit, Window, lay_out, list_units
-from clrelight.codec.formats.klt_units import Parsed, Shape, is_together, read_stream
+from clrelight.codec.entropy.units import LEVELS, MARGIN, PRECINCT, Unit, Window, lay_out, list_units, low_side
+from clrelight.codec.formats.klt_units import Parsed, is_together, read_stream
+from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import list_subbands, padded_width, transform_planes
 from clrelight.codec.transforms.whitening import with_type
 from clrelight.device import Device
@@ -34,11 +35,6 @@ class Region:
     def shape(self) -> tuple[int, int]:
         """Height and width."""
         return self.bottom - self.top, self.right - self.left
-
-
-def size_at(side: int, level: int) -> int:
-    """Return the pixels of a side of an image at a level."""
-    return -(-side >> level)
 
 
 class UnitReader:
@@ -77,7 +73,7 @@ class UnitReader:
         decoded, rooms = self._decode(region, weight_jc)
         window = _around(region, *self._shape[1:3])
         values = self._device.hold(_crop(decoded, rooms, window, level))
-        width = size_at(window.right, level) - (window.left >> level)
+        width = low_side(window.right, level) - (window.left >> level)
         if values.dtype == np.int32:
             count, *sides = values.shape
             self._device.launch("codec/units_decode.cl", "value_indices", (*sides[::-1], count), values, *values.shape)
@@ -155,8 +151,8 @@ def _crop(decoded: NDArray, held: Window, wanted: Window, level: int) -> NDArray
     """Return the subbands of a window from those of another, down to a level; zeros where there are none."""
     if held == wanted and level == 0:
         return decoded
-    height = size_at(wanted.bottom, level) - (wanted.top >> level)
-    width = size_at(wanted.right, level) - (wanted.left >> level)
+    height = low_side(wanted.bottom, level) - (wanted.top >> level)
+    width = low_side(wanted.right, level) - (wanted.left >> level)
     result = np.zeros((len(decoded), height, padded_width(width)), decoded.dtype)
     source = {(band.name, band.level): band for band in list_subbands(*held.shape, LEVELS)}
     for band in list_subbands(height, width, LEVELS - level):

@@ -13,22 +13,18 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.range_coding import Decoder, Encoder
 from clrelight.codec.entropy.units import LEVELS, list_units
+from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.metric import hemisphere_metric
-from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes, code_vectors
+from clrelight.codec.transforms.principal import MEAN_STEPS, STEP_RANGE, Axes, code_vectors, make_operator
 from clrelight.codec.transforms.whitening import AXES
 from clrelight.conventions import TRANSFERS
 from clrelight.errors import PayloadError
 
 VERSION = 4
-MEAN_STEPS = 16
-"""The mean is quantised this much finer than the planes: its error is in every pixel."""
-STEP_RANGE = (2.0**-22, 2.0**3)
 _TOGETHER = 1 << 18
 """Pixels up to which all units are one stream: they learn from each other, one after another."""
 _HEAD = struct.Struct("<BBhfHBI")
 _SUM = struct.Struct("<H")
-
-Shape = tuple[int, int, int, int]
 
 
 class Head(NamedTuple):
@@ -154,16 +150,7 @@ def _read_tables(tables: bytes, head: Head, n_coeff: int, channel: int) -> NDArr
     entries = code_vectors(decoder, (count, channel, component), None).reshape(count, channel * component)
     decoder.finish()
     vectors_jd = np.concatenate([Axes(entries, scales).vectors_jd, mean[None]])
-    operator_kcj = np.einsum(
-        "kn,cd,jdn->kcj",
-        np.ldexp(metric.inverse_kj, head.exponent) * head.step,
-        np.linalg.pinv(rotation_cc / ROTATION_UNIT),
-        vectors_jd.reshape(-1, channel, component),
-        optimize=True,
-    )
-    if not np.abs(operator_kcj).max() <= np.finfo(np.float32).max:
-        raise PayloadError("a klt body holds values beyond float32's range")
-    return operator_kcj
+    return make_operator(np.ldexp(metric.inverse_kj, head.exponent) * head.step, rotation_cc, vectors_jd)
 
 
 def _read_index(body: Body, at: int, count: int) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:

@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body, BodyWriter, rest_of
 from clrelight.codec.factored import WhitenedMaps
 from clrelight.codec.formats.inner import NOT_INSIDE, name_inner, open_inner
-from clrelight.codec.registry import (
-    Codec,
-    PartsCodec,
-    codec_class,
-    register,
-)
+from clrelight.codec.registry import Codec, PartsCodec, codec_class, register
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import sample_stride

@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body, BodyWriter, columns_of
 from clrelight.codec.rate.noise import Noise, sample_blocks
-from clrelight.codec.registry import (
-    PartsCodec,
-    register,
-)
+from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.slabs import group_size, round_up
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.blocks import as_maps, block_counts, blocks_above, from_maps, group_slabs, maps_shape

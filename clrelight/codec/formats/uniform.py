@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.formats import uniform_search as search
 from clrelight.codec.rate.noise import Noise, sample_columns, second_moments
-from clrelight.codec.registry import (
-    PartsCodec,
-    register,
-)
+from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.slabs import slabs
 from clrelight.codec.streams import Source, Target
 from clrelight.device import Device

@@ -26,10 +26,7 @@ from clrelight.codec.rate.allocation import (
 from clrelight.codec.rate.expectation import expect_codes, expect_moments
 from clrelight.codec.rate.noise import Noise
 from clrelight.codec.rate.step_search import step_of
-from clrelight.codec.registry import (
-    PartsCodec,
-    register,
-)
+from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.lifting import (
     dequantise_map,

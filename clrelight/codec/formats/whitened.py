@@ -10,12 +10,7 @@ from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.factored import WhitenedMaps
 from clrelight.codec.formats.inner import NOT_INSIDE, name_inner, open_inner
 from clrelight.codec.rate.noise import Noise
-from clrelight.codec.registry import (
-    Codec,
-    PartsCodec,
-    codec_class,
-    register,
-)
+from clrelight.codec.registry import Codec, PartsCodec, codec_class, register
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.whitening import AXES

@@ -76,15 +76,20 @@ def code_value_error(found_khwc: NDArray[np.float32], coeffs_khwc: NDArray[np.fl
     return float(weight_i @ squared_i / weight_i.sum())
 
 
+def bend(curve: Curve, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return values behind a curve, below 0 as their magnitudes; what passes float32 comes out as infinities or NaN."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        bent: NDArray[np.float32] = np.copysign(curve(np.abs(values), np.float32), values)
+    return bent
+
+
 def _through(curve: Curve, coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
     synthesis_ik, analysis_ki = _transforms(len(coeffs_khwc))
     source_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
     result_kp = np.empty_like(source_kp)
     for columns in slabs(source_kp.shape[1], 4 * len(synthesis_ik)):
         shown_ip = multiply_columns(device, synthesis_ik, np.ascontiguousarray(source_kp[:, columns]))
-        with np.errstate(over="ignore", invalid="ignore"):
-            curved_ip = np.copysign(curve(np.abs(shown_ip), np.float32), shown_ip)
-        result_kp[:, columns] = multiply_columns(device, analysis_ki, curved_ip)
+        result_kp[:, columns] = multiply_columns(device, analysis_ki, bend(curve, shown_ip))
     return result_kp.reshape(coeffs_khwc.shape)
 
 

@@ -16,6 +16,9 @@ from clrelight.errors import PayloadError
 ROTATION_UNIT = 127
 """The rotation of the channels is sent as whole numbers of this unit."""
 
+MEAN_STEPS = 16
+"""The mean is quantised this much finer than the planes: its error is in every pixel."""
+STEP_RANGE = (2.0**-22, 2.0**3)
 SCALES_PER_OCTAVE = 4
 _COARSER = 1.4
 """Entries of the table are this much coarser than equal slopes ask: planes are solved against what is left of them."""
@@ -56,6 +59,23 @@ def quantise_axes(vectors_jd: NDArray[np.float64], deviation_j: NDArray[np.float
     exact = vectors_jd * np.exp2(scales[:, None] / SCALES_PER_OCTAVE)
     entries = (np.sign(exact) * np.floor(np.abs(exact) + _ROUNDING)).astype(np.int64)
     return Axes(entries, scales)
+
+
+def make_operator(
+    inverse_kj: NDArray[np.float64], rotation_cc: NDArray[np.int8], vectors_jd: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what makes coefficients of planes, (n_coeff, channel, n_plane), from what a body says of its axes.
+
+    `inverse_kj` leads from the coordinates of the hemisphere's metric to coefficients; a mean may stand among the axes.
+    PayloadError where float32 cannot hold it.
+    """
+    channel, component = len(rotation_cc), inverse_kj.shape[1]
+    rotation = np.linalg.pinv(rotation_cc / ROTATION_UNIT)
+    vectors_jdn = vectors_jd.reshape(-1, channel, component)
+    operator_kcj: NDArray[np.float64] = np.einsum("kn,cd,jdn->kcj", inverse_kj, rotation, vectors_jdn, optimize=True)
+    if not np.abs(operator_kcj).max() <= np.finfo(np.float32).max:
+        raise PayloadError("a klt body holds values beyond float32's range")
+    return operator_kcj
 
 
 def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray[np.int64] | None) -> NDArray[np.int64]:

@@ -17,6 +17,7 @@ from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes
 from clrelight.device import Device
 from clrelight.matmul import apply_operator, pack_operator
 from clrelight.opencl.arguments import DeviceArray
+from clrelight.threads import on_one_thread
 
 AXES = "damped"
 """Those of `hemisphere_metric` that every processor finds alike."""
@@ -68,10 +69,8 @@ class Whitening:
 
 def whitening_of(shape: tuple[int, int, int, int], read: ReadRows) -> Whitening:
     """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does."""
-    from threadpoolctl import threadpool_limits
-
     pixels_pkc = _sample(shape, read)
-    with threadpool_limits(1, user_api="blas"):  # sums of threads that share them anew each time differ
+    with on_one_thread():
         return _whiten(pixels_pkc, shape[0], shape[3])
 
 
