@@ -178,6 +178,11 @@ class Tile:
     n_pixel: int
 
 
+def whole_tile(height: int, width: int, streams: list[int]) -> Tile:
+    """Return the tile of a whole image."""
+    return Tile(list_units(height, width), streams, Window(0, 0, height, width), 0, height, height * width)
+
+
 def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
     """Return the tiles of an image of so many planes: whole precincts whose windows fit a number of bytes, rows first.
 
@@ -185,7 +190,7 @@ def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
     """
     units = list_units(height, width)
     if height * width <= _WHOLE and 4 * height * width * count <= memory:
-        return [Tile(units, list(range(len(units))), Window(0, 0, height, width), 0, height, height * width)]
+        return [whole_tile(height, width, list(range(len(units))))]
     rows, columns = tile_sides(height, width, count, memory)
     tiles = []
     for top in range(0, height, rows):

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_streams import Coded, ValuesLostError, default_tables, encode_streams
-from clrelight.codec.entropy.units import LEVELS, Tile, Window, lay_out, list_tiles, list_units
+from clrelight.codec.entropy.units import LEVELS, Tile, Window, lay_out, list_tiles, list_units, whole_tile
 from clrelight.codec.formats.klt_trials import (
     PRICE_POWER,
     PRICES,
     Part,
+    Trial,
     fill_by_price,
     foretell,
     list_pieces,
@@ -31,7 +32,7 @@ from clrelight.codec.formats.klt_units import (
 from clrelight.codec.rooms import Progress, Shape
 from clrelight.codec.transforms.lifting import transform_planes
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
-from clrelight.codec.transforms.whitening import ReadRows, make_planes, reshaped, whitening_of, with_type
+from clrelight.codec.transforms.whitening import Planes, ReadRows, make_planes, reshaped, whitening_of, with_type
 from clrelight.device import Device
 from clrelight.errors import InputError
 
@@ -83,7 +84,6 @@ class Encoder:
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
         self._pieces: list[Part] = []
-        self._sizes: list[int] = []  # bytes of the pieces, when they were tried last
         self._prepared = 0
 
     def encode(self, step: float) -> tuple[bytes, dict[str, float]]:
@@ -91,24 +91,27 @@ class Encoder:
         step = float(np.float32(step))
         if step < self._finest:
             raise InputError(f"klt step must be {self._finest:.3g} or more for this map, got {step:g}")
-        axes = self._try(step)[1]
-        streams = [b""] * count_streams(self._shape)
+        axes = self._try(step).axes
+        planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         for tile in self._tiles(axes):
-            coded = self._encode_tile(tile, axes, step, PRICE)
-            for t, stream in zip(tile.streams, coded.streams, strict=True):
-                streams[t] = stream
-            self._progress(tile.bottom, self._shape[1])
+            self._collect(streams, tile, self._encode_tile(tile, planes, step, PRICE))
         return self._pack(axes, step, streams), {"step": step, "planes": float(len(axes.scales_j))}
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
         """Return the body that fills a budget of bytes best, and what was found; InputError if none is as small."""
-        step, axes = self._find_step(budget)
-        tiles = self._tiles(axes)
+        trial = self._find_step(budget)
+        tiles = self._tiles(trial.axes)
         if len(tiles) <= 1:
-            body, step = self._fit_step(budget, step, axes, tiles)
+            body, step = self._fit_step(budget, trial, tiles)
         else:
-            body, step = self._fit_prices(budget, step, axes, tiles)
-        return body, {"step": step, "planes": float(len(axes.scales_j))}
+            body, step = self._fit_prices(budget, trial, tiles)
+        return body, {"step": step, "planes": float(len(trial.axes.scales_j))}
+
+    def _collect(self, streams: list[bytes], tile: Tile, coded: Coded) -> None:
+        """Put a tile's streams among those of the image."""
+        for t, stream in zip(tile.streams, coded.streams, strict=True):
+            streams[t] = stream
+        self._progress(tile.bottom, self._shape[1])
 
     def _pack(self, axes: Axes, step: float, streams: list[bytes]) -> bytes:
         whitening = self._whitening
@@ -132,10 +135,7 @@ class Encoder:
         self._pieces = [self._take_part(window, None, planes) for window in list_pieces(height, width, count)]
         self._prepared = count
 
-    def _take_tile(self, tile: Tile, axes: Axes) -> Part:
-        return self._take_part(tile.window, tile, self._whitening.solved(axes))
-
-    def _take_part(self, window: Window, tile: Tile | None, planes: tuple[NDArray, NDArray]) -> Part:
+    def _take_part(self, window: Window, tile: Tile | None, planes: Planes) -> Part:
         rows, columns = (window.top, window.bottom), (window.left, window.right)
         values = make_planes(self._read, rows, columns, *planes, self._device)
         transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
@@ -148,11 +148,11 @@ class Encoder:
         layout = lay_out(units, *size, window, values.shape[2], is_together(self._shape))
         return Part(values, layout, middle, *window.shape)
 
-    def _encode_tile(self, tile: Tile, axes: Axes, step: float, price: float) -> Coded:
+    def _encode_tile(self, tile: Tile, planes: Planes, step: float, price: float) -> Coded:
         try:
-            return self._encode_part(self._take_tile(tile, axes), step, price)
+            return self._encode_part(self._take_part(tile.window, tile, planes), step, price)
         except ValuesLostError:
-            return self._encode_part(self._take_tile(tile, axes), step, price, keep=True)
+            return self._encode_part(self._take_part(tile.window, tile, planes), step, price, keep=True)
 
     def _encode_part(
         self, part: Part, step: float, price: float = PRICE, count: int | None = None, keep: bool = False
@@ -165,47 +165,52 @@ class Encoder:
             self._device, part.layout, values, index, default_tables(), price, 1.0 / step, self._counts
         )
 
-    def _try(self, step: float, every: int = 1) -> tuple[float, Axes]:
+    def _try(self, step: float, every: int = 1) -> Trial:
         """Return about the bytes at a step, and the axes that are worth theirs, by every n-th piece."""
         count = int((self._whitening.deviation_j > _TRIED * step).sum())
         self._prepare(count)
         vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
         axes = quantise_axes(vectors, deviation, self._n_pixel, step)
-        streams = 0.0
+        streams, sizes = 0.0, np.zeros(0)
         if count:
             pieces = self._pieces[every // 2 :: every] or self._pieces
             coded = [self._encode_part(piece, step, count=count, keep=True) for piece in pieces]
-            self._sizes = [c.size for c in coded]
-            share = self._n_pixel / sum(piece.height * piece.width for piece in pieces)
+            sizes, areas = np.array([c.size for c in coded]), np.array([p.height * p.width for p in pieces])
+            share = self._n_pixel / areas.sum()
             bits_j = np.sum([c.bits_j for c in coded], axis=0) * share
             energy_j = np.sum([piece.energy(count, self._device) for piece in pieces], axis=0) * share / step**2
             saved_j = energy_j - np.sum([c.error_j for c in coded], axis=0) * share
             saved_j -= energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
             pays = saved_j > PRICE * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
-            streams = sum(self._sizes) * share - float(bits_j[~pays].sum()) / 8.0
+            streams = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0)
+            sizes = sizes / areas
+        size = self._fixed_bytes(axes, step, streams) + streams
+        return Trial(step, size, axes, sizes)
+
+    def _fixed_bytes(self, axes: Axes, step: float, streams: float) -> float:
+        """Return the bytes beside those of streams, which take about so many."""
         tables = pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
-        return HEAD_SIZE + len(tables) + streams + self._index_about(streams), axes
+        return HEAD_SIZE + len(tables) + self._index_about(streams)
 
     def _index_about(self, streams: float) -> float:
         count = count_streams(self._shape)
         return index_bytes([int(streams / count) + 1] * count)
 
-    def _find_step(self, budget: int) -> tuple[float, Axes]:
-        """Return about the step at which the map takes as many bytes, and its axes: by a few pieces first."""
-        place, found = -5.0, Axes(np.zeros((0, 0), np.int64), np.zeros(0, np.uint8))
+    def _find_step(self, budget: int) -> Trial:
+        """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
+        place = -5.0
         for every, aims in ((_FEW, _NEARLY), (1, _FOUND)):
-            axes_at: dict[float, Axes] = {}
+            trials: dict[float, Trial] = {}
 
-            def count(place: float, every: int = every, axes_at: dict[float, Axes] = axes_at) -> float:
-                size, axes_at[place] = self._try(2.0**place, every)
-                return size
+            def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
+                trials[place] = self._try(2.0**place, every)
+                return trials[place].size
 
             place = search_step(count, place, self._bounds(), budget, aims)
-            found = axes_at[place]
             if len(self._pieces) <= 1:
                 break
-        return 2.0**place, found
+        return trials[place]
 
     def _bounds(self) -> tuple[float, float]:
         return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))
@@ -216,13 +221,16 @@ class Encoder:
         count, (_, height, width, _) = len(axes.scales_j), self._shape
         if not count:
             return []
-        if is_together(self._shape):
-            return [Tile(list_units(height, width), [0], Window(0, 0, height, width), 0, height, height * width)]
-        return list_tiles(height, width, count, self._memory)
+        return (
+            [whole_tile(height, width, [0])]
+            if is_together(self._shape)
+            else list_tiles(height, width, count, self._memory)
+        )
 
-    def _fit_step(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
+    def _fit_step(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return the body of a map that is one tile, at the step where it fits the budget best, and that step."""
-        parts = [self._take_tile(tile, axes) for tile in tiles]
+        planes = self._whitening.solved(trial.axes)
+        parts = [self._take_part(tile.window, tile, planes) for tile in tiles]
         fitting: list[tuple[int, bytes, float]] = []
         least = 0
 
@@ -230,27 +238,26 @@ class Encoder:
             nonlocal least
             exact = float(np.float32(2.0**place))
             streams = [s for part in parts for s in self._encode_part(part, exact, keep=True).streams]
-            body = self._pack(axes, exact, streams)
+            body = self._pack(trial.axes, exact, streams)
             least = len(body)
             if len(body) <= budget:
                 fitting.append((len(body), body, exact))
             return len(body)
 
-        search_step(count, float(np.log2(step)), self._bounds(), budget, (_LEAST_USED, _AIM))
+        search_step(count, float(np.log2(trial.step)), self._bounds(), budget, (_LEAST_USED, _AIM))
         if not fitting:
             raise InputError(f"klt needs {least} bytes for this map even at its coarsest step, the budget is {budget}")
         _, body, step = max(fitting, key=lambda each: each[0])
         return body, step
 
-    def _fit_prices(self, budget: int, step: float, axes: Axes, tiles: list[Tile]) -> tuple[bytes, float]:
+    def _fit_prices(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return the body of a map of many tiles, and its step: what tiles take beyond expectation, the price saves."""
-        of_pixel = np.array(self._sizes) / [piece.height * piece.width for piece in self._pieces]
-        foretold = foretell([piece.row for piece in self._pieces], of_pixel, tiles)
+        foretold, step = foretell([piece.row for piece in self._pieces], trial.of_pixel, tiles), trial.step
         best: tuple[bytes, float] | None = None
         least = 0
         for _ in range(_MAX_PASSES):
             step = float(np.float32(step))
-            body, foretold = self._pass_tiles(budget, step, axes, tiles, foretold)
+            body, foretold = self._pass_tiles(budget, step, trial.axes, tiles, foretold)
             least = len(body)
             if len(body) <= budget and (best is None or len(body) > len(best[0])):
                 best = body, step
@@ -268,9 +275,8 @@ class Encoder:
         self, budget: int, step: float, axes: Axes, tiles: list[Tile], foretold: NDArray[np.float64]
     ) -> tuple[bytes, NDArray[np.float64]]:
         """Return a body, and about the bytes that each tile would have at the usual price."""
-        streams = [b""] * count_streams(self._shape)
-        tables = len(pack_axes(self._whitening.rotation_cc, axes, self._mean(step)))
-        fixed = HEAD_SIZE + tables + self._index_about(float(budget))
+        planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
+        fixed = self._fixed_bytes(axes, step, float(budget))
         spent, usual = 0.0, np.zeros(len(tiles))
         for number, tile in enumerate(tiles):
             left = budget - fixed - spent
@@ -279,13 +285,11 @@ class Encoder:
             ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
             price = min(max(PRICE * ratio ** (-1.0 / PRICE_POWER), PRICES[0]), PRICES[1])
             if number + 1 == len(tiles):
-                encode = functools.partial(self._encode_part, self._take_tile(tile, axes), step, keep=True)
-                coded, price = fill_by_price(encode, left, price)
+                part = self._take_part(tile.window, tile, planes)
+                coded, price = fill_by_price(functools.partial(self._encode_part, part, step, keep=True), left, price)
             else:
-                coded = self._encode_tile(tile, axes, step, price)
+                coded = self._encode_tile(tile, planes, step, price)
             spent += coded.size
             usual[number] = coded.size * (price / PRICE) ** PRICE_POWER
-            for t, stream in zip(tile.streams, coded.streams, strict=True):
-                streams[t] = stream
-            self._progress(tile.bottom, self._shape[1])
+            self._collect(streams, tile, coded)
         return self._pack(axes, step, streams), usual

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy.unit_streams import Coded
 from clrelight.codec.entropy.units import Layout, Tile, Window
+from clrelight.codec.transforms.principal import Axes
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 
@@ -50,6 +51,27 @@ class Part:
         """Return the sums of squares of the first planes."""
         values = device.download(self.values)[:count, :, : self.width]
         return np.einsum("jyx,jyx->j", values, values, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a step would give.
+
+    Attributes
+    ----------
+    step : float
+    size : float
+        About the bytes of the body.
+    axes : Axes
+        Those that are worth their bits.
+    of_pixel : ndarray, shape (n_piece,), float64
+        Bytes of each piece's streams for one of its pixels.
+    """
+
+    step: float
+    size: float
+    axes: Axes
+    of_pixel: NDArray[np.float64]
 
 
 def search_step(

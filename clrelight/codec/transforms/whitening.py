@@ -24,6 +24,8 @@ AXES = "damped"
 _SAMPLED_ROWS, _SAMPLED_PIXELS = 256, 1 << 16
 _PIECE_BYTES = 1 << 26
 
+Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
 ReadRows = Callable[[int, int], NDArray[np.float32]]
 """Returns rows of all maps, (n_coeff, rows, width, channel), from the first to the one before the end."""
 
@@ -54,12 +56,12 @@ class Whitening:
     vectors_jd: NDArray[np.float64]
     deviation_j: NDArray[np.float64]
 
-    def exact(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return what makes the first planes: a matrix (count, n_coeff * channel), and what is taken off."""
+    def exact(self, count: int) -> Planes:
+        """Return what makes the first planes."""
         vectors = self.vectors_jd[:count]
         return vectors @ self.forward_dq, vectors @ self.mean_d
 
-    def solved(self, axes: Axes) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def solved(self, axes: Axes) -> Planes:
         """Return the same for axes as the decoder knows them: planes are coordinates along them by least squares."""
         vectors = axes.vectors_jd
         # The axes being near orthonormal, their Gram matrix is near the identity, and far smaller than they are.
