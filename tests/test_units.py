@@ -11,8 +11,9 @@ from clrelight.codec.entropy.units import LEVELS, Window, lay_out, list_tiles, l
 from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_decode import UnitView, decode_region
 from clrelight.codec.formats.klt_encode import Encoder
-from clrelight.codec.formats.klt_regions import Region, UnitReader
+from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_units import parse_body, read_stream
+from clrelight.codec.views import Region
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
 from tests.reference.entropy import join_plane

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,27 +15,13 @@ from clrelight.codec.finite import all_finite
 from clrelight.codec.rate.noise import Noise, second_moments
 from clrelight.codec.streams import ArraySource, ArrayTarget, Source, Target
 from clrelight.codec.transforms.metric import MAX_METRIC_DEGREE
+from clrelight.codec.views import Regions, View
 from clrelight.configurable import Configurable
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.index import degree_of
 
 _REGISTRY: dict[str, type[Codec]] = {}
-
-
-class View(Protocol):
-    """A decoded map in a basis of its own."""
-
-    def to_coeffs(self, device: Device) -> NDArray[np.float32]:
-        """Return the (n_coeff, height, width, channel) coefficients."""
-        ...
-
-    def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
-        """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak.
-
-        PayloadError where they are not finite: no encoder wrote such a map.
-        """
-        ...
 
 
 class Codec(Configurable, ABC):
@@ -97,6 +83,11 @@ class Codec(Configurable, ABC):
     @classmethod
     def decode_view(cls, body: Body, shape: tuple[int, int, int, int], device: Device) -> View | None:
         """Return what relights without becoming coefficients first; None where coefficients are all there is."""
+        return None
+
+    @classmethod
+    def decode_regions(cls, body: Body, shape: tuple[int, int, int, int]) -> Regions | None:
+        """Return what decodes parts alone; None where a map is decoded as a whole."""
         return None
 
 
@@ -282,6 +273,15 @@ def decode_view(payload: Encoded | bytes, device: Device) -> View | None:
     """
     encoded, codec = _open(payload)
     return codec.decode_view(encoded.body, encoded.shape, device)
+
+
+def decode_regions(payload: Encoded | bytes) -> Regions | None:
+    """Return what decodes parts of an encoded map alone; None where there is no such thing.
+
+    PayloadError as `decode` raises it.
+    """
+    encoded, codec = _open(payload)
+    return codec.decode_regions(encoded.body, encoded.shape)
 
 
 def _open(payload: Encoded | bytes) -> tuple[Encoded, type[Codec]]:

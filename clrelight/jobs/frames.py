@@ -7,13 +7,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec import decode_view
-from clrelight.codec.formats.klt_decode import UnitView
+from clrelight.codec import decode_regions, decode_view
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -136,16 +136,14 @@ def _lend_view(
     if is_encoded(source):
         since = time.perf_counter()
         encoded, record = take_encoded(source)  # type: ignore[arg-type]
-        view = decode_view(encoded, device)
+        region, light = part.of(*encoded.shape[1:3]), None
+        if (regions := decode_regions(encoded)) is not None:
+            light = partial(regions.relight_region, region=region, device=device)
+        elif part.is_all and (view := decode_view(encoded, device)) is not None:
+            light = partial(view.relight, device=device)
         report.add("decode", since)
-        region = part.of(*encoded.shape[1:3])
-        if isinstance(view, UnitView):
-            in_units, bytes_each = view, 4 * math.prod(region.shape) * encoded.shape[3]
-            yield _View(lambda i3: in_units.relight_region(i3, region, device), bytes_each, record.transfer)
-            return
-        if view is not None and part.is_all:
-            picture_bytes = 4 * math.prod(encoded.shape[1:])
-            yield _View(lambda directions_i3: view.relight(directions_i3, device), picture_bytes, record.transfer)
+        if light is not None:
+            yield _View(light, 4 * math.prod(region.shape) * encoded.shape[3], record.transfer)
             return
     with lend_part(source, part, device, report, progress) as coefficients:
         yield _View(

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clrelight.codec import Encoded, decode, decode_view
+from clrelight.codec import Encoded, decode, decode_regions
 from clrelight.codec.entropy.units import LEVELS, low_side
-from clrelight.codec.formats.klt_decode import UnitView
-from clrelight.codec.formats.klt_regions import Region
+from clrelight.codec.views import Region
 from clrelight.dataset import CoefficientMap, FitRecord, read_rows_into
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -77,9 +76,8 @@ def crop(coefficients: CoefficientMap, part: Part) -> CoefficientMap:
 
 def decode_part(encoded: Encoded, record: FitRecord, part: Part, device: Device) -> CoefficientMap:
     """Return a part of an encoded fit; of files in units, only what it hangs on is decoded."""
-    view = decode_view(encoded, device)
-    region = part.of(*encoded.shape[1:3])
-    if isinstance(view, UnitView):
-        return record.to_map(view.coefficients(region, device))
+    regions, region = decode_regions(encoded), part.of(*encoded.shape[1:3])
+    if regions is not None:
+        return record.to_map(regions.coefficients(region, device))
     refuse_level(part, f"an encoding by {encoded.codec}")
     return crop(record.to_map(decode(encoded, device)), part)

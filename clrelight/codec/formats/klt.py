@@ -16,12 +16,13 @@ from clrelight.codec.formats import klt_body
 from clrelight.codec.formats.klt_decode import UnitView, bytes_at_once, decode_rows
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, parse_body, parse_head
-from clrelight.codec.registry import PartsCodec, View, register
+from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.rooms import Room, Shape
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
 from clrelight.codec.transforms.principal import STEP_RANGE
 from clrelight.codec.transforms.whitening import ReadRows
+from clrelight.codec.views import View
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -134,10 +135,10 @@ class Klt(PartsCodec):
         """Return the curve that is better for pieces of a large map."""
         _, height, width, _ = source.shape
         side_h, side_w = min(_PIECE, height), min(_PIECE, width)
-        pieces = []
+        pieces, read = [], _reader(source)
         for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
             top, left = (height - side_h) * (2 * i + 1) // 4, (width - side_w) * (2 * j + 1) // 4
-            pieces.append(source.read_rows(top, top + side_h)[:, :, left : left + side_w].copy())
+            pieces.append(read(top, top + side_h)[:, :, left : left + side_w].copy())
         mosaic_khwc = np.concatenate(pieces, axis=1)
         share = mosaic_khwc.size / math.prod(source.shape)
         codec = self if self.byte_budget is None else replace(self, byte_budget=max(int(self.byte_budget * share), 1))
@@ -170,13 +171,19 @@ class Klt(PartsCodec):
     @classmethod
     def decode_view(cls, body: Body, shape: Shape, device: Device) -> View | None:
         """Return what relights without coefficients; of old bodies None behind a curve."""
-        body = drop_ballast(body, shape)
-        if _is_in_units(body):
-            return UnitView(body, parse_body(body, shape), shape)
-        content = body[:]
+        regions = cls.decode_regions(body, shape)
+        if regions is not None:
+            return regions
+        content = drop_ballast(body, shape)[:]
         if klt_body.parse_head(content, shape).transfer != "linear":
             return None
         return klt_body.decode_planes(content, shape, device)[0]
+
+    @classmethod
+    def decode_regions(cls, body: Body, shape: Shape) -> UnitView | None:
+        """See `Codec`; None of old bodies."""
+        body = drop_ballast(body, shape)
+        return UnitView(body, parse_body(body, shape), shape) if _is_in_units(body) else None
 
 
 def _is_in_units(body: Body) -> bool:

@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.units import MARGIN, PRECINCT, tile_sides
 from clrelight.codec.factored import finite_images
-from clrelight.codec.formats.klt_regions import Region, UnitReader
+from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_units import Parsed
 from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Target
 from clrelight.codec.transforms.code_values import bend, radiance_of
 from clrelight.codec.transforms.lifting import join_channels, padded_width
 from clrelight.codec.transforms.whitening import reshaped
+from clrelight.codec.views import Region
 from clrelight.conventions import srgb_to_linear
 from clrelight.device import Device
 from clrelight.harmonics.basis import evaluate_basis
@@ -120,7 +121,7 @@ def bytes_at_once(shape: Shape, count: int) -> int:
 class UnitView:
     """A body that is relit without its coefficients: light by light, only sums of planes are transformed back.
 
-    See `clrelight.codec.registry.View`. Behind a curve, the code values that the body holds are evaluated at a light,
+    See `clrelight.codec.views.Regions`. Behind a curve, the code values that the body holds are evaluated at a light,
     and become radiance then.
     """
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,27 +12,12 @@ from clrelight.codec.formats.klt_units import Parsed, is_together, read_stream
 from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import list_subbands, padded_width, transform_planes
 from clrelight.codec.transforms.whitening import with_type
+from clrelight.codec.views import Region
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 
 _REACH = 6
 """Samples of a subband beyond a region that its synthesis looks at: half of the next finer, and three, rounded up."""
-
-
-@dataclass(frozen=True)
-class Region:
-    """A part of an image at a level: rows and columns, from the first to the one before the end, in pixels there."""
-
-    top: int
-    left: int
-    bottom: int
-    right: int
-    level: int = 0
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-        return self.bottom - self.top, self.right - self.left
 
 
 class UnitReader:

@@ -1,0 +1,54 @@
+"""Decoded maps in bases of their own, and parts of them at a level of resolution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.device import Device
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of an image at a level: rows and columns, from the first to the one before the end, in pixels there."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+    level: int = 0
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.bottom - self.top, self.right - self.left
+
+
+class View(Protocol):
+    """A decoded map in a basis of its own."""
+
+    def to_coeffs(self, device: Device) -> NDArray[np.float32]:
+        """Return the (n_coeff, height, width, channel) coefficients."""
+        ...
+
+    def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
+        """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak.
+
+        PayloadError where they are not finite: no encoder wrote such a map.
+        """
+        ...
+
+
+class Regions(View, Protocol):
+    """A map of which parts are decoded without the rest, at lower resolutions too."""
+
+    def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
+        """Return those of a part, (n_coeff, height, width, channel); PayloadError where it is damaged."""
+        ...
+
+    def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
+        """Return a part of the images that `relight` returns."""
+        ...
