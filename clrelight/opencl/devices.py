@@ -17,6 +17,7 @@ from clrelight.opencl.child import check_descriptors
 from clrelight.opencl.drivers import leave_out_drivers
 from clrelight.opencl.kernel_cache import own_folder
 from clrelight.opencl.probe import WIDTHS, Verdict, judge_device
+from clrelight.opencl.processor import name_processor
 
 DEVICE_VARIABLE = "CLRELIGHT_DEVICE"
 STYLE_VARIABLE = "CLRELIGHT_KERNELS"
@@ -51,6 +52,8 @@ class DeviceInfo:
         Native float vector width, as the driver reports it.
     packaged : bool
         Whether this is the PoCL that came from the Python package index.
+    processor : str
+        The processor that it was told to compile for; empty where it knows this one, or was not told.
     default : bool
         Whether it is taken when none is asked for; known of devices that `list_devices` gives.
     style : str
@@ -74,6 +77,7 @@ class DeviceInfo:
     local_memory_bytes: int
     vector_width: int
     packaged: bool
+    processor: str = ""
     default: bool = False
     style: str = "cpu"
     lanes: int = 0
@@ -83,7 +87,7 @@ class DeviceInfo:
     def identity(self) -> str:
         """What tells one build of a driver and its device from another."""
         packaged = _packaged_version() if self.packaged else ""
-        return "\0".join([self.platform, self.version, self.driver, self.name, packaged])
+        return "\0".join([self.platform, self.version, self.driver, self.name, packaged, self.processor])
 
     @property
     def label(self) -> str:
@@ -91,7 +95,8 @@ class DeviceInfo:
         # PoCL appends its build options to the version.
         forced = "" if self.style == style_of(self.kind) else f", {self.style} kernels"
         lanes = f", {self.lanes} lanes" if self.style == "cpu" and self.lanes else ""
-        return f"{self.name} ({self.version.split('  ')[0]}, driver {self.driver}{lanes}{forced})"
+        told = f", compiled for {self.processor}" if self.processor else ""
+        return f"{self.name} ({self.version.split('  ')[0]}, driver {self.driver}{told}{lanes}{forced})"
 
 
 def style_of(kind: str) -> str:
@@ -246,6 +251,7 @@ def _describe(cl: Any, index: int, platform: Any, device: Any) -> DeviceInfo:
         kind = "gpu"
     elif device.type & cl.device_type.CPU:
         kind = "cpu"
+    packaged = _is_packaged_pocl(platform.version)
     return DeviceInfo(
         index=index,
         name=device.name.strip(),
@@ -258,7 +264,8 @@ def _describe(cl: Any, index: int, platform: Any, device: Any) -> DeviceInfo:
         compute_units=int(device.max_compute_units),
         local_memory_bytes=int(device.local_mem_size),
         vector_width=int(device.native_vector_width_float),
-        packaged=_is_packaged_pocl(platform.version),
+        packaged=packaged,
+        processor=name_processor(device, platform.version, packaged=packaged) if kind == "cpu" else "",
     )
 
 
