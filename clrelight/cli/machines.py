@@ -72,7 +72,7 @@ def _print_devices(infos: list[DeviceInfo], left_out: dict[str, str]) -> None:
     click.echo("* taken when neither --device nor CLRELIGHT_DEVICE names one")
     for info in infos:
         if info.processor:
-            click.echo(f"{info.index}: {info.driver} compiles for {info.processor}: its LLVM does not know this processor")
+            click.echo(f"{info.index}: told to compile for {info.processor}, as its LLVM is older than this processor")
         if info.fault:
             click.echo(f"{info.index}: {info.name} {info.fault}")
     for file, fault in left_out.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -98,9 +99,11 @@ def _signal_name(number: int) -> str:
 
 
 def _telling_line(complaint: str) -> str:
-    """Return the line that says most: the first that speaks of an error, else the last."""
-    lines = [line.strip() for line in complaint.splitlines() if line.strip()]
-    for line in lines:
-        if "error" in line.lower() and not line.startswith("File "):
-            return line[:300]
+    """Return the line that says most: a compiler's error, else the first that speaks of an error, else the last."""
+    # What is indented are lines of source code, in a traceback.
+    lines = [line.strip() for line in complaint.splitlines() if line.strip() and not line.startswith(" ")]
+    for sign in (r"(^|\s)error: ", "error"):
+        for line in lines:
+            if re.search(sign, line, re.IGNORECASE):
+                return line[:300]
     return lines[-1][:300] if lines else "without a word"

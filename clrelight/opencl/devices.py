@@ -26,6 +26,7 @@ STYLES = ("cpu", "gpu")
 work-items, whose groups share local memory. Either runs on every device, but slowly on the other kind."""
 
 _INSTALL_HINT = "install one with: pip install 'pyopencl[pocl]' (no root needed)"
+_OTHER_HINT = "a newer PoCL: conda install -c conda-forge pocl, or apt install pocl-opencl-icd"
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,8 @@ def choose_device(spec: str | None, style: str | None) -> DeviceInfo:
         if not judged[-1].fault:
             return judged[-1]
     faults = "; ".join(f"{info.index}: {info.name} ({info.driver}) {info.fault}" for info in judged)
-    raise DeviceError(f"no OpenCL device computes soundly: {faults}; another driver may: {_INSTALL_HINT}")
+    hint = _OTHER_HINT if any(info.packaged for info in infos) else _INSTALL_HINT
+    raise DeviceError(f"no OpenCL device computes soundly: {faults}; another driver may: {hint}")
 
 
 def _split_lanes(asked: str, source: str) -> tuple[str, int]:
