@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 import os
 import signal
 import threading
@@ -14,7 +13,7 @@ from typing import Any
 
 from clrelight.errors import DeviceError
 from clrelight.opencl.child import check_descriptors
-from clrelight.opencl.drivers import leave_out_drivers
+from clrelight.opencl.drivers import is_packaged, leave_out_drivers, packaged_version
 from clrelight.opencl.kernel_cache import own_folder
 from clrelight.opencl.probe import WIDTHS, Verdict, judge_device
 from clrelight.opencl.processor import name_processor
@@ -87,7 +86,7 @@ class DeviceInfo:
     @property
     def identity(self) -> str:
         """What tells one build of a driver and its device from another."""
-        packaged = _packaged_version() if self.packaged else ""
+        packaged = packaged_version() if self.packaged else ""
         return "\0".join([self.platform, self.version, self.driver, self.name, packaged, self.processor])
 
     @property
@@ -253,7 +252,7 @@ def _describe(cl: Any, index: int, platform: Any, device: Any) -> DeviceInfo:
         kind = "gpu"
     elif device.type & cl.device_type.CPU:
         kind = "cpu"
-    packaged = _is_packaged_pocl(platform.version)
+    packaged = is_packaged(platform.version)
     return DeviceInfo(
         index=index,
         name=device.name.strip(),
@@ -269,23 +268,6 @@ def _describe(cl: Any, index: int, platform: Any, device: Any) -> DeviceInfo:
         packaged=packaged,
         processor=name_processor(device, platform.version, packaged=packaged) if kind == "cpu" else "",
     )
-
-
-def _is_packaged_pocl(platform_version: str) -> bool:
-    # The wheel's own libpocl is named to the loader by pyopencl; a system PoCL has another version.
-    version = _packaged_version()
-    return bool(version) and f"PoCL {version}" in platform_version
-
-
-@functools.cache
-def _packaged_version() -> str:
-    """Return the version of the PoCL that came from the Python package index, empty where there is none."""
-    for package in ("pocl-binary-distribution", "pocl_binary_distribution"):
-        try:
-            return importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return ""
 
 
 @contextmanager

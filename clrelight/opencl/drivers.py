@@ -69,7 +69,19 @@ def _version(package: str) -> str:
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return "absent"
+        return ""
+
+
+@functools.cache
+def packaged_version() -> str:
+    """Return the version of the PoCL that came from the Python package index, empty where there is none."""
+    return _version("pocl-binary-distribution")
+
+
+def is_packaged(platform_version: str) -> bool:
+    """Return whether a platform is that PoCL, which pyopencl names to the loader; a system's has another version."""
+    version = packaged_version()
+    return bool(version) and f"PoCL {version}" in platform_version
 
 
 def _try_loading(file: Path | None) -> str:

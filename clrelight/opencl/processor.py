@@ -23,7 +23,7 @@ DRIVERS_OWN = "driver"
 _UNKNOWN = b"generic"
 _WIDE = "skylake-avx512"
 # Features as Linux writes them, and the name that PoCL's library for them was compiled with.
-_LIBRARIES = (
+_LIBRARIES: tuple[tuple[set[str], str], ...] = (
     ({"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}, _WIDE),
     ({"avx2", "fma", "bmi1", "bmi2", "f16c", "movbe", "abm"}, "haswell"),
     ({"avx"}, "sandybridge"),
@@ -73,7 +73,7 @@ def name_processor(device: Any, version: str, *, packaged: bool) -> str:
 
 
 def fitting_name(features: frozenset[str]) -> str:
-    """Return the name of an x86-64 processor that has no feature beyond these, the most able that PoCL has a library for."""
+    """Return the most able x86-64 processor that PoCL has a library for and that has no feature beyond these."""
     return next(name for needed, name in _LIBRARIES if needed <= features)
 
 
