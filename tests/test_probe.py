@@ -66,7 +66,7 @@ def test_the_real_probe_finds_this_machine_sound(compiled):
     assert [listed.index for listed in list_devices() if listed.default] == [info.index]
     assert info.fault == ""
     assert info.lanes in probe.WIDTHS
-    assert len(list((compiled / "devices").iterdir())) == 1
+    assert len(list((compiled / "devices").iterdir())) == len(list_devices())
     assert f"{info.lanes} lanes" in info.label
 
 

@@ -1,7 +1,7 @@
 """Which processor PoCL compiles for: it is told a name that it knows where its LLVM is older than the processor.
 
 PoCL picks its library of functions by the processor's features, and compiles our code for the processor's name, which
-its LLVM guesses. A name that LLVM does not know is ``generic``, which its own compiler refuses; an older relative's name
+its LLVM guesses. What LLVM does not know is ``generic``, which its own compiler refuses; the name of an older relative
 lacks features that the library was compiled with, so that both pass vectors in different registers. PoCL has no option
 for it, so the name is set where its record of the device holds it; the device is tested by numbers as ever.
 """
