@@ -108,7 +108,9 @@ def check_peak(peak: float) -> None:
         raise InputError(f"peak must be from {_LEAST_PEAK:g} to {1.0 / _LEAST_PEAK:g}, which float32 holds, got {peak}")
 
 
-def check_radiance(tile_ihwc: NDArray, first_row: int = 0, picked_i: NDArray[np.intp] | None = None) -> None:
+def check_radiance(
+    tile_ihwc: NDArray, first_row: int = 0, picked_i: NDArray[np.intp] | None = None, first_column: int = 0
+) -> None:
     """Raise InputError, naming the first sample that is negative or not finite.
 
     `picked_i` says where each image stands in the stack that the user knows.
@@ -119,8 +121,8 @@ def check_radiance(tile_ihwc: NDArray, first_row: int = 0, picked_i: NDArray[np.
     light, row, column, channel = (int(v) for v in np.argwhere(bad)[0])
     stands = light if picked_i is None else int(picked_i[light])
     raise InputError(
-        f"image {stands} is {tile_ihwc[light, row, column, channel]} at row {first_row + row}, column {column}, "
-        f"channel {channel}: radiance must be finite and not negative"
+        f"image {stands} is {tile_ihwc[light, row, column, channel]} at row {first_row + row}, "
+        f"column {first_column + column}, channel {channel}: radiance must be finite and not negative"
     )
 
 

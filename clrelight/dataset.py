@@ -113,9 +113,9 @@ class LightStack:
             return np.ascontiguousarray(self.images_ihwc[:, first:end])
         return read_rows_into(self.images_ihwc, first, end, out_ihwc)
 
-    def check_tile(self, tile_ihwc: NDArray, first: int) -> None:
-        """Raise InputError, naming light and pixel, where a sample of rows from `first` on is no radiance."""
-        check_radiance(tile_ihwc, first, self.picked_i)
+    def check_tile(self, tile_ihwc: NDArray, first: int, left: int = 0) -> None:
+        """Raise InputError, naming light and pixel, where a sample from row `first` and column `left` on is no radiance."""
+        check_radiance(tile_ihwc, first, self.picked_i, left)
 
     def select(self, lights_i: NDArray[np.intp]) -> LightStack:
         """Return the stack of these lights only; images stay where they are until read."""

@@ -60,6 +60,10 @@ class Source(ABC):
     def read_rows(self, first: int, end: int) -> NDArray[np.float32]:
         """Return rows of all maps, C-contiguous; what was returned two calls before may be overwritten."""
 
+    def read_part(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
+        """Return some columns of rows, each from the first to the one before the end; as of `read_rows`."""
+        return self.read_rows(*rows)[:, :, slice(*columns)]
+
     @contextmanager
     def rows(self, multiple: int = 1) -> Iterator[Iterator[tuple[int, NDArray[np.float32]]]]:
         """Lend all rows in parts, each with its first row, which is a multiple of `multiple`."""

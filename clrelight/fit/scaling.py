@@ -96,14 +96,17 @@ class TileScaling:
 
     def load(self, first: int, end: int, out_ihwc: NDArray | None = None) -> ScaledTile:
         """Return rows first..end of a stack as `LightStack.read_rows` does, in range; the same errors."""
-        tile_ihwc = self._stack.load_rows(first, end, out_ihwc)
+        return self.scale(self._stack.load_rows(first, end, out_ihwc), first)
+
+    def scale(self, tile_ihwc: NDArray, first: int, left: int = 0) -> ScaledTile:
+        """Return samples that were read from row `first` and column `left` on, C-contiguous, in range; as `load`."""
         columns_ip = tile_ihwc.reshape(len(tile_ihwc), -1)
         shape_hwc = tile_ihwc.shape[1:]
         is_float = tile_ihwc.dtype.kind == "f"
         if is_float or self._decodes_all:
             peak_p = column_peaks(columns_ip)
             if is_float and not np.isfinite(peak_p).all():
-                self._stack.check_tile(tile_ihwc, first)
+                self._stack.check_tile(tile_ihwc, first, left)
                 peak_p = np.abs(columns_ip).max(axis=0)  # no more than a sign of zero
             exponent_p = self._find_exponents(peak_p)
             if exponent_p is not None:

@@ -66,16 +66,18 @@ class TileFit:
             lambda: _Operators.upload(prepared.device, prepared.plan, curve.operator_scale(), self._dtype)
         )
 
-    def run(self, first: int, end: int, scaled: ScaledTile, since: float) -> FittedTile:
-        """Return rows first..end from their samples; the time since `since` goes to the fit's report."""
+    def run(
+        self, first: int, end: int, scaled: ScaledTile, since: float, columns: slice = slice(None)
+    ) -> FittedTile:
+        """Return rows first..end, or some columns of them, from their samples; the fit's report gets the time `since`."""
         device, mask_hw = self._device, self._prepared.stack.mask_hw
         shape_hwc = scaled.samples_ihwc.shape[1:]
         source_ip = device.upload(scaled.samples_ihwc.reshape(len(scaled.samples_ihwc), -1))
-        columns = source_ip.shape[1]
+        count = source_ip.shape[1]
         one_pass = self._one_pass_of(scaled.curve)
         if one_pass is not None:
             n_coeff = coefficient_count(self._prepared.degree)
-            coeffs = _lend(device, next(self._coeffs_of), (n_coeff, columns), self._dtype)
+            coeffs = _lend(device, next(self._coeffs_of), (n_coeff, count), self._dtype)
             maps = one_pass(source_ip, coeffs)
             coeffs_kp = device.download(coeffs)
         else:
@@ -84,12 +86,12 @@ class TileFit:
             first,
             end,
             coeffs_kp.reshape(-1, *shape_hwc),
-            None if maps.lambda_q is None else device.download(maps.lambda_q)[:columns].reshape(shape_hwc),
-            None if maps.rank_q is None else device.download(maps.rank_q)[:columns].reshape(shape_hwc),
+            None if maps.lambda_q is None else device.download(maps.lambda_q)[:count].reshape(shape_hwc),
+            None if maps.rank_q is None else device.download(maps.rank_q)[:count].reshape(shape_hwc),
         )
         scaled.restore(tile.coeffs_khwc)
         if mask_hw is not None:
-            tile.clear(~mask_hw[first:end])
+            tile.clear(~mask_hw[first:end, columns])
         self._prepared.report.add("synthesize" if one_pass is None else "fit", since)
         return tile
 

@@ -21,7 +21,7 @@ from clrelight.codec.rooms import Room, Shape
 from clrelight.codec.streams import Source, Target
 from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
 from clrelight.codec.transforms.principal import STEP_RANGE
-from clrelight.codec.transforms.whitening import ReadRows
+from clrelight.codec.transforms.whitening import ReadPart, Span
 from clrelight.codec.views import View
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
@@ -120,12 +120,12 @@ class Klt(PartsCodec):
         """Return a map behind the curve, or without it, whichever leaves less error of code values."""
         shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device)
         there_and_back = code_value_error(radiance_of(values_khwc, device), coeffs_khwc, device)
-        bent = self._encode_as("srgb", shape, lambda first, end: values_khwc[:, first:end], device, room)
+        bent = self._encode_as("srgb", shape, _part_of(values_khwc), device, room)
         lost = code_value_error(self.decode_body(bent[0], shape, device), coeffs_khwc, device)
         if lost > _CODED * there_and_back:
             return bent
         try:
-            plain = self._encode_as("linear", shape, lambda first, end: coeffs_khwc[:, first:end], device, room)
+            plain = self._encode_as("linear", shape, _part_of(coeffs_khwc), device, room)
         except InputError:  # the step or budget is none for this way
             return bent
         left = code_value_error(self.decode_body(plain[0], shape, device), coeffs_khwc, device)
@@ -138,7 +138,7 @@ class Klt(PartsCodec):
         pieces, read = [], _reader(source)
         for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
             top, left = (height - side_h) * (2 * i + 1) // 4, (width - side_w) * (2 * j + 1) // 4
-            pieces.append(read(top, top + side_h)[:, :, left : left + side_w].copy())
+            pieces.append(read((top, top + side_h), (left, left + side_w)).copy())
         mosaic_khwc = np.concatenate(pieces, axis=1)
         share = mosaic_khwc.size / math.prod(source.shape)
         codec = self if self.byte_budget is None else replace(self, byte_budget=max(int(self.byte_budget * share), 1))
@@ -146,7 +146,7 @@ class Klt(PartsCodec):
         return parse_body(drop_ballast(content, mosaic_khwc.shape), mosaic_khwc.shape).head.transfer
 
     def _encode_as(
-        self, transfer: str, shape: Shape, read: ReadRows, device: Device, room: Room
+        self, transfer: str, shape: Shape, read: ReadPart, device: Device, room: Room
     ) -> tuple[bytes, dict[str, float]]:
         encoder = Encoder(shape, read, transfer, device, room.memory_bytes, room.tell)
         if self.step is not None:
@@ -190,12 +190,17 @@ def _is_in_units(body: Body) -> bool:
     return body[:1] == bytes([VERSION])
 
 
-def _reader(source: Source, transfer: str = "linear") -> ReadRows:
-    """Return what gives rows of a source, looked at, in the domain of a curve."""
+def _part_of(values_khwc: NDArray[np.float32]) -> ReadPart:
+    """Return what gives parts of maps in memory."""
+    return lambda rows, columns: values_khwc[:, slice(*rows), slice(*columns)]
 
-    def read(first: int, end: int) -> NDArray[np.float32]:
-        coeffs_khwc = source.read_rows(first, end)
-        source.check(coeffs_khwc, first)
+
+def _reader(source: Source, transfer: str = "linear") -> ReadPart:
+    """Return what gives parts of a source, looked at, in the domain of a curve."""
+
+    def read(rows: Span, columns: Span) -> NDArray[np.float32]:
+        coeffs_khwc = source.read_part(rows, columns)
+        source.check(coeffs_khwc, rows[0])
         if transfer == "srgb":
             return code_values_of(np.ascontiguousarray(coeffs_khwc), source.device)
         return coeffs_khwc

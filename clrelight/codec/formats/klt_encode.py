@@ -32,7 +32,7 @@ from clrelight.codec.formats.klt_units import (
 from clrelight.codec.rooms import Progress, Shape
 from clrelight.codec.transforms.lifting import transform_planes
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
-from clrelight.codec.transforms.whitening import Planes, ReadRows, make_planes, reshaped, whitening_of, with_type
+from clrelight.codec.transforms.whitening import Planes, ReadPart, make_planes, reshaped, whitening_of, with_type
 from clrelight.device import Device
 from clrelight.errors import InputError
 
@@ -56,7 +56,7 @@ class Encoder:
     shape : tuple of int
         (n_coeff, height, width, channel).
     read : callable
-        Gives rows of the map, in the domain of `transfer`.
+        Gives parts of the map, in the domain of `transfer`.
     transfer : str
     device : Device
     memory : int
@@ -70,7 +70,7 @@ class Encoder:
     def __init__(
         self,
         shape: Shape,
-        read: ReadRows,
+        read: ReadPart,
         transfer: str,
         device: Device,
         memory: int = 1 << 30,

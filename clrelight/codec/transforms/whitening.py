@@ -26,8 +26,10 @@ _PIECE_BYTES = 1 << 26
 
 Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
-ReadRows = Callable[[int, int], NDArray[np.float32]]
-"""Returns rows of all maps, (n_coeff, rows, width, channel), from the first to the one before the end."""
+Span = tuple[int, int]
+"""The first of some rows or columns, and the one behind the last."""
+ReadPart = Callable[[Span, Span], NDArray[np.float32]]
+"""Returns rows and columns of all maps, (n_coeff, rows, columns, channel)."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Whitening:
         return solution @ self.forward_dq, solution @ self.mean_d
 
 
-def whitening_of(shape: tuple[int, int, int, int], read: ReadRows) -> Whitening:
+def whitening_of(shape: tuple[int, int, int, int], read: ReadPart) -> Whitening:
     """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does."""
     pixels_pkc = _sample(shape, read)
     with on_one_thread():
@@ -94,21 +96,22 @@ def _whiten(pixels_pkc: NDArray[np.float64], n_coeff: int, channel: int) -> Whit
     return Whitening(exponent, rotation_cc, forward_dq, mean_d, vectors[:, ::-1].T, deviation)
 
 
-def _sample(shape: tuple[int, int, int, int], read: ReadRows) -> NDArray[np.float64]:
+def _sample(shape: tuple[int, int, int, int], read: ReadPart) -> NDArray[np.float64]:
     """Return the coefficients of pixels that lie all over the image, (n_pixel, n_coeff, channel)."""
     _, height, width, _ = shape
     step = -(-height // _SAMPLED_ROWS)
     rows = range(step // 2, height, step)
     column_step = -(-width * len(rows) // _SAMPLED_PIXELS)
     # Copies: rows that are read may be overwritten.
-    chosen = [read(y, y + 1)[:, 0, (7 * i) % column_step :: column_step].copy() for i, y in enumerate(rows)]
+    every = (0, width)
+    chosen = [read((y, y + 1), every)[:, 0, (7 * i) % column_step :: column_step].copy() for i, y in enumerate(rows)]
     return np.concatenate(chosen, axis=1).transpose(1, 0, 2).astype(np.float64)
 
 
 def make_planes(
-    read: ReadRows,
-    rows: tuple[int, int],
-    columns: tuple[int, int],
+    read: ReadPart,
+    rows: Span,
+    columns: Span,
     operator_jq: NDArray[np.float64],
     offset_j: NDArray[np.float64],
     device: Device,
@@ -122,7 +125,7 @@ def make_planes(
     step = max(_PIECE_BYTES // (4 * pitch * (n_value + count)), 1)
     for first in range(*rows, step):
         end = min(first + step, rows[1])
-        coeffs_khwc = np.ascontiguousarray(read(first, end)[:, :, columns[0] : columns[1]])
+        coeffs_khwc = np.ascontiguousarray(read((first, end), columns))
         ones = np.ones(len(coeffs_khwc), np.float32)
         split = split_channels(coeffs_khwc, ones, device)
         flat = (end - first) * pitch
