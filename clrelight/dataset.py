@@ -114,7 +114,7 @@ class LightStack:
         return read_rows_into(self.images_ihwc, first, end, out_ihwc)
 
     def check_tile(self, tile_ihwc: NDArray, first: int, left: int = 0) -> None:
-        """Raise InputError, naming light and pixel, where a sample from row `first` and column `left` on is no radiance."""
+        """Raise InputError, naming light and pixel, where a sample is no radiance; the tile begins there."""
         check_radiance(tile_ihwc, first, self.picked_i, left)
 
     def select(self, lights_i: NDArray[np.intp]) -> LightStack:

@@ -19,6 +19,7 @@ from clrelight.cli import (
     irradiance,
     light,
     machines,
+    pack,
     plan_lights,
     psnr,
     relight,
@@ -45,7 +46,7 @@ def cli() -> None:
 
 
 for module in (
-    *(machines, files, plan_lights, fit, coding, relight, export),
+    *(machines, pack, files, plan_lights, fit, coding, relight, export),
     *(light, irradiance, psnr, experiments, trade),
 ):
     for command in module.COMMANDS:

@@ -8,37 +8,56 @@ from typing import Any
 import click
 
 from clrelight.cli.claims import claim_output
-from clrelight.cli.options import Numbers, clip_negative_option, json_option, layer_option, memory_option, whole_number
+from clrelight.cli.options import (
+    Command,
+    Numbers,
+    clip_negative_option,
+    json_option,
+    layer_option,
+    memory_option,
+    whole_number,
+)
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
+
+_READING = (
+    click.option(
+        "--lights", type=click.Path(), metavar="FILE", help="Light directions: .lp, a table N×3 or 3×N, or DiLiGenT."
+    ),
+    click.option(
+        "--transfer",
+        type=click.Choice(["linear", "srgb"]),
+        help="Curve of the values; default: linear.",
+    ),
+    click.option("--peak", type=float, help="Code value that means 1.0; default: the largest integer, 1.0 for floats."),
+    click.option(
+        "--crop", type=Numbers(int, "X,Y,W,H", 4), help="Part of the images to keep, in pixels from the top left."
+    ),
+    click.option(
+        "--mask", type=click.Path(), help="Image that is not zero where pixels count, or its alpha where flat."
+    ),
+    layer_option,
+    click.option(
+        "--upright", is_flag=True, help="Turn images as their EXIF orientation says; default: as they are stored."
+    ),
+    clip_negative_option,
+    click.option("--subset", metavar="LIGHTS", help="Lights to take: a slice such as 0:200:2, or 0,5,7."),
+    click.option("--allow-below", is_flag=True, help="Accept lights below the horizon and fit over what is there."),
+    click.option("--name", help="What tables call the stack; default: the folder's name."),
+)
+
+
+def reading_options(command: Command) -> Command:
+    """Add the options of reading a folder of photographs."""
+    for option in reversed(_READING):
+        command = option(command)
+    return command
 
 
 @click.command()
 @click.argument("folder", type=click.Path())
 @click.argument("out", type=click.Path())
-@click.option(
-    "--lights", type=click.Path(), metavar="FILE", help="Light directions: .lp, a table N×3 or 3×N, or DiLiGenT."
-)
-@click.option(
-    "--transfer",
-    type=click.Choice(["linear", "srgb"]),
-    default="linear",
-    show_default=True,
-    help="Curve of the values.",
-)
-@click.option("--peak", type=float, help="Code value that means 1.0; default: the largest integer, 1.0 for floats.")
-@click.option(
-    "--crop", type=Numbers(int, "X,Y,W,H", 4), help="Part of the images to keep, in pixels from the top left."
-)
-@click.option("--mask", type=click.Path(), help="Image that is not zero where pixels count, or its alpha where flat.")
-@layer_option
-@click.option(
-    "--upright", is_flag=True, help="Turn images as their EXIF orientation says; default: as they are stored."
-)
-@clip_negative_option
-@click.option("--subset", metavar="LIGHTS", help="Lights to take: a slice such as 0:200:2, or 0,5,7.")
-@click.option("--allow-below", is_flag=True, help="Accept lights below the horizon and fit over what is there.")
-@click.option("--name", help="What tables call the stack; default: the folder's name.")
+@reading_options
 @memory_option("1GiB", "image data in memory")
 @json_option
 def ingest(folder: str, out: str, memory: int, as_json: bool, **options: Any) -> None:

@@ -45,7 +45,10 @@ def psnr_lines(quality: dict[str, Any] | None) -> dict[str, str]:
                 # A black image is met exactly: one is enough to make the mean of all infinite.
                 mean = quality[f"mean_others_{name}"]
                 over = f"the lights whose images are not identical ({quality[f'identical_{name}']} are)"
-            lines[title] = f"{decibel(mean)} mean over {over}, {decibel(pooled)} pooled"
+            error = f" ± {quality[f'error_{name}']:.2f}" if f"error_{name}" in quality else ""
+            lines[title] = f"{decibel(mean)} mean over {over}, {decibel(pooled)}{error} pooled"
+    if quality and "sampled" in quality:
+        lines["measured at"] = f"{quality['sampled']:.1%} of the pixels"
     if quality and "distance_median_holdout" in quality:
         median, largest = quality["distance_median_holdout"], quality["distance_largest_holdout"]
         lines["held out"] = f"{median:.1f}° from the nearest fitted light (median), {largest:.1f}° at most"

@@ -66,10 +66,8 @@ class TileFit:
             lambda: _Operators.upload(prepared.device, prepared.plan, curve.operator_scale(), self._dtype)
         )
 
-    def run(
-        self, first: int, end: int, scaled: ScaledTile, since: float, columns: slice = slice(None)
-    ) -> FittedTile:
-        """Return rows first..end, or some columns of them, from their samples; the fit's report gets the time `since`."""
+    def run(self, first: int, end: int, scaled: ScaledTile, since: float, columns: slice = slice(None)) -> FittedTile:
+        """Return rows first..end, or columns of them, from their samples; time since `since` goes to the report."""
         device, mask_hw = self._device, self._prepared.stack.mask_hw
         shape_hwc = scaled.samples_ihwc.shape[1:]
         source_ip = device.upload(scaled.samples_ihwc.reshape(len(scaled.samples_ihwc), -1))

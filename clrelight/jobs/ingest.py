@@ -93,6 +93,7 @@ def ingest(
     for name in ("lights", "mask"):
         if options.get(name) is not None:
             path_text(options[name], name)
+    options = {name: value for name, value in options.items() if value is not None}
     kept, budget = report_for(report), count_bytes(memory)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="clrelight.") as place:

@@ -77,6 +77,17 @@ def measure_split(
     fitted, held = split_by_fit(stack, coefficients) if split is None else split
     with stage(progress, "measuring") as tell:
         mse_i = measure_errors(coefficients, stack, device=device, progress=tell)
+    return summarize_split(mse_i, coefficients.directions_i3, stack, (fitted, held))
+
+
+def summarize_split(
+    mse_i: NDArray[np.float64],
+    fitted_i3: NDArray[np.float64],
+    stack: LightStack,
+    split: tuple[NDArray[np.intp], NDArray[np.intp]],
+) -> dict[str, float]:
+    """Return what `measure_split` does, of each light's mean squared error; `fitted_i3` are the fit's lights."""
+    fitted, held = split
     quality: dict[str, float] = {}
     for name, lights in (("fitted", fitted), ("holdout", held)):
         if len(lights):
@@ -86,7 +97,7 @@ def measure_split(
                 quality[f"identical_{name}"] = measured.n_identical
                 quality[f"mean_others_{name}"] = measured.psnr_others
     if len(held):
-        away_i = distances_to(coefficients.directions_i3, stack.directions_i3[held])
+        away_i = distances_to(fitted_i3, stack.directions_i3[held])
         quality["distance_median_holdout"] = float(np.median(away_i))
         quality["distance_largest_holdout"] = float(away_i.max())
     return quality

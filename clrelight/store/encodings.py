@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from clrelight.codec.bodies import Body
 from clrelight.codec.encoded import Encoded
+from clrelight.codec.rooms import Shape
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store.fits import read_record, write_record
@@ -17,6 +22,8 @@ from clrelight.store.schemas import ENCODED
 from clrelight.store.scratch import ScratchBody, ScratchRoom
 from clrelight.store.writing import CHUNK_BYTES, Draft, config_text, drafting
 
+_MARGIN = 64
+"""Bytes that HDF5's own records may take more, where there is more to record."""
 _PIECE_BYTES = 4 * CHUNK_BYTES
 """Of a payload that are copied at a time."""
 
@@ -114,3 +121,13 @@ def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRe
     record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # checks the record, takes no memory
     config, info = parse_config(held["config"], "config"), opened.floats("payload")
     return replace(encoded, config=config, info=info, record=record), record
+
+
+def container_bytes(record: FitRecord, codec: str, config: Mapping[str, Any], shape: Shape) -> int:
+    """Return how many bytes, or a few more, a file will have beside the payload of an encoding that is to come."""
+    info = {"step": 1.0, "planes": 1.0}
+    encoded = Encoded(codec, dict(config), shape, b"\0" * _MARGIN, info, record)
+    with tempfile.TemporaryDirectory(prefix="clrelight.") as folder:
+        path = Path(folder, "empty.h5")
+        write_encoded(path, encoded)
+        return path.stat().st_size

@@ -1,0 +1,110 @@
+"""``clrelight pack``: photographs to one small file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from clrelight.cli.files import reading_options
+from clrelight.cli.options import (
+    ByteCount,
+    DegreeType,
+    device_option,
+    holdout_by_option,
+    holdout_option,
+    json_option,
+    memory_option,
+)
+from clrelight.cli.output import make_report, print_report
+from clrelight.cli.progress import progress_bar
+from clrelight.cli.psnr import psnr_lines
+
+
+@click.command()
+@click.argument("photographs", metavar="FOLDER_OR_STACK", type=click.Path())
+@click.argument("out", type=click.Path())
+@reading_options
+@click.option("--rate", type=float, help="Bits per coefficient; default 0.1, where no other size is given.")
+@click.option("--bytes", "byte_count", type=ByteCount(), metavar="BYTES", help="The file takes no more, such as 20M.")
+@click.option("--target-psnr", type=float, metavar="DB", help="Fewest bytes for this pooled PSNR, held out if any are.")
+@click.option(
+    "--method", default="auto", show_default=True, help="auto, or a method of fit: spectrum, spline, cls, ..."
+)
+@click.option("--degree", type=DegreeType(), default="auto", show_default=True, help="Largest SH degree, or auto.")
+@click.option(
+    "--within",
+    type=float,
+    default=0.05,
+    show_default=True,
+    metavar="DB",
+    help="Decibels at unseen lights that auto may give for fewer coefficients.",
+)
+@holdout_option("the fit")
+@holdout_by_option
+@click.option(
+    "--measure",
+    type=click.Choice(["auto", "all", "sample", "none"]),
+    default="auto",
+    show_default=True,
+    help="PSNR at all pixels, or at a sample with its standard error; auto: a sample from 4 megapixels on.",
+)
+@click.option(
+    "--keep-stack",
+    type=click.Path(),
+    metavar="FILE",
+    help="Keep the photographs there as a stack, which pack takes as well; default: gone when it ends.",
+)
+@memory_option("1GiB", "photographs being read and planes being coded")
+@device_option
+@json_option
+def pack(
+    photographs: str,
+    out: str,
+    byte_count: int | None,
+    holdout_by: str | None,
+    device: str | None,
+    as_json: bool,
+    **asked: Any,
+) -> None:
+    """Turn photographs under known lights into one small file that can be relit.
+
+    Reads the folder as ingest does, fits as fit does and codes as encode --codec klt does, but keeps no coefficients:
+    those of a large image are made of the photographs whenever the coder asks for some.
+
+    \b
+    Example:
+      clrelight pack photos/ view.h5 --lights photos/dome.lp --transfer srgb --holdout 5
+      clrelight pack photos/ view.h5 --transfer srgb --bytes 20M
+      clrelight pack stack.h5 view.h5 --target-psnr 38
+      clrelight relight view.h5 relit.png --light 0.3,0.1,2
+    """
+    from clrelight.jobs.pack import pack as run_pack
+
+    report = make_report(as_json)
+    with progress_bar("preparing") as bar:
+        run_pack(
+            photographs,
+            out,
+            bytes=byte_count,
+            holdout_by=holdout_by or "index",
+            device=device,
+            progress=bar,
+            report=report,
+            **asked,
+        )
+    facts = report.facts
+    height, width, channel = facts["image_shape"]
+    lines: dict[str, Any] = {
+        "packed": out,
+        "images": f"{facts['n_light'] + facts['n_holdout']} of {width}×{height}, {channel} channel(s)",
+        "fit": f"{facts['method']}, degree {facts['degree']}, {facts['n_light']} lights",
+        "size": f"{facts['bytes_on_disk']} bytes on disk, {facts['bits_per_coefficient']:.4g} bit per coefficient",
+        **psnr_lines(report.psnr),
+    }
+    if facts["peak_memory"]:
+        lines["memory"] = f"{facts['peak_memory'] / 2**20:.0f} MiB at most"
+    print_report(report, as_json, lines)
+
+
+COMMANDS = (pack,)

@@ -1,0 +1,112 @@
+"""Measure an encoding that is decoded part by part: at all pixels, or at some that lie all over the image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.views import Region, Regions
+from clrelight.dataset import FitRecord, LightStack
+from clrelight.device import Device
+from clrelight.jobs.bands import bands_of
+from clrelight.jobs.measure import summarize_split
+from clrelight.jobs.report import Progress, stage
+from clrelight.metrics import measure_errors
+
+Split = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""The lights that were fitted, and those held out."""
+
+SAMPLED_FROM = 1 << 22
+"""Pixels from which an image is measured at a sample where nothing else is said."""
+_WINDOW, _WINDOWS = 256, 30
+_TILE_ROWS, _TILE_BYTES = 512, 1 << 27
+
+
+def measure_parts(
+    regions: Regions,
+    record: FitRecord,
+    stack: LightStack,
+    split: Split,
+    device: Device,
+    *,
+    sampled: bool,
+    progress: Progress | None = None,
+) -> dict[str, float]:
+    """Return PSNRs as `clrelight.jobs.measure.measure_split` does.
+
+    Parameters
+    ----------
+    regions : Regions
+        What decodes parts of the encoding.
+    record : FitRecord
+        Of the fit that is encoded.
+    stack : LightStack
+    split : pair of ndarray
+        The lights of the stack that were fitted, and those held out.
+    device : Device
+    sampled : bool
+        Measure at windows all over the image; ``sampled`` is then their part of its pixels, and ``error_fitted`` and
+        ``error_holdout`` are standard errors of the pooled PSNR in decibel, as the windows differ.
+    progress : callable, optional
+        Told how many parts are measured.
+    """
+    n_coeff = (record.degree + 1) ** 2
+    windows = sample_windows(stack) if sampled else list(_tiles(stack, n_coeff))
+    sums_wi, counts_w = np.zeros((len(windows), stack.n_light)), np.zeros(len(windows))
+    with stage(progress, "measuring") as tell, bands_of(stack) as bands:
+        for number, window in enumerate(windows):
+            rows, columns = (window.top, window.bottom), (window.left, window.right)
+            mask_hw = None if stack.mask_hw is None else stack.mask_hw[slice(*rows), slice(*columns)]
+            if mask_hw is None or mask_hw.any():
+                part = replace(stack, images_ihwc=bands.part(rows, columns), mask_hw=mask_hw)
+                fitted = record.to_map(regions.coefficients(window, device))
+                counts_w[number] = mask_hw.sum() if mask_hw is not None else math.prod(window.shape)
+                sums_wi[number] = measure_errors(fitted, part, device=device) * counts_w[number]
+            tell(number + 1, len(windows))
+    quality = summarize_split(sums_wi.sum(axis=0) / counts_w.sum(), record.directions_i3, stack, split)
+    if sampled:
+        counted = stack.image_shape[0] * stack.image_shape[1] if stack.mask_hw is None else int(stack.mask_hw.sum())
+        quality["sampled"] = float(counts_w.sum() / counted)
+        for name, lights in zip(("fitted", "holdout"), split, strict=True):
+            if len(lights):
+                quality[f"error_{name}"] = _standard_error(sums_wi[:, lights].mean(axis=1), counts_w)
+    return quality
+
+
+def _standard_error(sum_w: NDArray[np.float64], count_w: NDArray[np.float64]) -> float:
+    """Return the standard error in decibel of -10 log10 (sum / count), of windows that differ."""
+    used = count_w > 0
+    n, mean = int(used.sum()), float(sum_w.sum() / count_w.sum())
+    if n < 2 or mean <= 0.0:
+        return 0.0
+    residual_w = sum_w[used] - mean * count_w[used]
+    deviation = math.sqrt(float((residual_w**2).sum()) * n / (n - 1)) / float(count_w.sum())
+    return 10.0 / math.log(10.0) * deviation / mean
+
+
+def _tiles(stack: LightStack, n_coeff: int) -> Iterator[Region]:
+    height, width, channel = stack.image_shape
+    side = max(_TILE_BYTES // (4 * n_coeff * channel * _TILE_ROWS) // 64, 1) * 64
+    for top in range(0, height, _TILE_ROWS):
+        for left in range(0, width, side):
+            yield Region(top, left, min(top + _TILE_ROWS, height), min(left + side, width))
+
+
+def sample_windows(stack: LightStack) -> list[Region]:
+    """Return windows in rows and columns, each anywhere in its cell; the same for every image of a size."""
+    height, width, _ = stack.image_shape
+    high, wide = min(_WINDOW, height), min(_WINDOW, width)
+    across = max(min(round(math.sqrt(_WINDOWS * width / height)), width // wide), 1)
+    down = max(min(_WINDOWS // across, height // high), 1)
+    rng, regions = np.random.default_rng(0), []
+    for row in range(down):
+        # Windows of a row of cells lie in the same rows of the images, which are read once.
+        top = int(rng.integers(row * height // down, (row + 1) * height // down - high + 1))
+        for column in range(across):
+            left = int(rng.integers(column * width // across, (column + 1) * width // across - wide + 1))
+            regions.append(Region(top, left, top + high, left + wide))
+    return regions

@@ -1,0 +1,355 @@
+"""From photographs to one small file that can be relit: read, fit and code, with no map of coefficients in between."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clrelight.codec import Encoded, array_source, codec_class, decode_regions, encode_stream
+from clrelight.codec.streams import Source
+from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.device import Device
+from clrelight.errors import InputError
+from clrelight.fit import PreparedFit, prepare_fit
+from clrelight.fit.run import collect_fit
+from clrelight.fit.selection import WITHIN
+from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
+from clrelight.jobs.bands import bands_of
+from clrelight.jobs.encode import size_facts
+from clrelight.jobs.fitted_source import fitted_source
+from clrelight.jobs.ingest import ingest
+from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
+from clrelight.jobs.measure_parts import SAMPLED_FROM, Split, measure_parts, sample_windows
+from clrelight.jobs.outputs import claimed
+from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.target import encode_to_quality
+from clrelight.jobs.written import count_bytes
+from clrelight.store import write_encoded
+from clrelight.store.encodings import container_bytes
+from clrelight.store.scratch import ScratchBody, ScratchRoom, scratch_room
+
+MEASURES = ("auto", "all", "sample", "none")
+"""At which pixels quality is measured; auto: all of a small image, a sample of a large one."""
+DEFAULT_MEMORY = 1 << 30
+"""Bytes that photographs being read, and planes being coded, may take."""
+DEFAULT_RATE = 0.1
+"""Bits per coefficient."""
+
+_IN_MEMORY_SHARE = 8
+_CORRECTIONS = 2
+_STEP_PER_DECIBEL = 0.5
+"""Logarithm of the step, base 2, for a decibel."""
+
+
+def pack(
+    source: StackLike,
+    out: str | os.PathLike[str],
+    *,
+    rate: float | None = None,
+    bytes: int | str | None = None,
+    target_psnr: float | None = None,
+    method: str = "auto",
+    degree: int | str = "auto",
+    within: float = WITHIN,
+    holdout: int | None = None,
+    holdout_by: str = "index",
+    measure: str = "auto",
+    keep_stack: str | os.PathLike[str] | None = None,
+    memory: int | str = DEFAULT_MEMORY,
+    device: Device | str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+    **options: Any,
+) -> Report:
+    """Turn photographs under known lights into one encoded file (codec ``klt``) that can be relit.
+
+    Small images are fitted as a whole; of large ones coefficients are made of the photographs again whenever the coder
+    asks for some, so that no map of them lies in memory or on a disk.
+
+    Parameters
+    ----------
+    source : path or LightStack
+        A folder of photographs (see `clrelight.ingest.ingest_folder`), a stack file, or a stack.
+    out : path
+        The encoded file to write.
+    rate : float, optional
+        Bits per coefficient; 0.1 where no size is given.
+    bytes : int or str, optional
+        The file takes no more, such as ``"20M"``.
+    target_psnr : float, optional
+        Pooled PSNR in decibel with as few bytes as can be: at the lights held out, where there are any, else at the
+        fitted ones.
+    method, degree, within
+        As of `clrelight.jobs.fit.fit`.
+    holdout, holdout_by
+        Lights that are kept out of the fit and measured apart; as of `clrelight.jobs.fit.fit`.
+    measure : str
+        One of `MEASURES`.
+    keep_stack : path, optional
+        Where the photographs are kept as a stack file; by default beside `out` until the job ends.
+    memory : int or str
+        Bytes for photographs that are being read and for planes that are being coded.
+    device, progress, report
+        As of `clrelight.jobs.fit.fit`.
+    **options
+        Of reading a folder: ``lights``, ``transfer``, ``peak``, ``crop``, ``mask``, ``subset``, ...
+
+    Returns
+    -------
+    Report
+        With ``facts`` on the fit and the file, PSNRs, seconds a stage, and ``peak_memory`` of the process in bytes.
+
+    Raises
+    ------
+    InputError
+        As reading, fitting and encoding raise it; or if more than one size is asked for.
+    """
+    kept, budget = report_for(report), count_bytes(memory)
+    size = _Size.of(rate, None if bytes is None else count_bytes(bytes), target_psnr)
+    if measure not in MEASURES:
+        raise InputError(f"measure must be one of {', '.join(MEASURES)}, got {measure!r}")
+    rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
+    wanted = degree if isinstance(degree, str) else whole(degree, "degree")
+    with (
+        claimed([out, keep_stack], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
+        opened_on(device, kept) as opened,
+        _photographs(source, out, keep_stack, budget, options, kept, progress) as stack,
+        scratch_room(Path(os.fsdecode(out)).parent, budget) as room,
+    ):
+        split = rule.split(stack.directions_i3)
+        chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
+        unseen = stack.directions_i3[split[1]] if len(split[1]) else None
+        with stage(progress, "choosing a model"):
+            prepared = prepare_fit(chosen, method, wanted, within=within, device=opened, unseen_t3=unseen)
+        prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
+        job = _Pack(stack, split, prepared, size, room, kept, progress)
+        job.tell_facts()
+        encoded = job.encode(out, measure)
+        since = time.perf_counter()
+        write_encoded(out, encoded)
+        kept.add("write", since)
+    kept.facts = {"file": os.fsdecode(out), **kept.facts, "bytes_on_disk": os.stat(out).st_size}
+    kept.facts["peak_memory"] = _peak_memory()
+    return kept
+
+
+@dataclass(frozen=True)
+class _Size:
+    """The one thing that is asked of the size."""
+
+    rate: float | None = None
+    byte_count: int | None = None
+    target_psnr: float | None = None
+
+    @classmethod
+    def of(cls, rate: float | None, byte_count: int | None, target_psnr: float | None) -> _Size:
+        given = [value for value in (rate, byte_count, target_psnr) if value is not None]
+        if len(given) > 1:
+            raise InputError("give one of --rate, --bytes and --target-psnr")
+        if any(not (isinstance(value, int | float) and 0 < value < math.inf) for value in given):
+            raise InputError(f"a rate, bytes or PSNR must be a positive number, got {given[0]!r}")
+        return cls(rate if given else DEFAULT_RATE, byte_count, target_psnr)
+
+    def options(self, overhead: int) -> dict[str, Any]:
+        """Return what klt is told where no quality is asked for; a file of so many bytes holds others too."""
+        if self.byte_count is None:
+            return {"rate": self.rate}
+        if self.byte_count <= overhead:
+            raise InputError(f"--bytes: a file of these lights takes {overhead} bytes without any image")
+        return {"byte_budget": self.byte_count - overhead}
+
+
+@contextmanager
+def _photographs(
+    source: StackLike,
+    out: str | os.PathLike[str],
+    keep_stack: str | os.PathLike[str] | None,
+    memory: int,
+    options: dict[str, Any],
+    report: Report,
+    progress: Progress | None,
+) -> Iterator[LightStack]:
+    """Lend the stack, which is read from a folder first where it is one."""
+    if isinstance(source, LightStack) or not os.path.isdir(source):
+        given = [name for name, value in options.items() if value not in (None, False)]
+        if given or keep_stack is not None:
+            named = ", ".join([*given, *(["keep_stack"] if keep_stack is not None else [])])
+            raise InputError(f"{named}: for a folder of photographs, not for a stack")
+        with lend_stack(source, report) as stack:
+            yield stack
+        return
+    target = Path(os.fsdecode(out))
+    place = Path(os.fsdecode(keep_stack)) if keep_stack is not None else target.parent / f".{target.name}.stack"
+    reading = Report(tell=report.note)
+    with ExitStack() as cleaning:
+        if keep_stack is None:
+            cleaning.callback(lambda: place.unlink(missing_ok=True))
+        ingest(source, place, memory=memory, progress=progress, report=reading, **options)
+        report.seconds |= reading.seconds
+        with lend_stack(place, report) as stack:
+            yield stack
+
+
+@dataclass(frozen=True)
+class _Pack:
+    """A stack, a fit of it that is prepared, and what is asked of the file."""
+
+    stack: LightStack
+    split: Split
+    prepared: PreparedFit
+    size: _Size
+    room: ScratchRoom
+    report: Report
+    progress: Progress | None
+
+    def tell_facts(self) -> None:
+        """Report what is known before the work."""
+        prepared, (height, width, channel) = self.prepared, self.stack.image_shape
+        self.report.facts |= {
+            "image_shape": [height, width, channel],
+            "method": prepared.method.id,
+            "degree": prepared.degree,
+            "n_light": len(self.split[0]),
+            "n_holdout": len(self.split[1]),
+            "fit_config": dict(prepared.config),
+        }
+        if prepared.choice is not None:
+            self.report.facts["choice"] = prepared.choice.to_config()
+        for name, seconds in prepared.report.seconds.items():
+            self.report.seconds[name] = self.report.seconds.get(name, 0.0) + seconds
+        prepared.report.seconds.clear()
+        self.report.note(*prepared.report.notes)
+        if (duplicates := describe_duplicates(self.stack)) is not None:
+            self.report.note(duplicates[1])
+        if (near := note_distance(self.stack.directions_i3, *self.split)) is not None:
+            self.report.note(near)
+
+    def encode(self, out: str | os.PathLike[str], measure: str) -> Encoded:
+        """Return the encoding, measured as is asked for."""
+        height, width, _ = self.stack.image_shape
+        sampled = measure == "sample" or (measure == "auto" and height * width > SAMPLED_FROM)
+        target = self.size.target_psnr
+        with self._source() as source:
+            if target is None:
+                overhead = container_bytes(self.prepared.record, "klt", {"byte_budget": 1 << 40}, source.shape)
+                encoded = self._code(source, self.size.options(overhead))
+            else:
+                encoded = self._reach(source, target, sampled)
+        self.report.facts |= {**size_facts(encoded), "config": dict(encoded.config)}
+        if measure != "none" and not self.report.psnr:
+            self._measure(encoded, sampled)
+        return encoded
+
+    @contextmanager
+    def _source(self) -> Iterator[Source]:
+        """Lend the coefficients: in memory where they are few."""
+        prepared, since = self.prepared, time.perf_counter()
+        n_value = (prepared.degree + 1) ** 2 * math.prod(self.stack.image_shape)
+        if 4 * n_value * _IN_MEMORY_SHARE <= self.room.memory_bytes:
+            with stage(self.progress, f"fitting {prepared.method.title}") as tell:
+                fitted = collect_fit(prepared, memory_bytes=self.room.memory_bytes, progress=tell)
+            self.report.add("fit", since)
+            yield array_source(fitted.coeffs_khwc, prepared.device)
+        else:
+            with fitted_source(prepared, self.room) as source:
+                yield source
+
+    def _code(self, source: Source, options: dict[str, Any]) -> Encoded:
+        codec = codec_class("klt").from_config(options).for_transfer(self.stack.transfer)
+        since, body = time.perf_counter(), ScratchBody(self.room)
+        with stage(self.progress, "fitting and coding") as self.room.progress:
+            info = encode_stream(source, codec, body)
+        self.report.add("code", since)
+        return Encoded(codec.id, codec.to_config(), source.shape, body, info, self.prepared.record)
+
+    def _measure(self, encoded: Encoded, sampled: bool) -> float:
+        """Measure, and return the PSNR that a target is about."""
+        regions = decode_regions(encoded)
+        if regions is None:
+            raise TypeError("klt writes bodies of which parts can be decoded")
+        since, report = time.perf_counter(), self.report
+        report.psnr = measure_parts(
+            regions,
+            self.prepared.record,
+            self.stack,
+            self.split,
+            self.prepared.device,
+            sampled=sampled,
+            progress=self.progress,
+        )
+        report.add("measure", since)
+        return report.psnr["pooled_holdout" if len(self.split[1]) else "pooled_fitted"]
+
+    def _reach(self, source: Source, target: float, sampled: bool) -> Encoded:
+        """Return an encoding of about a PSNR: its step is found at pieces of the image, then corrected."""
+        since = time.perf_counter()
+        fitted, stack = self._mosaic(source)
+        with stage(self.progress, "finding the step"):
+            trial, _, _ = encode_to_quality(fitted, stack, target, device=self.prepared.device)
+        self.report.add("search", since)
+        step, tried = float(trial.config["step"]), []
+        for _ in range(1 + _CORRECTIONS):
+            encoded = self._code(source, {"step": step, "transfer": trial.config["transfer"]})
+            found = self._measure(encoded, sampled)
+            tried.append((step, found, encoded))
+            self.report.note(f"tried step {step:.4g}: {encoded.encoded_bytes} bytes, {found:.2f} dB")
+            if 0.0 <= found - target <= _TOLERANCE:
+                break
+            step = _next_step(tried, target + _TOLERANCE / 3)
+        reached = [each for each in tried if each[1] >= target]
+        best = min(reached, key=lambda each: each[2].encoded_bytes) if reached else max(tried, key=lambda each: each[1])
+        if not reached:
+            self.report.note(f"{best[1]:.2f} dB is the nearest to {target:g} dB that was found")
+        if best is not tried[-1]:
+            self._measure(best[2], sampled)
+        return best[2]
+
+    def _mosaic(self, source: Source) -> tuple[CoefficientMap, LightStack]:
+        """Return the coefficients and the photographs of windows all over the image, one beside another."""
+        stack, record = self.stack, self.prepared.record
+        windows = sample_windows(stack)
+        coeffs, images, masks = [], [], []
+        with bands_of(stack) as bands:
+            for window in windows:
+                rows, columns = (window.top, window.bottom), (window.left, window.right)
+                coeffs.append(np.array(source.read_part(rows, columns)))
+                images.append(bands.part(rows, columns))
+                if stack.mask_hw is not None:
+                    masks.append(stack.mask_hw[slice(*rows), slice(*columns)])
+        mosaic = replace(
+            stack,
+            images_ihwc=np.concatenate(images, axis=2),
+            mask_hw=np.concatenate(masks, axis=1) if masks else None,
+        )
+        return record.to_map(np.ascontiguousarray(np.concatenate(coeffs, axis=2))), mosaic
+
+
+_TOLERANCE = 0.3
+
+
+def _next_step(tried: list[tuple[float, float, Encoded]], target: float) -> float:
+    """Return the step at which the PSNR is about the target, by the line through the last two that were tried."""
+    slope = -1.0 / _STEP_PER_DECIBEL
+    if len(tried) > 1 and tried[-1][1] != tried[-2][1]:
+        measured = (tried[-1][1] - tried[-2][1]) / math.log2(tried[-1][0] / tried[-2][0])
+        slope = min(max(measured, -8.0), -0.25)
+    return tried[-1][0] * 2.0 ** ((target - tried[-1][1]) / slope)
+
+
+def _peak_memory() -> int | None:
+    """Return the most memory that this process has held, in bytes; None where the system does not say."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
