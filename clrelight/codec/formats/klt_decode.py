@@ -12,11 +12,10 @@ from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_units import Parsed
 from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Target
-from clrelight.codec.transforms.code_values import bend, radiance_of
+from clrelight.codec.transforms.code_values import bent, radiance_of
 from clrelight.codec.transforms.lifting import join_channels, padded_width
 from clrelight.codec.transforms.whitening import reshaped
 from clrelight.codec.views import Region
-from clrelight.conventions import srgb_to_linear
 from clrelight.device import Device
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degree_of
@@ -154,7 +153,7 @@ class UnitView:
         sums += operator_mj[:, count, None, None].astype(np.float32)
         images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
         if self._parsed.head.transfer == "srgb":
-            images = bend(srgb_to_linear, images)
+            images = bent(images, device, decode=True)
         return np.ascontiguousarray(finite_images(images))
 
     def _sums(
