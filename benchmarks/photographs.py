@@ -157,7 +157,9 @@ def _relit(out: Path, words: list[str]) -> float:
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--megapixels", type=click.Choice([str(each) for each in _SHAPES]), multiple=True, default=["1", "4", "24"])
+@click.option(
+    "--megapixels", type=click.Choice([str(each) for each in _SHAPES]), multiple=True, default=["1", "4", "24"]
+)
 @click.option("--lights", type=whole_number(4, 1000), default=60, show_default=True)
 @click.option("--quality", type=whole_number(1, 100), default=92, show_default=True, help="Of the JPEGs.")
 @click.option("--folder", type=click.Path(path_type=Path), help="Where the photographs stay, for the next run.")

@@ -11,6 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from clrelight.codec.finite import check_sums
 from clrelight.codec.rooms import ArrayPlanes, Planes, Room, Shape
 from clrelight.device import Device
-from clrelight.matmul import multiply_columns
+from clrelight.matmul import SampleCurve, multiply_columns
 from clrelight.streaming import Buffer, reading_ahead
 
 Result = TypeVar("Result")
@@ -38,6 +39,23 @@ def _row_parts(room: Room, shape: Shape, multiple: int, row_step: int) -> list[s
     return parts_of(shape[1], step)
 
 
+@dataclass(frozen=True)
+class Linear:
+    """How coefficients are made of the samples that a source reads: ``synthesis analysis curve(samples)``.
+
+    Attributes
+    ----------
+    analysis_ri : ndarray, shape (rank, n_sample), float64
+    synthesis_kr : ndarray, shape (n_coeff, rank), float64
+    curve : SampleCurve
+        Turns samples into radiance; its scale is in the analysis.
+    """
+
+    analysis_ri: NDArray[np.float64]
+    synthesis_kr: NDArray[np.float64]
+    curve: SampleCurve
+
+
 class Source(ABC):
     """Finite float32 coefficients to encode.
 
@@ -51,6 +69,8 @@ class Source(ABC):
 
     row_step = 1
     """Rows that are read together in any case."""
+    linear: Linear | None = None
+    """How coefficients hang on samples, where there is no more to it and `read_samples` gives those."""
 
     def __init__(self, shape: Shape, device: Device, room: Room) -> None:
         self.shape, self.device, self.room = shape, device, room
@@ -63,6 +83,10 @@ class Source(ABC):
     def read_part(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
         """Return some columns of rows, each from the first to the one before the end; as of `read_rows`."""
         return self.read_rows(*rows)[:, :, slice(*columns)]
+
+    def read_samples(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
+        """Return what coefficients are `linear` in, (n_sample, rows, columns, channel), C-contiguous."""
+        raise NotImplementedError
 
     @contextmanager
     def rows(self, multiple: int = 1) -> Iterator[Iterator[tuple[int, NDArray[np.float32]]]]:

@@ -78,6 +78,11 @@ class FitMethod(Configurable, ABC):
     """Whether leaving a light out changes nothing but that the others alone are fitted."""
 
     @property
+    def is_linear(self) -> bool:
+        """Whether coefficients are ``synthesis analysis samples``, with nothing between for a column."""
+        return type(self).shrink is FitMethod.shrink
+
+    @property
     def is_refined(self) -> bool:
         """Whether mixed precision solves some columns again in float64; where not, it is single precision."""
         return False

@@ -66,6 +66,11 @@ class SmoothingSpline(FitMethod):
         values = tuple(_positive(value) for value in (self.lam if each else [self.lam]))  # type: ignore[union-attr]
         object.__setattr__(self, "lam", values if each else values[0])  # JSON makes lists of tuples
 
+    @property
+    def is_linear(self) -> bool:
+        """See `FitMethod`."""
+        return self.per == "stack"
+
     def settle(self, lighting: Lighting, degree: int, samples: Samples) -> FitMethod:
         """Return the method with lambda found, for each channel where asked for."""
         channels = samples.channels

@@ -44,7 +44,7 @@ class Bands:
             top = number * self._rows
             within = slice(max(first - top, 0), end - top)
             pieces.append(self._band(number)[:, within, slice(*columns)])
-        return np.concatenate(pieces, axis=1) if len(pieces) > 1 else np.ascontiguousarray(pieces[0])
+        return np.concatenate(pieces, axis=1)  # a copy in any case
 
     def _band(self, number: int) -> NDArray:
         if number in self._held:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from clrelight.codec.finite import all_finite
 from clrelight.codec.registry import refuse_infinite
 from clrelight.codec.rooms import Room
-from clrelight.codec.streams import Source, parts_of
-from clrelight.fit.precision import compute_dtype
+from clrelight.codec.streams import Linear, Source, parts_of
+from clrelight.fit.precision import DOUBLE, compute_dtype
 from clrelight.fit.prepare import PreparedFit
 from clrelight.fit.scaling import TileScaling
 from clrelight.fit.tile import TileFit
@@ -31,6 +31,21 @@ class FittedSource(Source):
         self._report, self._bands = prepared.report, bands
         self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.precision))
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
+        self._mask_hw = prepared.stack.mask_hw
+        integers = np.issubdtype(prepared.stack.images_ihwc.dtype, np.integer)  # others may be far from the peak
+        if prepared.method.is_linear and integers and prepared.precision != DOUBLE:
+            plan, curve = prepared.plan, self._scaling.curve
+            synthesis_kr = np.eye(self.shape[0]) if plan.synthesis_kr is None else plan.synthesis_kr
+            self.linear = Linear(plan.analysis_ri * curve.operator_scale(), synthesis_kr, curve)
+
+    def read_samples(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
+        """See `Source`; black where pixels do not count."""
+        since = time.perf_counter()
+        samples_ihwc = self._bands.part(rows, columns)
+        if self._mask_hw is not None:
+            samples_ihwc[:, ~self._mask_hw[slice(*rows), slice(*columns)]] = 0
+        self._report.add("read", since)
+        return samples_ihwc
 
     def read_rows(self, first: int, end: int) -> NDArray[np.float32]:
         """See `Source`."""

@@ -18,10 +18,10 @@ from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, parse_body, parse_head
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.rooms import Room, Shape
-from clrelight.codec.streams import Source, Target
+from clrelight.codec.streams import ArraySource, Source, Target
 from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
+from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import STEP_RANGE
-from clrelight.codec.transforms.whitening import ReadPart, Span
 from clrelight.codec.views import View
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
@@ -105,12 +105,12 @@ class Klt(PartsCodec):
         """See `Codec`; the step chosen and the number of planes are reported."""
         shape, device = source.shape, source.device
         if self.transfer != "srgb":
-            content, info = self._encode_as("linear", shape, _reader(source), device, source.room)
+            content, info = self._encode_as(Pixels(source), source.room)
         elif 4 * math.prod(shape) <= _WHOLE_BYTES:
             content, info = self._encode_either(source.whole(), device, source.room)
         else:
             transfer = self._choose_transfer(source)
-            content, info = self._encode_as(transfer, shape, _reader(source, transfer), device, source.room)
+            content, info = self._encode_as(Pixels(source, transfer), source.room)
         body.write_all(content)
         return info
 
@@ -120,12 +120,13 @@ class Klt(PartsCodec):
         """Return a map behind the curve, or without it, whichever leaves less error of code values."""
         shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device)
         there_and_back = code_value_error(radiance_of(values_khwc, device), coeffs_khwc, device)
-        bent = self._encode_as("srgb", shape, _part_of(values_khwc), device, room)
+        # The coefficients of code values are there already.
+        bent = self._encode_as(Pixels(ArraySource(values_khwc, device)), room, "srgb")
         lost = code_value_error(self.decode_body(bent[0], shape, device), coeffs_khwc, device)
         if lost > _CODED * there_and_back:
             return bent
         try:
-            plain = self._encode_as("linear", shape, _part_of(coeffs_khwc), device, room)
+            plain = self._encode_as(Pixels(ArraySource(coeffs_khwc, device)), room)
         except InputError:  # the step or budget is none for this way
             return bent
         left = code_value_error(self.decode_body(plain[0], shape, device), coeffs_khwc, device)
@@ -135,20 +136,20 @@ class Klt(PartsCodec):
         """Return the curve that is better for pieces of a large map."""
         _, height, width, _ = source.shape
         side_h, side_w = min(_PIECE, height), min(_PIECE, width)
-        pieces, read = [], _reader(source)
+        pieces, pixels = [], Pixels(source)
         for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
             top, left = (height - side_h) * (2 * i + 1) // 4, (width - side_w) * (2 * j + 1) // 4
-            pieces.append(read((top, top + side_h), (left, left + side_w)).copy())
+            pieces.append(pixels.coefficients((top, top + side_h), (left, left + side_w)).copy())
         mosaic_khwc = np.concatenate(pieces, axis=1)
         share = mosaic_khwc.size / math.prod(source.shape)
         codec = self if self.byte_budget is None else replace(self, byte_budget=max(int(self.byte_budget * share), 1))
         content, _ = codec._encode_either(mosaic_khwc, source.device, Room())
         return parse_body(drop_ballast(content, mosaic_khwc.shape), mosaic_khwc.shape).head.transfer
 
-    def _encode_as(
-        self, transfer: str, shape: Shape, read: ReadPart, device: Device, room: Room
-    ) -> tuple[bytes, dict[str, float]]:
-        encoder = Encoder(shape, read, transfer, device, room.memory_bytes, room.tell)
+    def _encode_as(self, pixels: Pixels, room: Room, transfer: str | None = None) -> tuple[bytes, dict[str, float]]:
+        """Return the body; `transfer` is what it says of its values where they are bent already."""
+        shape = pixels.shape
+        encoder = Encoder(pixels, transfer or pixels.transfer, room.memory_bytes, room.tell)
         if self.step is not None:
             body, info = encoder.encode(self.step)
             return add_ballast(body, shape), info
@@ -188,21 +189,3 @@ class Klt(PartsCodec):
 
 def _is_in_units(body: Body) -> bool:
     return body[:1] == bytes([VERSION])
-
-
-def _part_of(values_khwc: NDArray[np.float32]) -> ReadPart:
-    """Return what gives parts of maps in memory."""
-    return lambda rows, columns: values_khwc[:, slice(*rows), slice(*columns)]
-
-
-def _reader(source: Source, transfer: str = "linear") -> ReadPart:
-    """Return what gives parts of a source, looked at, in the domain of a curve."""
-
-    def read(rows: Span, columns: Span) -> NDArray[np.float32]:
-        coeffs_khwc = source.read_part(rows, columns)
-        source.check(coeffs_khwc, rows[0])
-        if transfer == "srgb":
-            return code_values_of(np.ascontiguousarray(coeffs_khwc), source.device)
-        return coeffs_khwc
-
-    return read

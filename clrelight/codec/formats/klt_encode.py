@@ -29,11 +29,11 @@ from clrelight.codec.formats.klt_units import (
     pack_axes,
     pack_body,
 )
-from clrelight.codec.rooms import Progress, Shape
+from clrelight.codec.rooms import Progress
 from clrelight.codec.transforms.lifting import transform_planes
+from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
-from clrelight.codec.transforms.whitening import Planes, ReadPart, make_planes, reshaped, whitening_of, with_type
-from clrelight.device import Device
+from clrelight.codec.transforms.whitening import Planes, reshaped, whitening_of, with_type
 from clrelight.errors import InputError
 
 PRICE = 0.12
@@ -53,12 +53,10 @@ class Encoder:
 
     Parameters
     ----------
-    shape : tuple of int
-        (n_coeff, height, width, channel).
-    read : callable
-        Gives parts of the map, in the domain of `transfer`.
+    pixels : Pixels
+        The map.
     transfer : str
-    device : Device
+        The curve behind which what `pixels` gives is.
     memory : int
         Bytes that the planes of a tile may take.
     progress : callable
@@ -69,17 +67,16 @@ class Encoder:
 
     def __init__(
         self,
-        shape: Shape,
-        read: ReadPart,
+        pixels: Pixels,
         transfer: str,
-        device: Device,
         memory: int = 1 << 30,
         progress: Progress = lambda done, total: None,
     ) -> None:
         self._progress = progress
-        self._shape, self._read, self._transfer, self._device, self._memory = shape, read, transfer, device, memory
+        shape, self._transfer = pixels.shape, transfer
+        self._shape, self._pixels, self._device, self._memory = shape, pixels, pixels.device, memory
         self._n_pixel = shape[1] * shape[2]
-        self._whitening = whitening_of(shape, read)
+        self._whitening = whitening_of(shape, pixels.coefficients)
         largest = float(np.abs(self._whitening.mean_d).max())
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
@@ -137,7 +134,7 @@ class Encoder:
 
     def _take_part(self, window: Window, tile: Tile | None, planes: Planes) -> Part:
         rows, columns = (window.top, window.bottom), (window.left, window.right)
-        values = make_planes(self._read, rows, columns, *planes, self._device)
+        values = self._pixels.planes(rows, columns, planes)
         transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
         middle = (window.top + window.bottom) // 2
         if tile is None:  # a map of its own

@@ -103,7 +103,7 @@ def bent(images: NDArray[np.float32], device: Device, *, decode: bool) -> NDArra
 
 
 def _through(coeffs_khwc: NDArray[np.float32], device: Device, *, decode: bool) -> NDArray[np.float32]:
-    synthesis, analysis = (pack_operator(device, matrix) for matrix in _transforms(len(coeffs_khwc)))
+    synthesis, analysis = (pack_operator(device, matrix) for matrix in node_matrices(len(coeffs_khwc)))
     source_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
     result_kp = np.empty_like(source_kp)
     for columns in slabs(source_kp.shape[1], 4 * synthesis.shape[0]):
@@ -117,7 +117,7 @@ def _through(coeffs_khwc: NDArray[np.float32], device: Device, *, decode: bool) 
 
 
 @functools.lru_cache(maxsize=4)
-def _transforms(n_coeff: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def node_matrices(n_coeff: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what evaluates coefficients at the nodes (n_node, n_coeff), and what projects values there back."""
     directions_i3, weight_i = product_rule(degree_of(n_coeff))
     synthesis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))

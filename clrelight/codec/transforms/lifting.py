@@ -88,18 +88,26 @@ def forward_transform(
 
 def split_channels(coeffs_khwc: NDArray[np.float32], scale_k: NDArray[np.float32], device: Device) -> DeviceArray:
     """Queue the scaling of maps, and return their channels as planes, (n_coeff * channel, height, padded width)."""
-    n_coeff, height, width, channels = coeffs_khwc.shape
     planes = empty_planes(coeffs_khwc.shape, device)
+    split_planes(device.upload(coeffs_khwc), planes, device, scale_k)
+    return planes
+
+
+def split_planes(
+    coeffs: DeviceArray, planes: DeviceArray, device: Device, scale_k: NDArray[np.float32] | None = None
+) -> None:
+    """Queue the same of maps on the device, to planes that are there."""
+    n_coeff, height, width, channels = coeffs.shape
+    scale = np.ones(n_coeff, np.float32) if scale_k is None else np.ascontiguousarray(scale_k, dtype=np.float32)
     _launch(
         device,
         "planes_from_coeffs",
         (width, height, n_coeff * channels) if device.style == "gpu" else (height, n_coeff),
         planes,
-        device.upload(coeffs_khwc),
-        device.upload(np.ascontiguousarray(scale_k, dtype=np.float32)),
+        coeffs,
+        device.upload(scale),
         *(height, width, channels, *planes.shape[1:]),
     )
-    return planes
 
 
 def join_channels(

@@ -11,18 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.transforms.lifting import padded_width, split_channels
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes
-from clrelight.device import Device
-from clrelight.matmul import apply_operator, pack_operator
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.threads import on_one_thread
 
 AXES = "damped"
 """Those of `hemisphere_metric` that every processor finds alike."""
 _SAMPLED_ROWS, _SAMPLED_PIXELS = 256, 1 << 16
-_PIECE_BYTES = 1 << 26
 
 Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
@@ -106,39 +102,6 @@ def _sample(shape: tuple[int, int, int, int], read: ReadPart) -> NDArray[np.floa
     every = (0, width)
     chosen = [read((y, y + 1), every)[:, 0, (7 * i) % column_step :: column_step].copy() for i, y in enumerate(rows)]
     return np.concatenate(chosen, axis=1).transpose(1, 0, 2).astype(np.float64)
-
-
-def make_planes(
-    read: ReadPart,
-    rows: Span,
-    columns: Span,
-    operator_jq: NDArray[np.float64],
-    offset_j: NDArray[np.float64],
-    device: Device,
-) -> DeviceArray:
-    """Return planes of a part of an image, (n_plane, height, padded width): ``operator coefficients - offset``."""
-    count, n_value = operator_jq.shape
-    width = columns[1] - columns[0]
-    pitch = padded_width(width)
-    planes = device.empty((count, rows[1] - rows[0], pitch), np.float32)
-    packed, offset = pack_operator(device, operator_jq), device.upload(offset_j.astype(np.float32))
-    step = max(_PIECE_BYTES // (4 * pitch * (n_value + count)), 1)
-    for first in range(*rows, step):
-        end = min(first + step, rows[1])
-        coeffs_khwc = np.ascontiguousarray(read((first, end), columns))
-        ones = np.ones(len(coeffs_khwc), np.float32)
-        split = split_channels(coeffs_khwc, ones, device)
-        flat = (end - first) * pitch
-        part = device.empty((count, flat), np.float32)
-        apply_operator(device, packed, reshaped(split, (n_value, flat)), part)
-        device.launch(
-            "codec/units_encode.cl",
-            "place_planes",
-            (end - first, count),
-            *(planes, part, offset, first - rows[0], flat, *planes.shape[1:], width),
-        )
-        device.finish()  # the rows' memory is read again
-    return planes
 
 
 def reshaped(array: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:

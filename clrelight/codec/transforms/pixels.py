@@ -1,0 +1,137 @@
+"""How the values of pixels become planes: what a source gives, the curve they are coded behind, and one matrix."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.streams import Linear, Source
+from clrelight.codec.transforms.code_values import bend, code_values_of, node_matrices
+from clrelight.codec.transforms.lifting import padded_width, split_planes
+from clrelight.codec.transforms.whitening import Planes, Span, reshaped
+from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator
+from clrelight.opencl.arguments import DeviceArray
+from clrelight.streaming import Buffer
+
+_PIECE_BYTES = 1 << 26
+"""Of values on their way, which pieces of a part go one after another."""
+
+
+class Pixels:
+    """A source whose coefficients are coded as they are, or as those of sRGB code values.
+
+    Between the two lie as few products as there can be: where coefficients are linear in what is read, they are never
+    made. With a curve, radiance is evaluated at nodes (`code_values_of`), bent, and goes to planes from there.
+
+    Parameters
+    ----------
+    source : Source
+    transfer : str
+        ``"linear"``, or ``"srgb"``: the coefficients of code values are coded.
+    """
+
+    def __init__(self, source: Source, transfer: str = "linear") -> None:
+        self.shape, self.device, self.transfer = source.shape, source.device, transfer
+        self._source = source
+        self._buffers: dict[str, Buffer] = defaultdict(Buffer)
+
+    def coefficients(self, rows: Span, columns: Span) -> NDArray[np.float32]:
+        """Return what is coded, (n_coeff, rows, columns, channel); the next call may overwrite it."""
+        coeffs_khwc = self._read(rows, columns)
+        if self.transfer == "srgb":
+            return code_values_of(np.ascontiguousarray(coeffs_khwc), self.device)
+        return coeffs_khwc
+
+    def planes(self, rows: Span, columns: Span, planes: Planes) -> DeviceArray:
+        """Return planes of a part of the image, (n_plane, height, padded width), in the order of the matrix."""
+        operator_jq, offset_j = planes
+        n_coeff, channel, device = self.shape[0], self.shape[3], self.device
+        linear = self._source.linear
+        chain = _Chain(linear, n_coeff, self.transfer, operator_jq.reshape(-1, n_coeff, channel))
+        first = None if chain.first is None else pack_operator(device, chain.first)
+        last = pack_operator(device, chain.last.reshape(len(offset_j), -1))
+        offset = device.upload(offset_j.astype(np.float32))
+        width = columns[1] - columns[0]
+        made = device.empty((len(offset_j), rows[1] - rows[0], padded_width(width)), np.float32)
+        row_bytes = 4 * width * (2 * chain.last.shape[1] * channel + len(offset_j))
+        step = max(_PIECE_BYTES // row_bytes, 1)
+        for top in range(*rows, step):
+            piece = (top, min(top + step, rows[1]))
+            held = self._read(piece, columns) if linear is None else self._source.read_samples(piece, columns)
+            curve = SampleCurve() if linear is None else linear.curve
+            values = self._values(np.ascontiguousarray(held), first, curve)
+            self._place(made, values, (held.shape[1], width), last, offset, top - rows[0])
+        return made
+
+    def _read(self, rows: Span, columns: Span) -> NDArray[np.float32]:
+        coeffs_khwc = self._source.read_part(rows, columns)
+        self._source.check(coeffs_khwc, rows[0])
+        return coeffs_khwc
+
+    def _values(self, held: NDArray, first: PackedOperator | None, curve: SampleCurve) -> DeviceArray:
+        """Queue what the last matrix is applied to, of each channel: (n, pixels of all channels)."""
+        source = self.device.upload(held.reshape(len(held), -1))
+        if first is None:
+            return source
+        values = self._lend("values", (first.shape[0], source.shape[1]))
+        apply_operator(self.device, first, source, values, curve=curve)
+        if self.transfer == "srgb":
+            bend(values, self.device, decode=False)
+        return values
+
+    def _place(
+        self,
+        made: DeviceArray,
+        values: DeviceArray,
+        shape: tuple[int, int],
+        last: PackedOperator,
+        offset: DeviceArray,
+        first_row: int,
+    ) -> None:
+        """Queue the planes of some rows, and wait: what they are made of is read into again."""
+        device, (height, width), (count, _, pitch) = self.device, shape, made.shape
+        channel = self.shape[3]
+        split = self._lend("split", (values.shape[0] * channel, height, pitch))
+        split_planes(reshaped(values, (values.shape[0], height, width, channel)), split, device)
+        flat = height * pitch
+        part = self._lend("part", (count, flat))
+        apply_operator(device, last, reshaped(split, (split.shape[0], flat)), part)
+        device.launch(
+            "codec/units_encode.cl",
+            "place_planes",
+            (height, count),
+            *(made, part, offset, first_row, flat, *made.shape[1:], width),
+        )
+        device.finish()
+
+    def _lend(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
+        """Return memory that pieces share: what is new costs a page fault for every 4 KiB."""
+        host = self._buffers[name].lend(shape, np.float32) if self.device.shares_memory else None
+        return self.device.empty(shape, np.float32, host)
+
+
+class _Chain:
+    """The matrices between what is read and the planes.
+
+    Attributes
+    ----------
+    first : ndarray, shape (n, n_read), float64, or None
+        From what is read to what is bent, or to components; None where that is what is read.
+    last : ndarray, shape (n_plane, n, channel), float64
+    """
+
+    def __init__(self, linear: Linear | None, n_coeff: int, transfer: str, operator_jkc: NDArray[np.float64]) -> None:
+        fitted = None if linear is None else (linear.synthesis_kr, linear.analysis_ri)
+        if transfer == "srgb":
+            synthesis_nk, analysis_kn = node_matrices(n_coeff)
+            self.first: NDArray[np.float64] | None = synthesis_nk
+            if fitted is not None:
+                self.first = (synthesis_nk @ fitted[0]) @ fitted[1]
+            self.last = np.einsum("jkc,kn->jnc", operator_jkc, analysis_kn, optimize=True)
+        elif fitted is not None:
+            self.first = fitted[1]
+            self.last = np.einsum("jkc,kr->jrc", operator_jkc, fitted[0], optimize=True)
+        else:
+            self.first, self.last = None, operator_jkc
