@@ -56,7 +56,8 @@ class Scene:
         """Return sRGB code values under a distant light, with the noise of a sensor."""
         side = len(self._relief)
         diffuse = np.clip(self._normal @ light.astype(np.float32), 0.0, None)
-        half = (light + (0.0, 0.0, 1.0)) / np.linalg.norm(light + (0.0, 0.0, 1.0))
+        half = light + np.array([0.0, 0.0, 1.0])
+        half /= np.linalg.norm(half)
         gloss = np.clip(self._normal @ half.astype(np.float32), 0.0, None) ** 40
         lit = np.ones((side, side), bool)
         across = np.hypot(light[0], light[1])

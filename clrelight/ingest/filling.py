@@ -7,7 +7,7 @@ import os
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from clrelight.errors import InputError
 from clrelight.images import BAND_BYTES
 from clrelight.ingest.photographs import Photographs
+
+if TYPE_CHECKING:
+    from clrelight.store.scratch_images import ScratchImages
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,24 @@ def fill_stack(images_ihwc: Any, source: Photographs, plan: Plan) -> Generator[i
                 for task in tasks:
                     task.cancel()
             images_ihwc[start:stop, 0 : image_shape[0]] = block_ihwc[: stop - start]
+
+
+def fill_scratch(images_ihwc: ScratchImages, source: Photographs, plan: Plan) -> Generator[int, None, None]:
+    """Write all images, each by the thread that decodes it; yield how many are done after each."""
+
+    def copy(light: int) -> None:
+        for row, band_hwc in source.bands(light, plan.band_bytes):
+            images_ihwc.write_rows(light, row, np.asarray(band_hwc, dtype=source.values.dtype))
+
+    with ThreadPoolExecutor(plan.workers) as pool:
+        tasks = [pool.submit(copy, light) for light in range(len(source.headers))]
+        try:
+            for done, task in enumerate(tasks, start=1):
+                task.result()
+                yield done
+        finally:
+            for task in tasks:
+                task.cancel()
 
 
 def _multiple(count: int, of: int) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,9 +57,83 @@ class IngestSummary:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Folder:
+    """Photographs whose headers and lights are known to be right, not read yet.
+
+    Attributes
+    ----------
+    stack : LightStack
+        What they will be; its images take no memory.
+    source : Photographs
+    chosen : list of int
+        Which lights of the light file they are of.
+    notes : tuple of str
+        What is to be said before they are read.
+    inputs : list of path
+        Files that are read.
+    """
+
+    stack: LightStack
+    source: Photographs
+    chosen: list[int]
+    notes: tuple[str, ...]
+    inputs: list[Path]
+
+    def summarize(self) -> IngestSummary:
+        """Return what is to be said once they are read; InputError where a value is no radiance."""
+        negative_notes = self.source.negatives.conclude(self.source.values.code_peak)
+        return _summarize(self.stack, (*self.notes, *negative_notes, *self.source.extreme_notes(self.chosen)))
+
+
 def ingest_folder(
     folder: str | os.PathLike[str],
     out_path: str | os.PathLike[str],
+    *,
+    memory_bytes: int = 1 << 30,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> IngestSummary:
+    """Write the images of a folder and their lights to a stack file.
+
+    All that headers and light files tell is checked before the first image is decoded, and each image is decoded
+    once. Nothing appears at `out_path` unless everything is well.
+
+    Parameters
+    ----------
+    folder, **options
+        As of `read_folder`.
+    out_path : path
+        The stack file to write.
+    memory_bytes : int
+        Bound on decoded image data held at a time, without the decoders' own buffers.
+    progress : callable, optional
+        Called with (images done, images in all) after each image.
+
+    Raises
+    ------
+    InputError
+        As `read_folder` does, and where the file cannot be written.
+    """
+    # Imported late: the store is needed only when all else is known to be right.
+    from clrelight.store import check_output, create_stack
+
+    found = read_folder(folder, memory_bytes=memory_bytes, **options)
+    check_output(out_path, found.inputs)
+    plan = plan_memory(found.source, memory_bytes)
+    with (
+        create_stack(out_path, found.stack, chunk_lights=max(1, plan.n_held)) as images_ihwc,
+        # Closed in any case, so that no decoder still runs when an error leaves this block.
+        closing(fill_stack(images_ihwc, found.source, plan)) as steps,
+    ):
+        for done in steps:
+            if progress is not None:
+                progress(done, found.stack.n_light)
+        return found.summarize()
+
+
+def read_folder(
+    folder: str | os.PathLike[str],
     *,
     lights: str | os.PathLike[str] | None = None,
     transfer: str = "linear",
@@ -73,19 +148,13 @@ def ingest_folder(
     clip_negative: bool = False,
     memory_bytes: int = 1 << 30,
     name: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> IngestSummary:
-    """Write the images of a folder and their lights to a stack file.
-
-    All that headers and light files tell is checked before the first image is decoded, and each image is decoded
-    once. Nothing appears at `out_path` unless everything is well.
+) -> Folder:
+    """Return the photographs of a folder and their lights, as headers and light files tell of them.
 
     Parameters
     ----------
     folder : path
         Holds the images: gray or RGB; uint8, uint16, half or float; all alike.
-    out_path : path
-        The stack file to write.
     lights : path, optional
         An ``.lp`` file or a table of N×3 or 3×N numbers; found in the folder by default (see `find_lights`).
     transfer : str
@@ -116,20 +185,15 @@ def ingest_folder(
         Set negative values of float images to 0, however large. By default only those within a thousandth of what is
         bright are, which lossy compression leaves; others are refused.
     memory_bytes : int
-        Bound on decoded image data held at a time, without the decoders' own buffers.
+        Bound on what is held of a mask.
     name : str, optional
         What tables call the stack; the folder's name by default.
-    progress : callable, optional
-        Called with (images done, images in all) after each image.
 
     Raises
     ------
     InputError
         Naming the file, line or light that is wrong.
     """
-    # Imported late: the store is needed only when all else is known to be right.
-    from clrelight.store import check_output
-
     folder = Path(os.fsdecode(folder))
     check_transfer(transfer)
     if peak is not None and not (np.isfinite(peak) and peak > 0):
@@ -149,13 +213,11 @@ def ingest_folder(
     mask_path = Path(os.fsdecode(mask)) if mask is not None else table.mask
     mask_hw, mask_notes = keep_mask(mask_path, headers[0], window, memory_bytes)
     tables = [table.source, *(table.source.parent / name for name in (NAMES_FILE, INTENSITIES_FILE))]
-    check_output(out_path, [*table.images, *tables, *([mask_path] if mask_path is not None else [])])
     extremes = [Extremes(values.code_peak) for _ in headers]
     source = Photographs(headers, window, values, Negatives(clip_negative), mask_hw, extremes)
     blank_ihwc = np.broadcast_to(np.zeros((), values.dtype), source.shape_ihwc)
     title = folder.resolve().name if name is None else name
     stack = LightStack(blank_ihwc, directions_i3, values.peak, transfer, None, mask_hw, title)
-    negative_notes = _write(Path(os.fsdecode(out_path)), stack, source, memory_bytes, progress)
     notes = (
         *table.notes,
         *length_note(written_i3),
@@ -163,28 +225,9 @@ def ingest_folder(
         *_notes(table, folder, mask_path, values),
         *mask_notes,
         *describe_headers(headers),
-        *negative_notes,
-        *source.extreme_notes(chosen),
     )
-    return _summarize(stack, notes)
-
-
-def _write(
-    out: Path, stack: LightStack, source: Photographs, memory_bytes: int, progress: Callable[[int, int], None] | None
-) -> list[str]:
-    """Write the stack, which stands once it is whole; return what to say of negative values."""
-    from clrelight.store import create_stack
-
-    plan = plan_memory(source, memory_bytes)
-    with (
-        create_stack(out, stack, chunk_lights=max(1, plan.n_held)) as images_ihwc,
-        # Closed in any case, so that no decoder still runs when an error leaves this block.
-        closing(fill_stack(images_ihwc, source, plan)) as steps,
-    ):
-        for done in steps:
-            if progress is not None:
-                progress(done, stack.n_light)
-        return source.negatives.conclude(source.values.code_peak)
+    inputs = [*table.images, *tables, *([mask_path] if mask_path is not None else [])]
+    return Folder(stack, source, chosen, notes, inputs)
 
 
 def _summarize(stack: LightStack, notes: tuple[str, ...]) -> IngestSummary:

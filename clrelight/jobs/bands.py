@@ -61,7 +61,9 @@ class Bands:
 
     def _read(self, number: int) -> NDArray:
         top = number * self._rows
-        return self._stack.load_rows(top, min(top + self._rows, self._height))
+        end, images = min(top + self._rows, self._height), self._stack.images_ihwc
+        out = np.empty((images.shape[0], end - top, *images.shape[2:]), images.dtype)
+        return self._stack.load_rows(top, end, out)
 
 
 @contextmanager

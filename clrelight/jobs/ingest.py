@@ -6,24 +6,28 @@ import inspect
 import os
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, overload
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.ingest import ingest_folder
+from clrelight.ingest import ingest_folder, read_folder
+from clrelight.ingest.filling import fill_scratch, plan_memory
 from clrelight.jobs.inputs import path_text
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.store import open_stack
+from clrelight.store.scratch_images import ScratchImages
 
 DEFAULT_MEMORY = 1 << 30
 """Bytes of image data that are held where nothing else is said."""
 
-_OWN = ("folder", "out_path", "memory_bytes", "progress")
-_OPTIONS = [name for name in inspect.signature(ingest_folder).parameters if name not in _OWN]
+_OWN = ("folder", "memory_bytes")
+_OPTIONS = [name for name in inspect.signature(read_folder).parameters if name not in _OWN]
 
 
 @overload
@@ -73,7 +77,7 @@ def ingest(
     report : Report, optional
         Filled; without one, notes become warnings (`Note`).
     **options
-        Of `clrelight.ingest.ingest_folder`: ``lights``, ``transfer``, ``peak``, ``crop``, ``mask``, ``subset``,
+        Of `clrelight.ingest.read_folder`: ``lights``, ``transfer``, ``peak``, ``crop``, ``mask``, ``subset``,
         ``allow_below``, ``name``, ...
 
     Returns
@@ -86,14 +90,7 @@ def ingest(
     InputError
         Naming the file, line or light that is wrong.
     """
-    path_text(folder, "a folder")
-    for name in options:
-        if name not in _OPTIONS:
-            raise InputError(f"ingest has no option {name!r}; it has: {', '.join(_OPTIONS)}")
-    for name in ("lights", "mask"):
-        if options.get(name) is not None:
-            path_text(options[name], name)
-    options = {name: value for name, value in options.items() if value is not None}
+    options = _checked(folder, options)
     kept, budget = report_for(report), count_bytes(memory)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="clrelight.") as place:
@@ -105,6 +102,41 @@ def ingest(
         _read(folder, out, budget, kept, progress, options)
     kept.facts = {"file": os.fsdecode(out), **kept.facts}
     return kept
+
+
+@contextmanager
+def lend_photographs(
+    folder: str | os.PathLike[str],
+    place: str | os.PathLike[str],
+    memory: int,
+    report: Report,
+    progress: Progress | None,
+    options: dict[str, Any],
+) -> Iterator[LightStack]:
+    """Lend the photographs of a folder, read into a file without a name in the folder `place`; as `ingest`."""
+    since, options = time.perf_counter(), _checked(folder, options)
+    found = read_folder(folder, memory_bytes=memory, **options)
+    plan = plan_memory(found.source, memory)
+    images = ScratchImages(place, found.source.shape_ihwc, found.source.values.dtype)
+    with closing(images):
+        with stage(progress, "reading images") as tell, closing(fill_scratch(images, found.source, plan)) as steps:
+            for done in steps:
+                tell(done, found.stack.n_light)
+        report.note(*found.summarize().notes)
+        report.add("ingest", since)
+        yield replace(found.stack, images_ihwc=images)
+
+
+def _checked(folder: str | os.PathLike[str], options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that are given; InputError for those that there are not."""
+    path_text(folder, "a folder")
+    for name in options:
+        if name not in _OPTIONS:
+            raise InputError(f"ingest has no option {name!r}; it has: {', '.join(_OPTIONS)}")
+    for name in ("lights", "mask"):
+        if options.get(name) is not None:
+            path_text(options[name], name)
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def _read(

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
 from clrelight.jobs.bands import bands_of
 from clrelight.jobs.encode import size_facts
 from clrelight.jobs.fitted_source import fitted_source
-from clrelight.jobs.ingest import ingest
+from clrelight.jobs.ingest import ingest, lend_photographs
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure_parts import SAMPLED_FROM, Split, measure_parts, sample_windows
 from clrelight.jobs.outputs import claimed
@@ -95,7 +95,8 @@ def pack(
     measure : str
         One of `MEASURES`.
     keep_stack : path, optional
-        Where the photographs are kept as a stack file; by default beside `out` until the job ends.
+        Where the photographs are kept as a stack file; by default they lie in a file without a name beside `out`, which
+        goes with the process.
     memory : int or str
         Bytes for photographs that are being read and for planes that are being coded.
     device, progress, report
@@ -187,16 +188,16 @@ def _photographs(
         with lend_stack(source, report) as stack:
             yield stack
         return
-    target = Path(os.fsdecode(out))
-    place = Path(os.fsdecode(keep_stack)) if keep_stack is not None else target.parent / f".{target.name}.stack"
-    reading = Report(tell=report.note)
-    with ExitStack() as cleaning:
-        if keep_stack is None:
-            cleaning.callback(lambda: place.unlink(missing_ok=True))
-        ingest(source, place, memory=memory, progress=progress, report=reading, **options)
-        report.seconds |= reading.seconds
-        with lend_stack(place, report) as stack:
+    if keep_stack is None:
+        folder = Path(os.fsdecode(out)).parent
+        with lend_photographs(source, folder, memory, report, progress, options) as stack:
             yield stack
+        return
+    reading = Report(tell=report.note)
+    ingest(source, keep_stack, memory=memory, progress=progress, report=reading, **options)
+    report.seconds |= reading.seconds
+    with lend_stack(keep_stack, report) as stack:
+        yield stack
 
 
 @dataclass(frozen=True)

@@ -132,9 +132,9 @@ class Encoder:
         self._pieces = [self._take_part(window, None, planes) for window in list_pieces(height, width, count)]
         self._prepared = count
 
-    def _take_part(self, window: Window, tile: Tile | None, planes: Planes) -> Part:
+    def _take_part(self, window: Window, tile: Tile | None, planes: Planes, *, lent: bool = False) -> Part:
         rows, columns = (window.top, window.bottom), (window.left, window.right)
-        values = self._pixels.planes(rows, columns, planes)
+        values = self._pixels.planes(rows, columns, planes, lent=lent)
         transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
         middle = (window.top + window.bottom) // 2
         if tile is None:  # a map of its own
@@ -147,9 +147,9 @@ class Encoder:
 
     def _encode_tile(self, tile: Tile, planes: Planes, step: float, price: float) -> Coded:
         try:
-            return self._encode_part(self._take_part(tile.window, tile, planes), step, price)
+            return self._encode_part(self._take_part(tile.window, tile, planes, lent=True), step, price)
         except ValuesLostError:
-            return self._encode_part(self._take_part(tile.window, tile, planes), step, price, keep=True)
+            return self._encode_part(self._take_part(tile.window, tile, planes, lent=True), step, price, keep=True)
 
     def _encode_part(
         self, part: Part, step: float, price: float = PRICE, count: int | None = None, keep: bool = False
@@ -273,6 +273,7 @@ class Encoder:
     ) -> tuple[bytes, NDArray[np.float64]]:
         """Return a body, and about the bytes that each tile would have at the usual price."""
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
+        self._pieces, self._prepared = [], 0  # their memory is that of tiles now
         fixed = self._fixed_bytes(axes, step, float(budget))
         spent, usual = 0.0, np.zeros(len(tiles))
         for number, tile in enumerate(tiles):
@@ -282,7 +283,7 @@ class Encoder:
             ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
             price = min(max(PRICE * ratio ** (-1.0 / PRICE_POWER), PRICES[0]), PRICES[1])
             if number + 1 == len(tiles):
-                part = self._take_part(tile.window, tile, planes)
+                part = self._take_part(tile.window, tile, planes, lent=True)
                 coded, price = fill_by_price(functools.partial(self._encode_part, part, step, keep=True), left, price)
             else:
                 coded = self._encode_tile(tile, planes, step, price)

@@ -44,8 +44,11 @@ class Pixels:
             return code_values_of(np.ascontiguousarray(coeffs_khwc), self.device)
         return coeffs_khwc
 
-    def planes(self, rows: Span, columns: Span, planes: Planes) -> DeviceArray:
-        """Return planes of a part of the image, (n_plane, height, padded width), in the order of the matrix."""
+    def planes(self, rows: Span, columns: Span, planes: Planes, *, lent: bool = False) -> DeviceArray:
+        """Return planes of a part of the image, (n_plane, height, padded width), in the order of the matrix.
+
+        Where they are `lent`, the next that are lie in the same memory.
+        """
         operator_jq, offset_j = planes
         n_coeff, channel, device = self.shape[0], self.shape[3], self.device
         linear = self._source.linear
@@ -54,7 +57,8 @@ class Pixels:
         last = pack_operator(device, chain.last.reshape(len(offset_j), -1))
         offset = device.upload(offset_j.astype(np.float32))
         width = columns[1] - columns[0]
-        made = device.empty((len(offset_j), rows[1] - rows[0], padded_width(width)), np.float32)
+        shape = (len(offset_j), rows[1] - rows[0], padded_width(width))
+        made = self._lend("planes", shape) if lent else device.empty(shape, np.float32)
         row_bytes = 4 * width * (2 * chain.last.shape[1] * channel + len(offset_j))
         step = max(_PIECE_BYTES // row_bytes, 1)
         for top in range(*rows, step):

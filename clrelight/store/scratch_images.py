@@ -1,0 +1,67 @@
+"""Photographs in a file without a name, for work that reads them more often than memory could hold them."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.store.blocks import box_of
+from clrelight.store.scratch import Scratch
+
+
+class ScratchImages:
+    """Images (n_light, height, width, channel) that are written by rows, then read as `StoredArray` is.
+
+    They are gone with the process, however it ends. Nothing is checked: nobody else can reach them.
+
+    Parameters
+    ----------
+    folder : path
+        Of what disk.
+    shape : tuple of int
+    dtype : dtype
+    """
+
+    chunks = None
+
+    def __init__(self, folder: str | os.PathLike, shape: tuple[int, ...], dtype: np.dtype) -> None:
+        self.shape, self.dtype, self.ndim, self.size = tuple(shape), np.dtype(dtype), len(shape), math.prod(shape)
+        self._row_bytes = math.prod(shape[2:]) * self.dtype.itemsize
+        self._image_bytes = self._row_bytes * shape[1]
+        self._scratch = Scratch(folder, self._image_bytes * shape[0])
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def write_rows(self, light: int, first: int, rows_hwc: NDArray) -> None:
+        """Write some rows of an image, of this type; several threads may."""
+        if rows_hwc.dtype != self.dtype or rows_hwc.shape[1:] != self.shape[2:]:
+            raise TypeError(f"expected {self.dtype} rows of {self.shape[2:]}, got {rows_hwc.dtype} {rows_hwc.shape}")
+        self._scratch.write(light * self._image_bytes + first * self._row_bytes, np.ascontiguousarray(rows_hwc))
+
+    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
+        """Read rows of all images."""
+        self.read_some_into(np.arange(len(self)), first, end, out)
+
+    def read_some_into(self, picked_n: NDArray[np.intp], first: int, end: int, out: NDArray) -> None:
+        """Read rows of some images."""
+        expected = (len(picked_n), end - first, *self.shape[2:])
+        if out.shape != expected or out.dtype != self.dtype or not 0 <= first <= end <= self.shape[1]:
+            raise TypeError(f"expected {self.dtype} {expected}, got {out.dtype} {out.shape}")
+        for light, rows_hwc in zip(picked_n.tolist(), out, strict=True):
+            self._scratch.read_into(light * self._image_bytes + first * self._row_bytes, rows_hwc)
+
+    def __getitem__(self, key: Any) -> NDArray:
+        """Read a selection: integers, slices, and lists of integers."""
+        (lights, rows, *others), rest = box_of(key, self.shape)
+        out = np.empty((lights.stop - lights.start, rows.stop - rows.start, *self.shape[2:]), self.dtype)
+        self.read_some_into(np.arange(lights.start, lights.stop), rows.start, rows.stop, out)
+        return out[(slice(None), slice(None), *others)][rest]
+
+    def close(self) -> None:
+        """Give the disk its room back."""
+        self._scratch.close()
