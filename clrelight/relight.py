@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
+import os
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clrelight.arrays import as_float64, check_directions
-from clrelight.conventions import linear_to_srgb
+from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
@@ -18,6 +21,10 @@ from clrelight.streaming import Buffer, reading_ahead
 
 _TILE_BYTES = 1 << 25
 """Coefficients of one tile of rows, where they are read from a file."""
+_SHOWN_AT_ONCE = 1 << 18
+"""Values that become codes while they are in a cache."""
+_BINS = 1 << 14
+"""Of radiance from 0 to 1: at the foot of the sRGB curve there are 5 to a code."""
 
 
 def relight(
@@ -76,7 +83,32 @@ def _combine_tiles(device: Device, factor_ik: NDArray[np.float64], coefficients:
 
 
 def to_display(radiance: NDArray, transfer: str) -> NDArray[np.uint8]:
-    """Return 8-bit display values of linear radiance: clipped to [0, 1], encoded by the transfer, rounded."""
-    clipped = np.clip(radiance, 0.0, 1.0)
-    encoded = linear_to_srgb(clipped) if transfer == "srgb" else clipped
-    return np.rint(encoded * 255.0).astype(np.uint8)
+    """Return 8-bit display values of linear radiance: clipped to [0, 1], encoded by the transfer, rounded; NaN is 0."""
+    values = np.ascontiguousarray(radiance).reshape(-1)
+    shown = np.empty(values.shape, np.uint8)
+    starts = range(0, values.size, _SHOWN_AT_ONCE)
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, max(len(starts), 1))) as pool:  # NumPy lets go of Python's lock
+        pieces = [slice(start, start + _SHOWN_AT_ONCE) for start in starts]
+        list(pool.map(lambda piece: _show(values[piece], transfer, shown[piece]), pieces))
+    return shown.reshape(radiance.shape)
+
+
+def _show(values: NDArray, transfer: str, out: NDArray[np.uint8]) -> None:
+    below_b, next_b = _codes(transfer)
+    clipped = np.minimum(np.where(values > 0.0, values, 0.0), 1.0)
+    bin_v = (clipped * _BINS).astype(np.intp)
+    np.add(below_b[bin_v], clipped >= next_b[bin_v], out=out, casting="unsafe")
+
+
+@functools.cache
+def _codes(transfer: str) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Return for each of many bins of radiance the code at its beginning, and where in it the next code begins.
+
+    No bin holds the beginnings of two codes; infinity where it holds none.
+    """
+    half_codes = (np.arange(1, 256) - 0.5) / 255.0
+    first_b = srgb_to_linear(half_codes) if transfer == "srgb" else half_codes
+    begins_b = np.arange(_BINS + 1) / _BINS
+    below_b = np.searchsorted(first_b, begins_b, side="right").astype(np.uint8)
+    following = np.append(first_b, np.inf)[below_b]
+    return below_b, np.where(following < begins_b + 1.0 / _BINS, following, np.inf)
