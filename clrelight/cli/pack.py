@@ -25,9 +25,18 @@ from clrelight.cli.psnr import psnr_lines
 @click.argument("photographs", metavar="FOLDER_OR_STACK", type=click.Path())
 @click.argument("out", type=click.Path())
 @reading_options
-@click.option("--rate", type=float, help="Bits per coefficient; default 0.1, where no other size is given.")
-@click.option("--bytes", "byte_count", type=ByteCount(), metavar="BYTES", help="The file takes no more, such as 20M.")
+@click.option("--rate", type=float, help="Bits per coefficient, such as 0.1.")
+@click.option(
+    "--bytes",
+    "byte_count",
+    type=ByteCount(),
+    metavar="BYTES",
+    help="The file takes no more, such as 20M; default: a byte a pixel.",
+)
 @click.option("--target-psnr", type=float, metavar="DB", help="Fewest bytes for this pooled PSNR, held out if any are.")
+@click.option(
+    "--loss", type=float, metavar="DB", help="Fewest bytes that cost so many decibels in the mean over those lights."
+)
 @click.option(
     "--method", default="auto", show_default=True, help="auto, or a method of fit: spectrum, spline, cls, ..."
 )

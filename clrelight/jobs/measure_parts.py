@@ -22,7 +22,7 @@ Split = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 SAMPLED_FROM = 1 << 22
 """Pixels from which an image is measured at a sample where nothing else is said."""
-_WINDOW, _WINDOWS = 256, 30
+_WINDOW, _WINDOWS, _FEW = 256, 30, 8
 _TILE_ROWS, _TILE_BYTES = 512, 1 << 27
 
 
@@ -96,12 +96,16 @@ def _tiles(stack: LightStack, n_coeff: int) -> Iterator[Region]:
             yield Region(top, left, min(top + _TILE_ROWS, height), min(left + side, width))
 
 
-def sample_windows(stack: LightStack) -> list[Region]:
-    """Return windows in rows and columns, each anywhere in its cell; the same for every image of a size."""
+def sample_windows(stack: LightStack, most: int = _WINDOWS * _WINDOW**2) -> list[Region]:
+    """Return windows of at most so many pixels in rows and columns, each anywhere in its cell; always the same ones."""
     height, width, _ = stack.image_shape
-    high, wide = min(_WINDOW, height), min(_WINDOW, width)
-    across = max(min(round(math.sqrt(_WINDOWS * width / height)), width // wide), 1)
-    down = max(min(_WINDOWS // across, height // high), 1)
+    if height * width <= most:
+        return [Region(0, 0, height, width)]
+    side = _WINDOW if most >= _FEW * _WINDOW**2 else _WINDOW // 2
+    high, wide = min(side, height), min(side, width)
+    count = max(most // (high * wide), 1)
+    across = max(min(round(math.sqrt(count * width / height)), width // wide, count), 1)
+    down = max(min(count // across, height // high), 1)
     rng, regions = np.random.default_rng(0), []
     for row in range(down):
         # Windows of a row of cells lie in the same rows of the images, which are read once.

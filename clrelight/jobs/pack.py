@@ -31,7 +31,7 @@ from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among,
 from clrelight.jobs.measure_parts import SAMPLED_FROM, Split, measure_parts, sample_windows
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.jobs.target import encode_to_quality
+from clrelight.jobs.target import TOLERANCE, encode_to_quality
 from clrelight.jobs.written import count_bytes
 from clrelight.store import write_encoded
 from clrelight.store.encodings import container_bytes
@@ -41,11 +41,14 @@ MEASURES = ("auto", "all", "sample", "none")
 """At which pixels quality is measured; auto: all of a small image, a sample of a large one."""
 DEFAULT_MEMORY = 1 << 30
 """Bytes that photographs being read, and planes being coded, may take."""
-DEFAULT_RATE = 0.1
-"""Bits per coefficient."""
+DEFAULT_BYTES = 1.0
+"""Of a file for each pixel that counts, where no size or quality is asked for."""
 
 _IN_MEMORY_SHARE = 8
+_LEAST_BYTES = 4096
 _CORRECTIONS = 2
+_MOSAIC_VALUES = 1 << 25
+"""Coefficients of the pieces at which a step is found."""
 _STEP_PER_DECIBEL = 0.5
 """Logarithm of the step, base 2, for a decibel."""
 
@@ -57,6 +60,7 @@ def pack(
     rate: float | None = None,
     bytes: int | str | None = None,
     target_psnr: float | None = None,
+    loss: float | None = None,
     method: str = "auto",
     degree: int | str = "auto",
     within: float = WITHIN,
@@ -82,12 +86,15 @@ def pack(
     out : path
         The encoded file to write.
     rate : float, optional
-        Bits per coefficient; 0.1 where no size is given.
+        Bits per coefficient.
     bytes : int or str, optional
-        The file takes no more, such as ``"20M"``.
+        The file takes no more, such as ``"20M"``. Where nothing is asked for, a byte for each pixel that counts.
     target_psnr : float, optional
         Pooled PSNR in decibel with as few bytes as can be: at the lights held out, where there are any, else at the
         fitted ones.
+    loss : float, optional
+        Fewest bytes that cost so many decibels in the mean over those lights. From 50 dB on the fit is taken to be
+        without error.
     method, degree, within
         As of `clrelight.jobs.fit.fit`.
     holdout, holdout_by
@@ -115,7 +122,7 @@ def pack(
         As reading, fitting and encoding raise it; or if more than one size is asked for.
     """
     kept, budget = report_for(report), count_bytes(memory)
-    size = _Size.of(rate, None if bytes is None else count_bytes(bytes), target_psnr)
+    size = _Size.of(rate, None if bytes is None else count_bytes(bytes), target_psnr, loss)
     if measure not in MEASURES:
         raise InputError(f"measure must be one of {', '.join(MEASURES)}, got {measure!r}")
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
@@ -150,20 +157,28 @@ class _Size:
     rate: float | None = None
     byte_count: int | None = None
     target_psnr: float | None = None
+    loss: float | None = None
 
     @classmethod
-    def of(cls, rate: float | None, byte_count: int | None, target_psnr: float | None) -> _Size:
-        given = [value for value in (rate, byte_count, target_psnr) if value is not None]
+    def of(cls, rate: float | None, byte_count: int | None, target_psnr: float | None, loss: float | None) -> _Size:
+        given = [value for value in (rate, byte_count, target_psnr, loss) if value is not None]
         if len(given) > 1:
-            raise InputError("give one of --rate, --bytes and --target-psnr")
+            raise InputError("give one of --rate, --bytes, --target-psnr and --loss")
         if any(not (isinstance(value, int | float) and 0 < value < math.inf) for value in given):
-            raise InputError(f"a rate, bytes or PSNR must be a positive number, got {given[0]!r}")
-        return cls(rate if given else DEFAULT_RATE, byte_count, target_psnr)
+            raise InputError(f"a rate, bytes, PSNR or loss must be a positive number, got {given[0]!r}")
+        return cls(rate, byte_count, target_psnr, loss)
 
-    def options(self, overhead: int) -> dict[str, Any]:
-        """Return what klt is told where no quality is asked for; a file of so many bytes holds others too."""
-        if self.byte_count is None:
+    @property
+    def is_quality(self) -> bool:
+        """Whether it is a quality that is asked for."""
+        return self.target_psnr is not None or self.loss is not None
+
+    def options(self, overhead: int, n_pixel: int) -> dict[str, Any]:
+        """Return what klt is told where no quality is asked for; a file of so many bytes holds `overhead` too."""
+        if self.rate is not None:
             return {"rate": self.rate}
+        if self.byte_count is None:
+            return {"byte_budget": max(int(DEFAULT_BYTES * n_pixel), _LEAST_BYTES)}
         if self.byte_count <= overhead:
             raise InputError(f"--bytes: a file of these lights takes {overhead} bytes without any image")
         return {"byte_budget": self.byte_count - overhead}
@@ -238,13 +253,14 @@ class _Pack:
         """Return the encoding, measured as is asked for."""
         height, width, _ = self.stack.image_shape
         sampled = measure == "sample" or (measure == "auto" and height * width > SAMPLED_FROM)
-        target = self.size.target_psnr
         with self._source() as source:
-            if target is None:
+            if not self.size.is_quality:
                 overhead = container_bytes(self.prepared.record, "klt", {"byte_budget": 1 << 40}, source.shape)
-                encoded = self._code(source, self.size.options(overhead))
+                mask_hw = self.stack.mask_hw
+                n_pixel = height * width if mask_hw is None else int(mask_hw.sum())
+                encoded = self._code(source, self.size.options(overhead, n_pixel))
             else:
-                encoded = self._reach(source, target, sampled)
+                encoded = self._reach(source, sampled)
         self.report.facts |= {**size_facts(encoded), "config": dict(encoded.config)}
         if measure != "none" and not self.report.psnr:
             self._measure(encoded, sampled)
@@ -290,22 +306,36 @@ class _Pack:
         report.add("measure", since)
         return report.psnr["pooled_holdout" if len(self.split[1]) else "pooled_fitted"]
 
-    def _reach(self, source: Source, target: float, sampled: bool) -> Encoded:
-        """Return an encoding of about a PSNR: its step is found at pieces of the image, then corrected."""
-        since = time.perf_counter()
+    def _reach(self, source: Source, sampled: bool) -> Encoded:
+        """Return an encoding of about a quality: its step is found at pieces of the image, then corrected."""
+        since, size = time.perf_counter(), self.size
         fitted, stack = self._mosaic(source)
         with stage(self.progress, "finding the step"):
-            trial, _, _ = encode_to_quality(fitted, stack, target, device=self.prepared.device)
+            trial, _, _ = encode_to_quality(
+                fitted,
+                stack,
+                size.target_psnr,
+                loss=size.loss or 0.0,
+                tolerance=TOLERANCE if size.loss is None else size.loss / 3,
+                device=self.prepared.device,
+            )
         self.report.add("search", since)
-        step, tried = float(trial.config["step"]), []
+        step, transfer = float(trial.config["step"]), trial.config["transfer"]
+        if size.target_psnr is None:
+            return self._code(source, {"step": step, "transfer": transfer})
+        return self._correct(source, size.target_psnr, step, transfer, sampled)
+
+    def _correct(self, source: Source, target: float, step: float, transfer: str, sampled: bool) -> Encoded:
+        """Return the smallest encoding that reaches a PSNR, of those at this step and a few others."""
+        tried: list[tuple[float, float, Encoded]] = []
         for _ in range(1 + _CORRECTIONS):
-            encoded = self._code(source, {"step": step, "transfer": trial.config["transfer"]})
+            encoded = self._code(source, {"step": step, "transfer": transfer})
             found = self._measure(encoded, sampled)
             tried.append((step, found, encoded))
             self.report.note(f"tried step {step:.4g}: {encoded.encoded_bytes} bytes, {found:.2f} dB")
-            if 0.0 <= found - target <= _TOLERANCE:
+            if 0.0 <= found - target <= TOLERANCE:
                 break
-            step = _next_step(tried, target + _TOLERANCE / 3)
+            step = _next_step(tried, target + TOLERANCE / 3)
         reached = [each for each in tried if each[1] >= target]
         best = min(reached, key=lambda each: each[2].encoded_bytes) if reached else max(tried, key=lambda each: each[1])
         if not reached:
@@ -317,7 +347,8 @@ class _Pack:
     def _mosaic(self, source: Source) -> tuple[CoefficientMap, LightStack]:
         """Return the coefficients and the photographs of windows all over the image, one beside another."""
         stack, record = self.stack, self.prepared.record
-        windows = sample_windows(stack)
+        n_value = (self.prepared.degree + 1) ** 2 * stack.image_shape[2]
+        windows = sample_windows(stack, _MOSAIC_VALUES // n_value)
         coeffs, images, masks = [], [], []
         with bands_of(stack) as bands:
             for window in windows:
@@ -332,9 +363,6 @@ class _Pack:
             mask_hw=np.concatenate(masks, axis=1) if masks else None,
         )
         return record.to_map(np.ascontiguousarray(np.concatenate(coeffs, axis=2))), mosaic
-
-
-_TOLERANCE = 0.3
 
 
 def _next_step(tried: list[tuple[float, float, Encoded]], target: float) -> float:

@@ -12,11 +12,12 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.holdout import split_by_fit
-from clrelight.metrics import Quality, measure_errors, summarize_errors
+from clrelight.metrics import measure_errors, summarize_errors
 
 TOLERANCE = 0.3
 """Decibel above the target that are near enough; below it nothing is."""
-_AIM = 0.1
+BEST = 50.0
+"""Decibel above which nobody sees what a fit gets wrong: a loss is counted from here."""
 _TYPICAL_SLOPE = 2.0  # dB for twice the step, to make a second guess from
 _MAX_TRIALS = 24
 
@@ -32,7 +33,7 @@ class Trial:
     bytes : int
         Payload and every side table.
     psnr : float
-        Pooled, in decibel, at the lights that the target is about.
+        In decibel, at the lights that the target is about: pooled, or for a loss the mean.
     """
 
     setting: float
@@ -43,8 +44,10 @@ class Trial:
 def encode_to_quality(
     coefficients: CoefficientMap,
     stack: LightStack,
-    target_psnr: float,
+    target_psnr: float | None,
     *,
+    loss: float = 0.0,
+    tolerance: float = TOLERANCE,
     codec: str = "klt",
     device: Device,
     progress: Callable[[str], None] | None = None,
@@ -56,8 +59,12 @@ def encode_to_quality(
     coefficients : CoefficientMap
     stack : LightStack
         What to measure against: at the lights that the fit has not seen, where there are any, else at those it has.
-    target_psnr : float
-        Decibel, pooled. The result lies between it and `TOLERANCE` above.
+    target_psnr : float, optional
+        Decibel, pooled. The result lies between it and `tolerance` above.
+    loss : float
+        Without a target: how many decibels less than the fit itself are enough, in the mean over the lights.
+    tolerance : float
+        Decibels.
     codec : str
         ``"klt"`` or ``"wavelet"`` (with one step for all maps).
     device : Device
@@ -82,11 +89,16 @@ def encode_to_quality(
     lights = held if len(held) else fitted
     chosen = stack if len(lights) == stack.n_light else stack.select(lights)
 
-    def measure(candidate: CoefficientMap) -> Quality:
-        return summarize_errors(measure_errors(candidate, chosen, device=device))
+    def measure(candidate: CoefficientMap) -> float:
+        found = summarize_errors(measure_errors(candidate, chosen, device=device))
+        # Of a loss every light has its share; pooled, those that the fit shows worst would hide it from all others.
+        return found.psnr_pooled if by_target else float(np.mean(np.minimum(found.psnr_i, BEST)))
 
-    best = measure(coefficients).psnr_pooled
+    by_target = target_psnr is not None
+    best = measure(coefficients)
     place = "at unseen lights" if len(held) else "at the fitted lights"
+    if target_psnr is None:
+        target_psnr = best - loss
     if best < target_psnr:
         raise InputError(
             f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: fit with another method "
@@ -101,7 +113,7 @@ def encode_to_quality(
     for _ in range(_MAX_TRIALS):
         encoded = encode(coefficients.coeffs_khwc, make(2.0**place_log), device)
         decoded = replace(coefficients, coeffs_khwc=decode(encoded.to_bytes(), device))
-        trial = Trial(2.0**place_log, encoded.encoded_bytes, measure(decoded).psnr_pooled)
+        trial = Trial(2.0**place_log, encoded.encoded_bytes, measure(decoded))
         trials.append(trial)
         if progress is not None:
             progress(f"{trial.byte_count} bytes, {trial.psnr:.2f} dB")
@@ -109,15 +121,15 @@ def encode_to_quality(
             low = place_log
             if found is None or trial.byte_count < found[1].byte_count:
                 found = encoded, trial
-            if trial.psnr <= target_psnr + TOLERANCE:
-                why = f"{trial.psnr:.2f} dB is within {TOLERANCE} dB of the target"
+            if trial.psnr <= target_psnr + tolerance:
+                why = f"{trial.psnr:.2f} dB is within {tolerance:g} dB of the target"
                 break
         else:
             high = place_log
         if abs(high - low) < 1e-3:
             why = "no coarser setting reaches the target"
             break
-        place_log = _next(trials, target_psnr + _AIM, low, high, coarse > fine)
+        place_log = _next(trials, target_psnr + tolerance / 3, low, high, coarse > fine)
     if found is None:
         raise InputError(f"codec {codec} does not reach {target_psnr:g} dB {place} at its finest setting")
     return found[0], trials, why
