@@ -13,6 +13,8 @@ from clrelight.codec.formats.klt_decode import UnitView, decode_region
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_units import parse_body, read_stream
+from clrelight.codec.streams import ArraySource
+from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.views import Region
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
@@ -125,7 +127,7 @@ def made_map(height, width, degree=2, channel=3, seed=3):
 def encode_large(device):
     """Return a map of many precincts and streams, its body, and that parsed."""
     coeffs = made_map(1100, 1300, degree=1, channel=2)
-    encoder = Encoder(coeffs.shape, lambda first, end: coeffs[:, first:end], "linear", device)
+    encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear")
     body, _ = encoder.encode(0.03)
     return coeffs, body, parse_body(body, coeffs.shape)
 
@@ -192,7 +194,7 @@ def test_strips_say_what_the_whole_says(device):
     coeffs = made_map(1200, 600, degree=1, channel=1)
     sizes, decoded = [], []
     for memory in (1 << 30, 1 << 20):
-        encoder = Encoder(coeffs.shape, lambda first, end: coeffs[:, first:end], "linear", device, memory)
+        encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear", memory)
         body, _ = encoder.encode(0.02)
         sizes.append(len(body))
         decoded.append(
@@ -208,7 +210,7 @@ def test_strips_say_what_the_whole_says(device):
 @pytest.mark.parametrize("rate", [0.1, 0.5])
 def test_a_budget_is_used_and_not_passed(device, memory, rate):
     coeffs = made_map(1200, 700, degree=1, channel=3)
-    encoder = Encoder(coeffs.shape, lambda first, end: coeffs[:, first:end], "linear", device, memory)
+    encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear", memory)
     budget = int(rate * coeffs.size / 8)
     body, _ = encoder.encode_within(budget)
     assert 0.985 * budget <= len(body) <= budget

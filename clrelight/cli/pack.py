@@ -56,7 +56,7 @@ from clrelight.cli.psnr import psnr_lines
     type=click.Choice(["auto", "all", "sample", "none"]),
     default="auto",
     show_default=True,
-    help="PSNR at all pixels, or at a sample with its standard error; auto: a sample from 4 megapixels on.",
+    help="PSNR at all pixels, or at a sample with its standard error; auto: a sample from a megapixel on.",
 )
 @click.option(
     "--keep-stack",

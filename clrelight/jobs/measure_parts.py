@@ -20,10 +20,10 @@ from clrelight.metrics import measure_errors
 Split = tuple[NDArray[np.intp], NDArray[np.intp]]
 """The lights that were fitted, and those held out."""
 
-SAMPLED_FROM = 1 << 22
+SAMPLED_FROM = 1 << 20
 """Pixels from which an image is measured at a sample where nothing else is said."""
 _WINDOW, _WINDOWS, _FEW = 256, 30, 8
-_TILE_ROWS, _TILE_BYTES = 512, 1 << 27
+_TILE_ROWS, _TILE_BYTES = 512, 1 << 26
 
 
 def measure_parts(

@@ -46,12 +46,15 @@ class Schema:
         Datasets; a name that ends in ``/`` stands for every dataset of that group.
     attributes : mapping of str to type
         Scalar root attributes: int, float or str.
+    is_scaled : bool
+        Whether axes get dimension scales, which take 5 kB.
     """
 
     kind: str
     version: int
     fields: Mapping[str, Field]
     attributes: Mapping[str, type] = field(default_factory=dict)
+    is_scaled: bool = True
 
     @property
     def name(self) -> str:
@@ -115,6 +118,7 @@ ENCODED = Schema(
         "encoded_bytes": int,
         "bits_per_coefficient": float,
     },
+    is_scaled=False,
 )
 RESULTS = Schema(
     "results",

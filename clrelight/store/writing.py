@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from clrelight.durable import Part, naming, replacing, syncing
 from clrelight.errors import InputError
 from clrelight.store.blocks import SUM_DTYPE, BlockReader, BlockWriter, box_of
+from clrelight.store.creating import create_compact, create_in_memory, create_on_disk
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
 from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, seal_of, type_text
 
@@ -31,6 +32,7 @@ FAR_OVER_BYTES = 8 << 20
 RESERVE_SHARE, RESERVE_BYTES = 64, 4 << 20
 """A large file reserves this share of its arrays and these bytes more, for what HDF5 adds."""
 
+_COMPACT_BYTES = 8 << 10
 _SUPERBLOCK = struct.Struct("<8xB19xQ")  # versions 2 and 3: the version at byte 8, the end of the file at 28
 
 MAX_TEXT_BYTES = 32 << 10  # HDF5 keeps attributes up to 64 KiB within the checksummed object header
@@ -113,7 +115,9 @@ class Draft:
 
     def dataset(self, name: str, data: NDArray, axes: Sequence[str] = (), chunks: tuple[int, ...] | None = None) -> str:
         """Write a whole array; return its name."""
-        writer = self._create(name, data.shape, data.dtype, axes, chunks)[1]
+        # A file that is sent is as small as can be: short arrays lie among HDF5's own records, without holes between.
+        compact = self._in_memory and not self._schema.is_scaled and 0 < data.nbytes <= _COMPACT_BYTES
+        writer = self._create(name, data.shape, data.dtype, axes, chunks, compact)[1]
         writer.write(writer.blocks.everything, data)
         return name
 
@@ -153,13 +157,22 @@ class Draft:
         self.attributes({SEAL_ATTRIBUTE: seal_of(self._schema.name, held, arrays, table_b)})
 
     def _create(
-        self, name: str, shape: tuple[int, ...], dtype: np.dtype, axes: Sequence[str], chunks: tuple[int, ...] | None
+        self,
+        name: str,
+        shape: tuple[int, ...],
+        dtype: np.dtype,
+        axes: Sequence[str],
+        chunks: tuple[int, ...] | None,
+        compact: bool = False,
     ) -> tuple[h5py.Dataset, BlockWriter]:
         chunking = None if 0 in shape else chunks or shape  # an empty dataset has no chunk
         dtype = dtype.newbyteorder("<")
-        dataset = self._file.create_dataset(name, shape=shape, dtype=dtype, chunks=chunking, track_times=False)
+        if compact:
+            dataset = create_compact(self._file, name, shape, dtype)
+        else:
+            dataset = self._file.create_dataset(name, shape=shape, dtype=dtype, chunks=chunking, track_times=False)
         for i, axis in enumerate(axes):
-            if axis in SCALED_AXES:
+            if axis in SCALED_AXES and self._schema.is_scaled:
                 if axis not in self._file:
                     self.dataset(axis, np.arange(shape[i], dtype=SCALE_DTYPE))
                     self._file[axis].make_scale(axis)
@@ -195,7 +208,7 @@ def drafting(path: str | os.PathLike, schema: Schema, n_bytes: int) -> Iterator[
 def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int, schema: Schema) -> Iterator[Draft]:
     # HDF5 takes two files of one name for the same, also in memory: a name that nobody has. It is not stored.
     name, block = uuid.uuid4().hex, max(1 << 16, n_bytes // 8)
-    with h5py.File(name, "w", driver="core", backing_store=False, block_size=block, libver="latest") as file:
+    with create_in_memory(name, block) as file:
         draft = Draft(file, schema)
         yield draft
         draft.finish()
@@ -206,8 +219,7 @@ def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int, schema: 
 
 @contextmanager
 def _streamed(path: str | os.PathLike, part: Part, n_bytes: int, schema: Schema) -> Iterator[Draft]:
-    # Without a cache every chunk goes to the file when it is written, and a chunk costs one copy less.
-    with h5py.File(part.path, "w", libver="latest", locking=False, rdcc_nbytes=0) as file:
+    with create_on_disk(part.path) as file:
         # HDF5 crashes the process when it closes a file on a full disk: every byte is reserved before the first.
         with naming(path):
             part.reserve(n_bytes + n_bytes // RESERVE_SHARE + RESERVE_BYTES)

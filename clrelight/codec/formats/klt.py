@@ -31,7 +31,7 @@ _CODED = 4.0
 """Times the squared error of the way through a curve and back at which that way is not what to save at."""
 _WHOLE_BYTES = 1 << 29
 """Bytes of a map that is coded behind a curve and without it; of a larger one, pieces are."""
-_PIECE = 256
+_PIECE, _PIECE_VALUES = 256, 1 << 23
 
 
 @register
@@ -134,8 +134,9 @@ class Klt(PartsCodec):
 
     def _choose_transfer(self, source: Source) -> str:
         """Return the curve that is better for pieces of a large map."""
-        _, height, width, _ = source.shape
-        side_h, side_w = min(_PIECE, height), min(_PIECE, width)
+        n_coeff, height, width, channel = source.shape
+        side = min(_PIECE, max(math.isqrt(_PIECE_VALUES // (n_coeff * channel)) // 32, 2) * 32)
+        side_h, side_w = min(side, height), min(side, width)
         pieces, pixels = [], Pixels(source)
         for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
             top, left = (height - side_h) * (2 * i + 1) // 4, (width - side_w) * (2 * j + 1) // 4

@@ -18,7 +18,7 @@ from clrelight.threads import on_one_thread
 
 AXES = "damped"
 """Those of `hemisphere_metric` that every processor finds alike."""
-_SAMPLED_ROWS, _SAMPLED_PIXELS = 256, 1 << 16
+_SAMPLED_ROWS, _SAMPLED_PIXELS, _SAMPLED_VALUES = 256, 1 << 16, 1 << 24
 
 Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
@@ -94,10 +94,11 @@ def _whiten(pixels_pkc: NDArray[np.float64], n_coeff: int, channel: int) -> Whit
 
 def _sample(shape: tuple[int, int, int, int], read: ReadPart) -> NDArray[np.float64]:
     """Return the coefficients of pixels that lie all over the image, (n_pixel, n_coeff, channel)."""
-    _, height, width, _ = shape
+    n_coeff, height, width, channel = shape
+    most = min(_SAMPLED_PIXELS, _SAMPLED_VALUES // (n_coeff * channel))
     step = -(-height // _SAMPLED_ROWS)
     rows = range(step // 2, height, step)
-    column_step = -(-width * len(rows) // _SAMPLED_PIXELS)
+    column_step = -(-width * len(rows) // most)
     # Copies: rows that are read may be overwritten.
     every = (0, width)
     chosen = [read((y, y + 1), every)[:, 0, (7 * i) % column_step :: column_step].copy() for i, y in enumerate(rows)]
