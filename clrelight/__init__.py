@@ -1,7 +1,8 @@
 """clrelight: fit, compress, relight and measure image stacks of one view under many lights.
 
-The verbs are those of the command line (docs/python.md): `ingest`, `fit`, `encode`, `decode`, `relight`, `measure`,
-`export`. The names below are imported when first used, so that ``import clrelight`` costs nothing.
+The verbs are those of the command line (docs/python.md): `pack`, `unpack`, `ingest`, `fit`, `encode`, `decode`,
+`relight`, `measure`, `export`. The names below are imported when first used, so that ``import clrelight`` costs
+nothing.
 """
 
 from __future__ import annotations
@@ -30,10 +31,12 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
+    from clrelight.jobs.pack import pack as pack
     from clrelight.jobs.relight import relight as relight
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
+    from clrelight.jobs.unpack import unpack as unpack
     from clrelight.lighting.environment import Environment as Environment
     from clrelight.lighting.environment import read_environment as read_environment
     from clrelight.lighting.lamps import blend_lights as blend_lights
@@ -76,9 +79,11 @@ _MODULES = {
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
+    "jobs.pack": "pack",
     "jobs.relight": "relight",
     "jobs.report": "Note Report",
     "jobs.target": "encode_to_quality",
+    "jobs.unpack": "unpack",
     "lighting.environment": "Environment read_environment",
     "lighting.lamps": "blend_lights cap_light cast_shadow directional_light",
     "lighting.light": "Light",

@@ -106,7 +106,7 @@ def test_every_example_of_the_page_runs(stack, tmp_path):
             lambda out: cr.fit("stack.h5", "ceb", 2, energy=0.5, memory="60k", store="float16", out=out),
         ),
         ("encode fit.h5 OUT --codec klt --rate 0.2", lambda out: cr.encode("fit.h5", "klt", rate=0.2, out=out)),
-        ("encode fit.h5 OUT --bytes 1k", lambda out: cr.encode("fit.h5", bytes="1k", out=out)),
+        ("encode fit.h5 OUT --bytes 9k", lambda out: cr.encode("fit.h5", bytes="9k", out=out)),
         (
             "encode fit.h5 OUT --basis whitened --codec uniform --bits 5 --stack stack.h5",
             lambda out: cr.encode("fit.h5", "uniform", basis="whitened", bits=5, stack="stack.h5", out=out),

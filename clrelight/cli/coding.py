@@ -33,7 +33,9 @@ from clrelight.cli.psnr import psnr_lines
     show_default=True,
     help="Coordinates that are coded: as fitted; in the metric of the image; its principal axes.",
 )
-@click.option("--bytes", "byte_budget", type=ByteCount(), metavar="BYTES", help="Use no more (klt, wavelet, jpeg2000).")
+@click.option(
+    "--bytes", "byte_budget", type=ByteCount(), metavar="BYTES", help="The file takes no more (klt, wavelet, jpeg2000)."
+)
 @click.option("--target-psnr", type=float, metavar="DB", help="Fewest bytes for this pooled PSNR; needs --stack.")
 @click.option("--rate", type=float, help="Bits per coefficient (wavelet, jpeg2000: default 4; klt: default 0.1).")
 @click.option("--step", type=float, help="Quantiser step, instead of a rate (klt).")
@@ -157,6 +159,8 @@ def _size_lines(facts: Mapping[str, Any]) -> dict[str, str]:
         "codec": facts["codec"],
         "size": f"{facts['encoded_bytes']} bytes, {facts['bits_per_coefficient']:.4g} bit per coefficient",
     }
+    if "bytes_on_disk" in facts:
+        lines["file"] = f"{facts['bytes_on_disk']} bytes"
     if "entropy_bits" in facts:
         lines["entropy"] = f"{facts['entropy_bits']:.4g} bit per coefficient (estimate)"
     return lines

@@ -116,4 +116,38 @@ def pack(
     print_report(report, as_json, lines)
 
 
-COMMANDS = (pack,)
+@click.command()
+@click.argument("packed", metavar="PACKED", type=click.Path())
+@click.argument("out", metavar="FOLDER", type=click.Path())
+@click.option("--lights", type=click.Path(), metavar="FILE", help="Directions; default: those that were fitted.")
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(["jpg", "png", "tif", "exr", "hdr"]),
+    default="jpg",
+    show_default=True,
+    help="8-bit images, or linear radiance in floats.",
+)
+@click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
+@memory_option("1GiB", "images and planes")
+@device_option
+@json_option
+def unpack(packed: str, out: str, as_json: bool, **asked: Any) -> None:
+    """Write the photographs of a packed view, under the lights it was made of or any others.
+
+    The folder gets a lights.lp beside them, so that it can be packed or ingested again.
+
+    \b
+    Example:
+      clrelight unpack view.h5 photos_again/
+      clrelight unpack view.h5 dome/ --lights dome.lp --format exr
+    """
+    from clrelight.jobs.unpack import unpack as run_unpack
+
+    report = make_report(as_json)
+    with progress_bar("preparing") as bar:
+        run_unpack(packed, out, progress=bar, report=report, **asked)
+    print_report(report, as_json, {"folder": out, "images": len(report.facts["files"]) - 1})
+
+
+COMMANDS = (pack, unpack)

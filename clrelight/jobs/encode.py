@@ -26,9 +26,11 @@ from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, decode_again, encode_source, take_source
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.sizes import size_facts
 from clrelight.jobs.target import encode_to_quality
 from clrelight.jobs.written import count_bytes
 from clrelight.store import write_encoded
+from clrelight.store.encodings import container_bytes
 from clrelight.store.scratch import ScratchRoom, scratch_room
 
 BASES = ("sh", "whitened", "klt")
@@ -104,7 +106,7 @@ def encode(
     basis : str
         ``"sh"``, ``"whitened"`` or ``"klt"``: coordinates that are coded.
     bytes : int or str, optional
-        Use no more, such as ``"20k"`` (klt, wavelet, jpeg2000).
+        The file, or without `out` the payload, takes no more, such as ``"20k"`` (klt, wavelet, jpeg2000).
     target_psnr : float, optional
         Fewest bytes for this pooled PSNR in decibel at the lights of `stack` that the fit has not seen, where there
         are any, else at those it has (klt, wavelet).
@@ -144,13 +146,15 @@ def encode(
         lend_fit(source) as coefficients,
         scratch_room(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, held) as room,
     ):
+        if out is not None and wanted.byte_budget is not None:
+            wanted = wanted.within(container_bytes(FitRecord.of(coefficients), tuple(coefficients.coeffs_khwc.shape)))
         encoded = _Encode(coefficients, wanted, opened, room, limit, kept, progress).run(stack)
         if out is None:
             return replace(encoded, body=encoded.body[:], record=FitRecord.of(coefficients))
         since = time.perf_counter()
         write_encoded(out, encoded, coefficients)
         kept.add("write", since)
-        kept.facts = {"file": os.fsdecode(out), **kept.facts}
+        kept.facts = {"file": os.fsdecode(out), **kept.facts, "bytes_on_disk": os.stat(out).st_size}
     return kept
 
 
@@ -163,6 +167,12 @@ class _Wanted:
     byte_budget: int | None
     target_psnr: float | None
     options: Mapping[str, Any]
+
+    def within(self, overhead: int) -> _Wanted:
+        """Return what is wanted of the payload in a file that takes so many bytes without it."""
+        if self.byte_budget is None or self.byte_budget <= overhead:
+            raise InputError(f"--bytes: a file of these lights takes {overhead} bytes without any image")
+        return replace(self, byte_budget=self.byte_budget - overhead)
 
     def make(self, shape: Shape) -> Codec:
         """Return the codec for a map."""
@@ -288,13 +298,3 @@ class _Encode:
             report.facts["coding_noise"] = coding_psnr(noise, held.coeffs_khwc, decoded.coeffs_khwc)
             report.psnr = measure_split(decoded, source, self.device, progress=self.progress)
             report.add("measure", since)
-
-
-def size_facts(encoded: Encoded) -> dict[str, Any]:
-    """Return what a report tells of an encoding's size, and what its codec measured."""
-    return {
-        "codec": encoded.codec,
-        "encoded_bytes": encoded.encoded_bytes,
-        "bits_per_coefficient": encoded.bits_per_coefficient,
-        **encoded.info,
-    }

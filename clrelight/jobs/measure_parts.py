@@ -96,9 +96,10 @@ def _tiles(stack: LightStack, n_coeff: int) -> Iterator[Region]:
             yield Region(top, left, min(top + _TILE_ROWS, height), min(left + side, width))
 
 
-def sample_windows(stack: LightStack, most: int = _WINDOWS * _WINDOW**2) -> list[Region]:
+def sample_windows(stack: LightStack, most: int | None = None) -> list[Region]:
     """Return windows of at most so many pixels in rows and columns, each anywhere in its cell; always the same ones."""
     height, width, _ = stack.image_shape
+    most = _WINDOWS * _WINDOW**2 if most is None else most
     if height * width <= most:
         return [Region(0, 0, height, width)]
     side = _WINDOW if most >= _FEW * _WINDOW**2 else _WINDOW // 2

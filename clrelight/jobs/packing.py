@@ -20,10 +20,10 @@ from clrelight.fit import PreparedFit
 from clrelight.fit.run import collect_fit
 from clrelight.holdout import describe_duplicates, note_distance
 from clrelight.jobs.bands import bands_of
-from clrelight.jobs.encode import size_facts
 from clrelight.jobs.fitted_source import fitted_source
 from clrelight.jobs.measure_parts import SAMPLED_FROM, Split, measure_parts, sample_windows
 from clrelight.jobs.report import Progress, Report, stage
+from clrelight.jobs.sizes import size_facts
 from clrelight.jobs.target import TOLERANCE, encode_to_quality
 from clrelight.store.encodings import container_bytes
 from clrelight.store.scratch import ScratchBody, ScratchRoom
@@ -69,7 +69,7 @@ class Size:
         if self.rate is not None:
             return {"rate": self.rate}
         if self.byte_count is None:
-            return {"byte_budget": max(int(DEFAULT_BYTES * n_pixel), _LEAST_BYTES)}
+            return {"byte_budget": max(int(DEFAULT_BYTES * n_pixel) - overhead, _LEAST_BYTES)}
         if self.byte_count <= overhead:
             raise InputError(f"--bytes: a file of these lights takes {overhead} bytes without any image")
         return {"byte_budget": self.byte_count - overhead}
@@ -115,7 +115,7 @@ class Pack:
         sampled = measure == "sample" or (measure == "auto" and height * width > SAMPLED_FROM)
         with self._source() as source:
             if not self.size.is_quality:
-                overhead = container_bytes(self.prepared.record, "klt", {"byte_budget": 1 << 40}, source.shape)
+                overhead = container_bytes(self.prepared.record, source.shape)
                 mask_hw = self.stack.mask_hw
                 n_pixel = height * width if mask_hw is None else int(mask_hw.sum())
                 encoded = self._code(source, self.size.options(overhead, n_pixel))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,10 +18,11 @@ from clrelight.store.fits import read_record, write_record
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import ENCODED
 from clrelight.store.scratch import ScratchBody, ScratchRoom
-from clrelight.store.writing import CHUNK_BYTES, Draft, config_text, drafting
+from clrelight.store.writing import CHUNK_BYTES, COMPACT_BYTES, Draft, config_text, drafting
 
+_CONFIG_BYTES = 64
 _MARGIN = 64
-"""Bytes that HDF5's own records may take more, where there is more to record."""
+"""Bytes that HDF5's own records may take more than in an example."""
 _PIECE_BYTES = 4 * CHUNK_BYTES
 """Of a payload that are copied at a time."""
 
@@ -63,6 +62,9 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
 
 def _write_payload(draft: Draft, encoded: Encoded) -> None:
     size = encoded.encoded_bytes
+    if size <= COMPACT_BYTES:
+        draft.dataset("payload", np.frombuffer(encoded.body[:], np.uint8))
+        return
     sink = draft.sink("payload", (size,), np.uint8, (), (min(size, CHUNK_BYTES),))
     for start in range(0, size, _PIECE_BYTES):
         end = min(start + _PIECE_BYTES, size)
@@ -123,11 +125,11 @@ def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRe
     return replace(encoded, config=config, info=info, record=record), record
 
 
-def container_bytes(record: FitRecord, codec: str, config: Mapping[str, Any], shape: Shape) -> int:
+def container_bytes(record: FitRecord, shape: Shape) -> int:
     """Return how many bytes, or a few more, a file will have beside the payload of an encoding that is to come."""
-    info = {"step": 1.0, "planes": 1.0}
-    encoded = Encoded(codec, dict(config), shape, b"\0" * _MARGIN, info, record)
+    config = {"a setting of the codec": "x" * _CONFIG_BYTES}
+    encoded = Encoded("klt", config, shape, bytes(2 * COMPACT_BYTES), {"step": 1.0, "planes": 1.0}, record)
     with tempfile.TemporaryDirectory(prefix="clrelight.") as folder:
         path = Path(folder, "empty.h5")
         write_encoded(path, encoded)
-        return path.stat().st_size
+        return path.stat().st_size - encoded.encoded_bytes + _MARGIN

@@ -43,6 +43,15 @@ class ScratchImages:
             raise TypeError(f"expected {self.dtype} rows of {self.shape[2:]}, got {rows_hwc.dtype} {rows_hwc.shape}")
         self._scratch.write(light * self._image_bytes + first * self._row_bytes, np.ascontiguousarray(rows_hwc))
 
+    def write_part(self, light: int, first: int, left: int, part_hwc: NDArray) -> None:
+        """Write some columns of rows of an image."""
+        if part_hwc.shape[1] == self.shape[2]:
+            self.write_rows(light, first, part_hwc)
+            return
+        pixel_bytes = self._row_bytes // self.shape[2]
+        for row, values in enumerate(np.ascontiguousarray(part_hwc), start=first):
+            self._scratch.write(light * self._image_bytes + row * self._row_bytes + left * pixel_bytes, values)
+
     def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
         """Read rows of all images."""
         self.read_some_into(np.arange(len(self)), first, end, out)

@@ -32,7 +32,7 @@ FAR_OVER_BYTES = 8 << 20
 RESERVE_SHARE, RESERVE_BYTES = 64, 4 << 20
 """A large file reserves this share of its arrays and these bytes more, for what HDF5 adds."""
 
-_COMPACT_BYTES = 8 << 10
+COMPACT_BYTES = 8 << 10
 _SUPERBLOCK = struct.Struct("<8xB19xQ")  # versions 2 and 3: the version at byte 8, the end of the file at 28
 
 MAX_TEXT_BYTES = 32 << 10  # HDF5 keeps attributes up to 64 KiB within the checksummed object header
@@ -116,7 +116,7 @@ class Draft:
     def dataset(self, name: str, data: NDArray, axes: Sequence[str] = (), chunks: tuple[int, ...] | None = None) -> str:
         """Write a whole array; return its name."""
         # A file that is sent is as small as can be: short arrays lie among HDF5's own records, without holes between.
-        compact = self._in_memory and not self._schema.is_scaled and 0 < data.nbytes <= _COMPACT_BYTES
+        compact = self._in_memory and not self._schema.is_scaled and 0 < data.nbytes <= COMPACT_BYTES
         writer = self._create(name, data.shape, data.dtype, axes, chunks, compact)[1]
         writer.write(writer.blocks.everything, data)
         return name

@@ -7,7 +7,7 @@
  *
  * A power is 2^(p log2 v): of v = 2^e m, m in [0.7, 1.42], the logarithm is the series of atanh up to s^9, s = (m - 1) / (m + 1),
  * which leaves 1e-9, and 2^f, |f| < 0.51, that of exp up to f^7, which leaves 6e-9. The integer part of p e is taken off
- * before anything is rounded. Relative error of float below 3e-7. Too large for float is infinite; NaN stays NaN.
+ * before anything is rounded. Error of float below 5e-7 of the value, plus 2e-8. Too large for float is infinite; NaN stays NaN.
  */
 #include "common/lanes.clh"
 #include "common/vector.clh"
