@@ -19,17 +19,25 @@ import OpenImageIO as oiio
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from benchmarks.pages import check_markdown, replace_block
 from clrelight.cli.options import whole_number
 from clrelight.cli.tables import print_table
 from clrelight.conventions import linear_to_srgb
+from clrelight.device import open_device
 from clrelight.errors import InputError
 from clrelight.sampling import make_pattern
+from clrelight.speed.environment import describe_environment
+from clrelight.speed.tables import markdown_table
 
 _RELIEF = 2048
 """Side in pixels of the relief, which repeats; the paint on it does not."""
 _SHADOW_STEPS = (1, 2, 4, 8, 16, 32, 64)
 _NOISE = 0.004
 _SHAPES = {1: (1224, 816), 4: (2448, 1632), 24: (6000, 4000), 100: (12240, 8160)}
+
+
+BEGIN, END = "<!-- photographs -->", "<!-- /photographs -->"
+HEADERS = ["MP", "JPEG MB", "decoding s", "pack s", "times", "MiB", "bytes", "dB held out", "picture s", "512² s"]
 
 
 class Scene:
@@ -165,6 +173,7 @@ def _relit(out: Path, words: list[str]) -> float:
 @click.option("--quality", type=whole_number(1, 100), default=92, show_default=True, help="Of the JPEGs.")
 @click.option("--folder", type=click.Path(path_type=Path), help="Where the photographs stay, for the next run.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Where the figures go as well.")
+@click.option("--markdown", type=click.Path(path_type=Path), help="Page whose table between two markers is replaced.")
 @click.argument("words", nargs=-1)
 def main(
     megapixels: tuple[str, ...],
@@ -172,6 +181,7 @@ def main(
     quality: int,
     folder: Path | None,
     json_path: Path | None,
+    markdown: Path | None,
     words: tuple[str, ...],
 ) -> None:
     """Make photographs, pack them, and print what it took.
@@ -185,6 +195,8 @@ def main(
     """
     asked = list(words) or ["--degree", "6", "--method", "spline", "--rate", "0.1", "--holdout", "5"]
     place = Path(tempfile.mkdtemp(prefix="photographs.")) if folder is None else folder
+    if markdown is not None:
+        check_markdown(markdown, BEGIN, END)
     try:
         rows = list(_measure(place, megapixels, lights, quality, asked))
     finally:
@@ -192,8 +204,15 @@ def main(
             shutil.rmtree(place)
     if json_path is not None:
         json_path.write_text(json.dumps(rows, indent=1))
-    headers = ["MP", "JPEG MB", "decoding s", "pack s", "times", "MiB", "bytes", "dB held out", "picture s", "512² s"]
-    print_table(headers, [[str(cell) for cell in _cells(row)] for row in rows])
+    cells = [[str(cell) for cell in _cells(row)] for row in rows]
+    print_table(HEADERS, cells)
+    if markdown is not None:
+        facts = {
+            "command": f"python -m benchmarks.photographs, pack {' '.join(asked)}",
+            **describe_environment(open_device()),
+        }
+        lines = [f"- {name}: {value}" for name, value in facts.items()]
+        replace_block(markdown, "\n".join([*lines, "", markdown_table(HEADERS, cells)]), BEGIN, END)
 
 
 def _measure(

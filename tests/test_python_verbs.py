@@ -89,11 +89,21 @@ def test_every_example_of_the_page_runs(stack, tmp_path):
         lines.append(f"{i:02}.png " + " ".join(f"{v:.9f}" for v in direction))
     (tmp_path / "photos" / "dome.lp").write_text("\n".join(lines) + "\n")
     code = "".join(examples("docs/python.md"))
-    for verb in ("ingest", "fit", "encode", "decode", "relight", "measure", "export"):
+    for verb in ("pack", "unpack", "ingest", "fit", "encode", "decode", "relight", "measure", "export"):
         assert f"cr.{verb}(" in code
     done = run_python(code + "\nprint(image.shape, images.shape, turned.shape)", tmp_path)
     assert done.stdout.splitlines()[-1] == "(16, 16, 3) (2, 16, 16, 3) (4, 16, 16, 3)"
-    for name in ("stack.h5", "mine.h5", "fit.h5", "small.h5", "back.h5", "relit.png", "frame035.png", "textures"):
+    for name in (
+        "stack.h5",
+        "mine.h5",
+        "fit.h5",
+        "small.h5",
+        "back.h5",
+        "relit.png",
+        "frame035.png",
+        "textures",
+        "photos_again",
+    ):
         assert (tmp_path / name).exists(), name
 
 

@@ -50,4 +50,5 @@ def _access() -> h5py.h5p.PropFAID:
 def _create(name: str, access: h5py.h5p.PropFAID) -> h5py.File:
     creation = h5py.h5p.create(h5py.h5p.FILE_CREATE)
     creation.set_attr_phase_change(_MOST_ATTRIBUTES, 0)
+    creation.set_obj_track_times(False)
     return h5py.File(h5py.h5f.create(os.fsencode(name), h5py.h5f.ACC_TRUNC, creation, access))

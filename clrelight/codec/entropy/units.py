@@ -20,7 +20,7 @@ PRECINCT = 512
 """Side in pixels of what one unit of the coarsest three levels, four of level 2 and sixteen of level 1 are of."""
 
 _FIELDS = 19  # as in units.clh
-_WHOLE, _STRIPS = 1 << 20, 4
+_WHOLE, _STRIPS, _LAST_PIECES = 1 << 20, 4, 4
 """Pixels up to which an image may be one tile; a larger one has about as many strips or more."""
 MARGIN = 128
 """Pixels around a tile that its transform looks at: 4 (2^LEVELS - 1), and a multiple of 2^LEVELS."""
@@ -186,7 +186,8 @@ def whole_tile(height: int, width: int, streams: list[int]) -> Tile:
 def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
     """Return the tiles of an image of so many planes: whole precincts whose windows fit a number of bytes, rows first.
 
-    Strips as wide as the image where one fits, which rows are read once for; one precinct at the least.
+    Strips as wide as the image where one fits, which rows are read once for; one precinct at the least. The last strip
+    is in pieces: what comes last is coded several times, which takes its memory twice.
     """
     units = list_units(height, width)
     if height * width <= _WHOLE and 4 * height * width * count <= memory:
@@ -194,8 +195,11 @@ def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
     rows, columns = tile_sides(height, width, count, memory)
     tiles = []
     for top in range(0, height, rows):
+        bottom = min(top + rows, height)
+        if bottom == height:
+            columns = min(columns, -(-width // (_LAST_PIECES * PRECINCT)) * PRECINCT)
         for left in range(0, width, columns):
-            bottom, right = min(top + rows, height), min(left + columns, width)
+            right = min(left + columns, width)
             chosen = [t for t, unit in enumerate(units) if _begins_in(unit, top, left, bottom, right)]
             window = Window(
                 max(top - MARGIN, 0), max(left - MARGIN, 0), min(bottom + MARGIN, height), min(right + MARGIN, width)
