@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.dataset import LightStack
-from clrelight.streaming import one_thread
+from clrelight.streaming import Buffer, one_thread
 
 _BAND_BYTES = 1 << 25
 _HELD = 4
@@ -18,6 +19,8 @@ _HELD = 4
 
 class Bands:
     """Parts of all images, of bands of rows that are held for a while; the next band is read meanwhile.
+
+    Whole rows of what is not stored in chunks are read as they are asked for, and the next ones meanwhile.
 
     Parameters
     ----------
@@ -35,10 +38,19 @@ class Bands:
         self._stack, self._pool, self._height = stack, pool, height
         self._held: dict[int, NDArray] = {}
         self._coming: tuple[int, Future[NDArray]] | None = None
+        self._ahead: tuple[tuple[int, int], Future[NDArray]] | None = None
+        # One is returned, one was before it, which a device may still read, and one is being filled.
+        self._buffers = itertools.cycle([Buffer(), Buffer(), Buffer()])
+        self._has_chunks, self._width = chunks is not None, width
 
     def part(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
-        """Return samples (n_light, rows, columns, channel), C-contiguous; those of floats are not looked at."""
+        """Return samples (n_light, rows, columns, channel), C-contiguous; those of floats are not looked at.
+
+        They are the caller's until two more parts have been asked for.
+        """
         first, end = rows
+        if columns == (0, self._width) and not self._has_chunks:
+            return self._whole_rows(first, end)
         pieces = []
         for number in range(first // self._rows, (end - 1) // self._rows + 1):
             top = number * self._rows
@@ -46,24 +58,41 @@ class Bands:
             pieces.append(self._band(number)[:, within, slice(*columns)])
         return np.concatenate(pieces, axis=1)  # a copy in any case
 
+    def _whole_rows(self, first: int, end: int) -> NDArray:
+        if self._ahead is not None and self._ahead[0] == (first, end):
+            found = self._ahead[1].result()
+        else:
+            if self._ahead is not None:
+                self._ahead[1].result()  # its buffer is the next but one
+            found = self._read(first, end, next(self._buffers))
+        following = (end, min(2 * end - first, self._height))
+        self._ahead = None
+        if following[0] < following[1]:
+            self._ahead = following, self._pool.submit(self._read, *following, next(self._buffers))
+        return found
+
     def _band(self, number: int) -> NDArray:
         if number in self._held:
             return self._held[number]
         if self._coming is not None and self._coming[0] == number:
             found = self._coming[1].result()
         else:
-            found = self._read(number)
+            found = self._read_band(number)
         self._held = dict([*list(self._held.items())[1 - _HELD :], (number, found)])
         self._coming = None
         if (number + 1) * self._rows < self._height and number + 1 not in self._held:
-            self._coming = number + 1, self._pool.submit(self._read, number + 1)
+            self._coming = number + 1, self._pool.submit(self._read_band, number + 1)
         return found
 
-    def _read(self, number: int) -> NDArray:
+    def _read_band(self, number: int) -> NDArray:
         top = number * self._rows
-        end, images = min(top + self._rows, self._height), self._stack.images_ihwc
-        out = np.empty((images.shape[0], end - top, *images.shape[2:]), images.dtype)
-        return self._stack.load_rows(top, end, out)
+        return self._read(top, min(top + self._rows, self._height), Buffer())
+
+    def _read(self, first: int, end: int, buffer: Buffer) -> NDArray:
+        images = self._stack.images_ihwc
+        return self._stack.load_rows(
+            first, end, buffer.lend((images.shape[0], end - first, *images.shape[2:]), images.dtype)
+        )
 
 
 @contextmanager

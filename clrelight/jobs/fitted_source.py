@@ -31,6 +31,7 @@ class FittedSource(Source):
         self._report, self._bands = prepared.report, bands
         self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.precision))
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
+        self.sample_type = np.dtype(prepared.stack.images_ihwc.dtype)
         self._mask_hw = prepared.stack.mask_hw
         integers = np.issubdtype(prepared.stack.images_ihwc.dtype, np.integer)  # others may be far from the peak
         if prepared.method.is_linear and integers and prepared.precision != DOUBLE:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +13,12 @@ from clrelight.codec.streams import Linear, Source
 from clrelight.codec.transforms.code_values import bend, code_values_of, node_matrices
 from clrelight.codec.transforms.lifting import padded_width, split_planes
 from clrelight.codec.transforms.whitening import Planes, Span, reshaped
-from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator
+from clrelight.device import Device
+from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, sample_defines
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.streaming import Buffer
 
+_SAMPLE_BYTES, _DEPTH = 1 << 24, 64
 _PIECE_BYTES = 1 << 26
 """Of values on their way, which pieces of a part go one after another."""
 
@@ -53,12 +57,16 @@ class Pixels:
         n_coeff, channel, device = self.shape[0], self.shape[3], self.device
         linear = self._source.linear
         chain = _Chain(linear, n_coeff, self.transfer, operator_jq.reshape(-1, n_coeff, channel))
-        first = None if chain.first is None else pack_operator(device, chain.first)
-        last = pack_operator(device, chain.last.reshape(len(offset_j), -1))
-        offset = device.upload(offset_j.astype(np.float32))
         width = columns[1] - columns[0]
         shape = (len(offset_j), rows[1] - rows[0], padded_width(width))
         made = self._lend("planes", shape) if lent else device.empty(shape, np.float32)
+        fused = None if linear is None else _Fused.of(chain, linear, self._source.sample_type, device)
+        if fused is not None:
+            fused.run(made, self._source, rows, columns, offset_j)
+            return made
+        first = None if chain.first is None else pack_operator(device, chain.first)
+        last = pack_operator(device, chain.last.reshape(len(offset_j), -1))
+        offset = device.upload(offset_j.astype(np.float32))
         row_bytes = 4 * width * (2 * chain.last.shape[1] * channel + len(offset_j))
         step = max(_PIECE_BYTES // row_bytes, 1)
         for top in range(*rows, step):
@@ -124,11 +132,14 @@ class _Chain:
     first : ndarray, shape (n, n_read), float64, or None
         From what is read to what is bent, or to components; None where that is what is read.
     last : ndarray, shape (n_plane, n, channel), float64
+    bends : bool
+        Whether the curve lies between the two.
     """
 
     def __init__(self, linear: Linear | None, n_coeff: int, transfer: str, operator_jkc: NDArray[np.float64]) -> None:
         fitted = None if linear is None else (linear.synthesis_kr, linear.analysis_ri)
-        if transfer == "srgb":
+        self.bends = transfer == "srgb"
+        if self.bends:
             synthesis_nk, analysis_kn = node_matrices(n_coeff)
             self.first: NDArray[np.float64] | None = synthesis_nk
             if fitted is not None:
@@ -139,3 +150,68 @@ class _Chain:
             self.last = np.einsum("jkc,kr->jrc", operator_jkc, fitted[0], optimize=True)
         else:
             self.first, self.last = None, operator_jkc
+
+
+@dataclass(frozen=True)
+class _Fused:
+    """One kernel from samples to planes, whose values on their way stay in a CPU's cache."""
+
+    chain: _Chain
+    linear: Linear
+    device: Device
+    tile: int
+
+    @classmethod
+    def of(cls, chain: _Chain, linear: Linear, dtype: np.dtype, device: Device) -> _Fused | None:
+        """Return the kernel for a chain; None where a device or a type has none, or no tile is small enough."""
+        if device.style != "cpu" or not np.issubdtype(dtype, np.integer):
+            return None
+        room = math.prod(chain.last.shape[1:])
+        least = 2 * device.info.lanes
+        for tile in (256, 128, 64, 32, 16, 8):
+            if tile >= least and 4 * tile * (room + _chunk(linear) + 8) <= device.info.local_memory_bytes // 2:
+                return cls(chain, linear, device, tile)
+        return None
+
+    def run(self, made: DeviceArray, source: Source, rows: Span, columns: Span, offset_j: NDArray[np.float64]) -> None:
+        """Fill planes; the next samples are read while the device computes."""
+        device, curve, first = self.device, self.linear.curve, self.chain.first
+        if first is None:
+            raise TypeError("a linear source has a first matrix")
+        last_jcn = np.ascontiguousarray(self.chain.last.transpose(0, 2, 1))
+        width, channel = columns[1] - columns[0], last_jcn.shape[1]
+        packed = pack_operator(device, first), pack_operator(device, last_jcn.reshape(len(last_jcn), -1))
+        heights = [operator.heights_b for operator in packed if operator.heights_b is not None]
+        offset = device.upload(offset_j.astype(np.float32))
+        table = device.upload(curve.table(source.sample_type))
+        step = max(_SAMPLE_BYTES // (first.shape[1] * width * channel * source.sample_type.itemsize), 1)
+        held: NDArray | None = None
+        for top in range(*rows, step):
+            piece = (top, min(top + step, rows[1]))
+            samples = source.read_samples(piece, columns)
+            device.finish()  # what was held is read no more
+            held = samples
+            device.launch(
+                "codec/planes.cl",
+                "make_planes_jyx",
+                (-(-width // self.tile), piece[1] - piece[0]),
+                *(made, device.upload(held), packed[0].packed_o, heights[0], packed[1].packed_o, heights[1]),
+                *(table, offset, 1.0 / curve.peak, top - rows[0], first.shape[0], *made.shape, *held.shape),
+                *(heights[0].shape[0], heights[1].shape[0]),
+                defines={
+                    **sample_defines(source.sample_type),
+                    "VECTOR": device.info.lanes,
+                    "TILE": self.tile,
+                    "CHUNK": _chunk(self.linear),
+                    "DEPTH": _DEPTH,
+                    "CURVE": curve.mode(source.sample_type),
+                    "BEND": int(self.chain.bends),
+                    "ROOM": last_jcn.shape[1] * last_jcn.shape[2],
+                },
+            )
+        device.finish()
+
+
+def _chunk(linear: Linear) -> int:
+    """Return the lights whose samples a tile holds at once."""
+    return min(-(-linear.analysis_ri.shape[1] // _DEPTH), 4) * _DEPTH
