@@ -89,6 +89,15 @@ def domain_note(coefficients: CoefficientMap, stack: LightStack) -> str:
     )
 
 
+def check_view(coefficients: CoefficientMap, stack: LightStack) -> None:
+    """Raise InputError if coefficients are of images of another shape than the stack's."""
+    if coefficients.image_shape != stack.image_shape:
+        raise InputError(
+            f"the coefficients are of images {coefficients.image_shape} but the stack has {stack.image_shape} "
+            "(height, width, channel)"
+        )
+
+
 def measure_errors(
     coefficients: CoefficientMap,
     stack: LightStack,
@@ -107,11 +116,7 @@ def measure_errors(
         If the coefficients are not of this view, or no pixel counts.
     """
     device = device or open_device()
-    if coefficients.image_shape != stack.image_shape:
-        raise InputError(
-            f"the coefficients are of images {coefficients.image_shape} but the stack has {stack.image_shape} "
-            "(height, width, channel)"
-        )
+    check_view(coefficients, stack)
     height, width, channel = stack.image_shape
     mask_hw = np.ones((height, width), bool) if stack.mask_hw is None else stack.mask_hw
     count = int(mask_hw.sum()) * channel

@@ -23,6 +23,7 @@ from clrelight.harmonics.basis import evaluate_basis
 from clrelight.metrics import measure_errors
 from clrelight.relight import relight
 from clrelight.sampling import make_pattern
+from clrelight.selftest_packing import check_packing
 from clrelight.selftest_photographs import check_photographs
 from clrelight.statements import Statement
 
@@ -71,6 +72,7 @@ def run_selftest(device: Device) -> Iterator[Statement]:
     yield from _codes(device)
     yield from _images(device, (2, 6, 10))
     yield from check_photographs(device)
+    yield from check_packing(device)
 
 
 def run_quick_selftest(device: Device) -> Iterator[Statement]:
@@ -83,6 +85,7 @@ def run_quick_selftest(device: Device) -> Iterator[Statement]:
     yield from _transform(device, (1, 2, 5, 8, 13), (1, 7, 16, 33))
     yield from _indices(device)
     yield from _images(device, (3,), halves=False)
+    yield from check_packing(device)
 
 
 def _fit(

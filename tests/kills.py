@@ -32,6 +32,7 @@ COMMANDS = {
     "encode": "encode {inputs}/fit.h5 out.h5 --codec s3tc",
     "decode": "decode {inputs}/encoded.h5 out.h5",
     "ingest": "ingest {inputs}/photos out.h5 --name photos",
+    "pack": "pack {inputs}/photos out.h5 --method spline --degree 2 --bytes 8k",
     "bench": "bench {inputs}/stack.h5 --methods uls,cls --degrees 1,2 --codecs none,half --holdout 5 --out out.h5",
 }
 PREPARED = {

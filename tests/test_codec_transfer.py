@@ -6,6 +6,7 @@ import pytest
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_units import parse_body
+from clrelight.codec.transforms import colour
 from clrelight.codec.transforms.code_values import code_values_of, radiance_of
 from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import LightStack
@@ -13,6 +14,7 @@ from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.store import write_stack
 from tests.commands import call, succeed
+from tests.reference.klt4 import decode_klt4
 
 
 def dense_hemisphere():
@@ -170,3 +172,65 @@ def test_bad_curves_write_nothing(fitted, tmp_path, words, expected):
     assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
     assert expected in ended.err
     assert not list(tmp_path.iterdir())
+
+
+LAB_OF_GREY = (0.2126, 0.7152, 0.0722)
+
+
+def lab(radiance):
+    """CIE 15 and IEC 61966-2-1: lightness, a, b."""
+    xyz = np.array([[0.4124, 0.3576, 0.1805], LAB_OF_GREY, [0.0193, 0.1192, 0.9505]])
+    ratio = np.clip(radiance, 0, None) @ xyz.T / xyz.sum(axis=1)
+    root = np.where(ratio > 216 / 24389, np.cbrt(ratio), (24389 / 27 * ratio + 16) / 116)
+    return np.stack(
+        [116 * root[..., 1] - 16, 500 * (root[..., 0] - root[..., 1]), 200 * (root[..., 1] - root[..., 2])], -1
+    )
+
+
+def test_lab_is_that_of_the_standard():
+    given = np.random.default_rng(0).random((50, 3))
+    np.testing.assert_allclose(colour.to_lab(given), lab(given), atol=0.02)
+    np.testing.assert_allclose(colour.to_lab(np.ones(3)), [100, 0, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("transfer", ["linear", "srgb"])
+def test_axes_are_those_of_small_differences(transfer):
+    axes = colour.colour_axes("perceptual", transfer)
+    assert np.abs(axes).max() == 1.0
+    grey = 0.5 if transfer == "srgb" else srgb_to_linear(0.5)
+    radiance = srgb_to_linear if transfer == "srgb" else np.asarray
+    shift = 1e-3 * np.random.default_rng(1).standard_normal((20, 3))
+    differences = np.linalg.norm(lab(radiance(grey + shift)) - lab(radiance(np.full(3, grey))), axis=1)
+    ratio = np.linalg.norm(shift @ axes.T, axis=1) / differences
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=0.02)
+    assert colour.colour_axes("radiance", transfer) is None
+
+
+def test_colours_are_kept_at_the_cost_of_lightness(device):
+    rng = np.random.default_rng(2)
+    tint = np.array([0.5, 0.2, 0.15]) + 0.05 * rng.standard_normal((24, 32, 3)).repeat(2, 0).repeat(2, 1)
+    coeffs = (shaded_sphere(64)[:, :48] / 0.3 * tint[None]).astype(np.float32)
+    shown = {}
+    for metric in ("radiance", "perceptual"):
+        codec = codec_class("klt").from_config({"byte_budget": 900, "transfer": "srgb", "metric": metric})
+        payload = encode(coeffs, codec, device).to_bytes()
+        shown[metric] = lab(np.clip(show(decode(payload, device)), 0, 1)) - lab(np.clip(show(coeffs), 0, 1))
+    chroma = {name: np.mean(error[..., 1:] ** 2) for name, error in shown.items()}
+    whole = {name: np.mean(np.sum(error**2, -1)) for name, error in shown.items()}
+    assert chroma["perceptual"] < 0.9 * chroma["radiance"]
+    assert whole["perceptual"] < whole["radiance"]
+
+
+def test_bodies_of_either_metric_are_read_alike(device):
+    coeffs = shaded_sphere(24)
+    encoded = encode(coeffs, Klt(rate=1.0, transfer="linear", metric="perceptual"), device)
+    found, expected = decode(encoded, device), decode_klt4(encoded.body, encoded.shape)
+    np.testing.assert_allclose(found, expected.coeffs, atol=1e-5 * np.abs(coeffs).max())
+    assert np.abs(found - coeffs).max() < 0.05 * np.abs(coeffs).max()
+
+
+def test_a_metric_that_there_is_not_and_images_without_colours(device):
+    with pytest.raises(InputError, match="klt metric must be one of radiance, perceptual, got 'flip'"):
+        Klt(metric="flip")
+    with pytest.raises(InputError, match="metric perceptual is for red, green and blue, the images have 1 channel"):
+        encode(shaded_sphere(16)[..., :1], Klt(metric="perceptual"), device)

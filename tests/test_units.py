@@ -194,7 +194,7 @@ def test_strips_say_what_the_whole_says(device):
     coeffs = made_map(1200, 600, degree=1, channel=1)
     sizes, decoded = [], []
     for memory in (1 << 30, 1 << 20):
-        encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear", memory)
+        encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear", memory=memory)
         body, _ = encoder.encode(0.02)
         sizes.append(len(body))
         decoded.append(
@@ -210,7 +210,7 @@ def test_strips_say_what_the_whole_says(device):
 @pytest.mark.parametrize("rate", [0.1, 0.5])
 def test_a_budget_is_used_and_not_passed(device, memory, rate):
     coeffs = made_map(1200, 700, degree=1, channel=3)
-    encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear", memory)
+    encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear", memory=memory)
     budget = int(rate * coeffs.size / 8)
     body, _ = encoder.encode_within(budget)
     assert 0.985 * budget <= len(body) <= budget

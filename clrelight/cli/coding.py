@@ -44,6 +44,11 @@ from clrelight.cli.psnr import psnr_lines
     type=click.Choice(["linear", "srgb"]),
     help="Errors are alike in radiance, or in sRGB code values (klt); default: what the fit's stack holds.",
 )
+@click.option(
+    "--metric",
+    type=click.Choice(["radiance", "perceptual"]),
+    help="What errors cost (klt): the same in every channel (default), or what they are in CIELAB.",
+)
 @click.option("--bits", type=int, help="Bits per code (uniform, cpca), log2 of the codebook (vq); default 8.")
 @click.option("--allocation", help="How wavelet rates are shared: map (each alike) or global (one step for all).")
 @click.option("--levels", type=int, help="Levels of the wavelet transform (wavelet); default 3.")

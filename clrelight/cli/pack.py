@@ -38,6 +38,13 @@ from clrelight.cli.psnr import psnr_lines
     "--loss", type=float, metavar="DB", help="Fewest bytes that cost so many decibels in the mean over those lights."
 )
 @click.option(
+    "--metric",
+    type=click.Choice(["radiance", "perceptual"]),
+    default="radiance",
+    show_default=True,
+    help="What errors cost: the same in every channel, or what they are in CIELAB.",
+)
+@click.option(
     "--method", default="auto", show_default=True, help="auto, or a method of fit: spectrum, spline, cls, ..."
 )
 @click.option("--degree", type=DegreeType(), default="auto", show_default=True, help="Largest SH degree, or auto.")

@@ -71,7 +71,7 @@ class Source(ABC):
     """Rows that are read together in any case."""
     linear: Linear | None = None
     """How coefficients hang on samples, where there is no more to it and `read_samples` gives those."""
-    sample_type = np.dtype(np.float32)
+    sample_type: np.dtype = np.dtype(np.float32)
     """Of those."""
 
     def __init__(self, shape: Shape, device: Device, room: Room) -> None:

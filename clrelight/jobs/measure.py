@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec import decode_regions
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
-from clrelight.holdout import distances_to, split_by_fit
-from clrelight.jobs.inputs import FittedLike, StackLike, lend_coefficients, lend_stack, opened_on
+from clrelight.holdout import split_by_fit
+from clrelight.jobs.inputs import (
+    FittedLike,
+    StackLike,
+    is_encoded,
+    lend_coefficients,
+    lend_stack,
+    opened_on,
+    take_encoded,
+)
+from clrelight.jobs.measure_parts import measure_parts
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.metrics import domain_note, measure_errors, summarize_errors
+from clrelight.jobs.split_quality import summarize_split
+from clrelight.metrics import check_view, domain_note, measure_errors
+
+_WHOLE_BYTES = 1 << 28
+"""Coefficients from which an encoding is decoded and measured part by part, where its codec can."""
 
 
 def measure(
@@ -50,15 +65,25 @@ def measure(
         If a file is not what it should be, or the two are not of one view.
     """
     kept = report_for(report)
-    with (
-        opened_on(device, kept) as opened,
-        lend_stack(stack, kept) as source,
-        lend_coefficients(fitted, opened, kept, progress) as coefficients,
-    ):
-        since = time.perf_counter()
-        kept.note(*filter(None, [domain_note(coefficients, source)]))
-        kept.psnr = measure_split(coefficients, source, opened, progress=progress)
-        kept.add("measure", since)
+    with opened_on(device, kept) as opened, lend_stack(stack, kept) as source:
+        if is_encoded(fitted):
+            since = time.perf_counter()
+            encoded, record = take_encoded(fitted)  # type: ignore[arg-type]
+            regions = decode_regions(encoded)
+            if regions is not None and 4 * math.prod(encoded.shape) > _WHOLE_BYTES:
+                blank = record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # takes no memory
+                check_view(blank, source)
+                kept.note(*filter(None, [domain_note(blank, source)]))
+                since = kept.add("read", since)
+                split = split_by_fit(source, blank)
+                kept.psnr = measure_parts(regions, record, source, split, opened, sampled=False, progress=progress)
+                kept.add("measure", since)
+                return kept.psnr
+        with lend_coefficients(fitted, opened, kept, progress) as coefficients:
+            since = time.perf_counter()
+            kept.note(*filter(None, [domain_note(coefficients, source)]))
+            kept.psnr = measure_split(coefficients, source, opened, progress=progress)
+            kept.add("measure", since)
     return kept.psnr
 
 
@@ -78,26 +103,3 @@ def measure_split(
     with stage(progress, "measuring") as tell:
         mse_i = measure_errors(coefficients, stack, device=device, progress=tell)
     return summarize_split(mse_i, coefficients.directions_i3, stack, (fitted, held))
-
-
-def summarize_split(
-    mse_i: NDArray[np.float64],
-    fitted_i3: NDArray[np.float64],
-    stack: LightStack,
-    split: tuple[NDArray[np.intp], NDArray[np.intp]],
-) -> dict[str, float]:
-    """Return what `measure_split` does, of each light's mean squared error; `fitted_i3` are the fit's lights."""
-    fitted, held = split
-    quality: dict[str, float] = {}
-    for name, lights in (("fitted", fitted), ("holdout", held)):
-        if len(lights):
-            measured = summarize_errors(mse_i[lights])
-            quality[f"mean_{name}"], quality[f"pooled_{name}"] = measured.psnr_mean, measured.psnr_pooled
-            if measured.note:
-                quality[f"identical_{name}"] = measured.n_identical
-                quality[f"mean_others_{name}"] = measured.psnr_others
-    if len(held):
-        away_i = distances_to(fitted_i3, stack.directions_i3[held])
-        quality["distance_median_holdout"] = float(np.median(away_i))
-        quality["distance_largest_holdout"] = float(away_i.max())
-    return quality

@@ -13,12 +13,9 @@ from clrelight.codec.views import Region, Regions
 from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import Device
 from clrelight.jobs.bands import bands_of
-from clrelight.jobs.measure import summarize_split
 from clrelight.jobs.report import Progress, stage
+from clrelight.jobs.split_quality import Split, summarize_split
 from clrelight.metrics import measure_errors
-
-Split = tuple[NDArray[np.intp], NDArray[np.intp]]
-"""The lights that were fitted, and those held out."""
 
 SAMPLED_FROM = 1 << 20
 """Pixels from which an image is measured at a sample where nothing else is said."""

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from clrelight.codec.transforms.colour import METRICS, RADIANCE
 from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -40,6 +41,7 @@ def pack(
     bytes: int | str | None = None,
     target_psnr: float | None = None,
     loss: float | None = None,
+    metric: str = RADIANCE,
     method: str = "auto",
     degree: int | str = "auto",
     within: float = WITHIN,
@@ -74,6 +76,8 @@ def pack(
     loss : float, optional
         Fewest bytes that cost so many decibels in the mean over those lights. From 50 dB on the fit is taken to be
         without error.
+    metric : str
+        What errors cost: ``"radiance"``, the same in every channel, or ``"perceptual"``, what they are in CIELAB.
     method, degree, within
         As of `clrelight.jobs.fit.fit`.
     holdout, holdout_by
@@ -104,6 +108,8 @@ def pack(
     size = Size.of(rate, None if bytes is None else count_bytes(bytes), target_psnr, loss)
     if measure not in MEASURES:
         raise InputError(f"measure must be one of {', '.join(MEASURES)}, got {measure!r}")
+    if metric not in METRICS:
+        raise InputError(f"metric must be one of {', '.join(METRICS)}, got {metric!r}")
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     with (
@@ -118,7 +124,7 @@ def pack(
         with stage(progress, "choosing a model"):
             prepared = prepare_fit(chosen, method, wanted, within=within, device=opened, unseen_t3=unseen)
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
-        job = Pack(stack, split, prepared, size, room, kept, progress)
+        job = Pack(stack, split, prepared, size, metric, room, kept, progress)
         job.tell_facts()
         encoded = job.encode(out, measure)
         since = time.perf_counter()

@@ -21,9 +21,10 @@ from clrelight.fit.run import collect_fit
 from clrelight.holdout import describe_duplicates, note_distance
 from clrelight.jobs.bands import bands_of
 from clrelight.jobs.fitted_source import fitted_source
-from clrelight.jobs.measure_parts import SAMPLED_FROM, Split, measure_parts, sample_windows
+from clrelight.jobs.measure_parts import SAMPLED_FROM, measure_parts, sample_windows
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.sizes import size_facts
+from clrelight.jobs.split_quality import Split
 from clrelight.jobs.target import TOLERANCE, encode_to_quality
 from clrelight.store.encodings import container_bytes
 from clrelight.store.scratch import ScratchBody, ScratchRoom
@@ -83,6 +84,7 @@ class Pack:
     split: Split
     prepared: PreparedFit
     size: Size
+    metric: str
     room: ScratchRoom
     report: Report
     progress: Progress | None
@@ -141,7 +143,7 @@ class Pack:
                 yield source
 
     def _code(self, source: Source, options: dict[str, Any]) -> Encoded:
-        codec = codec_class("klt").from_config(options).for_transfer(self.stack.transfer)
+        codec = codec_class("klt").from_config({**options, "metric": self.metric}).for_transfer(self.stack.transfer)
         since, body = time.perf_counter(), ScratchBody(self.room)
         with stage(self.progress, "fitting and coding") as self.room.progress:
             info = encode_stream(source, codec, body)
@@ -177,6 +179,7 @@ class Pack:
                 size.target_psnr,
                 loss=size.loss or 0.0,
                 tolerance=TOLERANCE if size.loss is None else size.loss / 3,
+                metric=self.metric,
                 device=self.prepared.device,
             )
         self.report.add("search", since)

@@ -49,6 +49,7 @@ def encode_to_quality(
     loss: float = 0.0,
     tolerance: float = TOLERANCE,
     codec: str = "klt",
+    metric: str = "radiance",
     device: Device,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Encoded, list[Trial], str]:
@@ -67,6 +68,8 @@ def encode_to_quality(
         Decibels.
     codec : str
         ``"klt"`` or ``"wavelet"`` (with one step for all maps).
+    metric : str
+        What errors cost (klt).
     device : Device
     progress : callable, optional
         Told what is tried.
@@ -104,7 +107,7 @@ def encode_to_quality(
             f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: fit with another method "
             "or degree (--method auto --degree auto)"
         )
-    make, fine, coarse = _family(codec, coefficients.transfer)
+    make, fine, coarse = _family(codec, coefficients.transfer, metric)
     trials: list[Trial] = []
     found: tuple[Encoded, Trial] | None = None
     low, high = fine, coarse  # log2 of the setting: low reaches the target (or is untried), high does not
@@ -135,10 +138,11 @@ def encode_to_quality(
     return found[0], trials, why
 
 
-def _family(codec: str, transfer: str) -> tuple[Callable[[float], Codec], float, float]:
+def _family(codec: str, transfer: str, metric: str) -> tuple[Callable[[float], Codec], float, float]:
     """Return how to make the codec from one number, and the logarithms of its finest and coarsest values."""
     if codec == "klt":
-        return (lambda step: codec_class("klt").from_config({"step": step, "transfer": transfer})), -20.0, 2.5
+        options = {"transfer": transfer, "metric": metric}
+        return (lambda step: codec_class("klt").from_config({"step": step, **options})), -20.0, 2.5
     if codec == "wavelet":
         return (lambda rate: codec_class("wavelet").from_config({"rate": rate, "allocation": "global"})), 4.0, -6.0
     raise InputError(f"a quality can be asked of klt and wavelet, not of {codec}")

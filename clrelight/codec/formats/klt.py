@@ -20,6 +20,7 @@ from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.rooms import Room, Shape
 from clrelight.codec.streams import ArraySource, Source, Target
 from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
+from clrelight.codec.transforms.colour import METRICS, RADIANCE, check_metric
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import STEP_RANGE
 from clrelight.codec.views import View
@@ -56,6 +57,10 @@ class Klt(PartsCodec):
         unless those of radiance leave less error of code values: a degree holds the bent function less well, which
         counts at fine steps and for few lights. Decoding gives linear radiance with either.
 
+    metric : str
+        ``"radiance"``: errors cost the same in every channel, as PSNR counts them. ``"perceptual"``: they cost what
+        they are in CIELAB, where colours are worth twice as much, which at low rates keeps them.
+
     One of rate, byte_budget and step is given; by default the rate is 0.1.
     """
 
@@ -68,6 +73,7 @@ class Klt(PartsCodec):
     byte_budget: int | None = None
     step: float | None = None
     transfer: str | None = None
+    metric: str = RADIANCE
 
     def __post_init__(self) -> None:
         given = [name for name in ("rate", "byte_budget", "step") if getattr(self, name) is not None]
@@ -83,6 +89,8 @@ class Klt(PartsCodec):
             raise InputError(f"klt step must be {STEP_RANGE[0]:g} to {STEP_RANGE[1]:g}, got {self.step!r}")
         if self.transfer is not None and self.transfer not in TRANSFERS:
             raise InputError(f"klt transfer must be one of {', '.join(TRANSFERS)}, got {self.transfer!r}")
+        if self.metric not in METRICS:
+            raise InputError(f"klt metric must be one of {', '.join(METRICS)}, got {self.metric!r}")
 
     def for_transfer(self, transfer: str) -> Klt:
         """See `Codec`."""
@@ -104,6 +112,7 @@ class Klt(PartsCodec):
     def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`; the step chosen and the number of planes are reported."""
         shape, device = source.shape, source.device
+        check_metric(self.metric, shape[3])
         if self.transfer != "srgb":
             content, info = self._encode_as(Pixels(source), source.room)
         elif 4 * math.prod(shape) <= _WHOLE_BYTES:
@@ -150,7 +159,7 @@ class Klt(PartsCodec):
     def _encode_as(self, pixels: Pixels, room: Room, transfer: str | None = None) -> tuple[bytes, dict[str, float]]:
         """Return the body; `transfer` is what it says of its values where they are bent already."""
         shape = pixels.shape
-        encoder = Encoder(pixels, transfer or pixels.transfer, room.memory_bytes, room.tell)
+        encoder = Encoder(pixels, transfer or pixels.transfer, self.metric, room.memory_bytes, room.tell)
         if self.step is not None:
             body, info = encoder.encode(self.step)
             return add_ballast(body, shape), info

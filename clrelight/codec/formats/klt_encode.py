@@ -30,6 +30,7 @@ from clrelight.codec.formats.klt_units import (
     pack_body,
 )
 from clrelight.codec.rooms import Progress
+from clrelight.codec.transforms.colour import RADIANCE, colour_axes
 from clrelight.codec.transforms.lifting import transform_planes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
@@ -57,6 +58,8 @@ class Encoder:
         The map.
     transfer : str
         The curve behind which what `pixels` gives is.
+    metric : str
+        One of `clrelight.codec.transforms.colour.METRICS`: which errors cost alike.
     memory : int
         Bytes that the planes of a tile may take.
     progress : callable
@@ -69,6 +72,7 @@ class Encoder:
         self,
         pixels: Pixels,
         transfer: str,
+        metric: str = RADIANCE,
         memory: int = 1 << 30,
         progress: Progress = lambda done, total: None,
     ) -> None:
@@ -76,7 +80,7 @@ class Encoder:
         shape, self._transfer = pixels.shape, transfer
         self._shape, self._pixels, self._device, self._memory = shape, pixels, pixels.device, memory
         self._n_pixel = shape[1] * shape[2]
-        self._whitening = whitening_of(shape, pixels.coefficients)
+        self._whitening = whitening_of(shape, pixels.coefficients, colour_axes(metric, transfer))
         largest = float(np.abs(self._whitening.mean_d).max())
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)

@@ -67,21 +67,29 @@ class Whitening:
         return solution @ self.forward_dq, solution @ self.mean_d
 
 
-def whitening_of(shape: tuple[int, int, int, int], read: ReadPart) -> Whitening:
-    """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does."""
+def whitening_of(
+    shape: tuple[int, int, int, int], read: ReadPart, turn_dc: NDArray[np.float64] | None = None
+) -> Whitening:
+    """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does.
+
+    Errors along the rows of `turn_dc` cost alike; by default those of the channels do, in the rows of a rotation.
+    """
     pixels_pkc = _sample(shape, read)
     with on_one_thread():
-        return _whiten(pixels_pkc, shape[0], shape[3])
+        return _whiten(pixels_pkc, shape[0], shape[3], turn_dc)
 
 
-def _whiten(pixels_pkc: NDArray[np.float64], n_coeff: int, channel: int) -> Whitening:
+def _whiten(
+    pixels_pkc: NDArray[np.float64], n_coeff: int, channel: int, wanted_dc: NDArray[np.float64] | None
+) -> Whitening:
     largest = float(np.abs(pixels_pkc).max())
     exponent = int(np.clip(np.frexp(largest)[1], -126, 126)) if largest else 0
     forward_jk = np.ldexp(hemisphere_metric(n_coeff, AXES).forward_jk, -exponent)
     turned_pjc = np.einsum("jk,pkc->pjc", forward_jk, pixels_pkc, optimize=True)
-    flat = turned_pjc.reshape(-1, channel)
-    _, axes = np.linalg.eigh(flat.T @ flat)
-    rotation_cc = np.rint(ROTATION_UNIT * axes[:, ::-1].T).astype(np.int8)
+    if wanted_dc is None:
+        flat = turned_pjc.reshape(-1, channel)
+        wanted_dc = np.linalg.eigh(flat.T @ flat)[1][:, ::-1].T
+    rotation_cc = np.rint(ROTATION_UNIT * wanted_dc).astype(np.int8)
     turn_dc = rotation_cc / ROTATION_UNIT
     forward_dq = np.einsum("dc,jk->djkc", turn_dc, forward_jk).reshape(channel * len(forward_jk), n_coeff * channel)
     pixels_pd = np.einsum("pjc,dc->pdj", turned_pjc, turn_dc, optimize=True).reshape(len(turned_pjc), -1)
