@@ -1,5 +1,6 @@
 """What holds for every fit: sample types, tiles, order of pixels, masks, held-out lights, wrong requests."""
 
+import gc
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -269,3 +270,17 @@ def test_wrong_samples_are_named(device):
     stack.images_ihwc[6, 3, 2, 1] = np.nan
     with pytest.raises(InputError, match="image 6 is nan at row 3, column 2, channel 1"):
         fit(stack, "cls", 2, memory=4000)
+
+
+@pytest.mark.parametrize("method", ["uls", "cls", "ceb", "spline", "spectrum"])
+def test_what_a_fit_held_goes_with_it(device, method):
+    """Not when Python looks for circles: until then every fit would take new memory from the system, which is slow."""
+    prepared = prepare_fit(make_stack(), method, 3, device=device)
+    collect_fit(prepared)
+    gc.collect()
+    gc.disable()
+    try:
+        collect_fit(prepared)
+        assert gc.collect() == 0
+    finally:
+        gc.enable()

@@ -55,15 +55,16 @@ class TileFit:
 
     def __init__(self, prepared: PreparedFit, curve: SampleCurve, coeffs_of: list[Buffer]) -> None:
         self._prepared, self._device = prepared, prepared.device
-        self._dtype = compute_dtype(prepared.precision)
+        dtype = self._dtype = compute_dtype(prepared.precision)
         # Fresh memory costs a page fault per 4 KiB, as much time as a kernel.
         self._coeffs_of = itertools.cycle(coeffs_of)
         self._components, self._energies, self._unrounded = Buffer(), Buffer(), Buffer()
         self._one_pass_of = functools.cache(
             lambda curve: prepared.method.one_pass(prepared.device, prepared.plan, curve, prepared.precision)
         )
+        # Neither of the two knows this object: its memory must go with it, not when Python looks for circles.
         self._operators = functools.cache(
-            lambda: _Operators.upload(prepared.device, prepared.plan, curve.operator_scale(), self._dtype)
+            lambda: _Operators.upload(prepared.device, prepared.plan, curve.operator_scale(), dtype)
         )
 
     def run(self, first: int, end: int, scaled: ScaledTile, since: float, columns: slice = slice(None)) -> FittedTile:
