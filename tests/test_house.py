@@ -20,7 +20,7 @@ FLOORS = [
         *("image_sink", "images", "radiance_header"),
     },
     {"fit", "codec", "lighting", "metrics", "relight"},
-    {"store", "export", "ingest", "results", "selftest", "selftest_photographs", "truth"},
+    {"store", "export", "ingest", "results", "selftest", "selftest_packing", "selftest_photographs", "truth"},
     {"jobs"},
     {"experiment"},
     {"report", "speed"},

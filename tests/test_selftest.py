@@ -25,7 +25,7 @@ def test_everything_holds(device, short):
     assert {s.part for s in statements} == {
         *("basis", "cls", "ceb", "uls", "spline", "half", "uniform", "wavelet", "relight", "psnr"),
         *("cls single", "cls double", "ceb double", "spline double"),
-        *("cls newton", "cls bisection", "cls paper", "s3tc", "bc6h", "vq", "projection", "irradiance"),
+        *("cls newton", "cls bisection", "cls paper", "s3tc", "bc6h", "vq", "projection", "irradiance", "curve", "klt"),
     }
     limits = {s.limit for s in statements if s.part == "cls double" and s.what.startswith("image error")}
     assert limits == {2e-7}

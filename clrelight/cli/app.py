@@ -38,6 +38,11 @@ def cli() -> None:
     """Fit, compress, relight and measure image stacks of one view under many lights.
 
     \b
+    From photographs to a file, and an image of it:
+      clrelight pack photos/ view.h5 --lights lights.lp --transfer srgb
+      clrelight relight view.h5 relit.png --light 0.3,0.1,2
+
+    \b
     From photographs to a table:
       clrelight ingest photos/ stack.h5 --lights lights.lp
       clrelight bench stack.h5 --out results.h5

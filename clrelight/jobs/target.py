@@ -100,8 +100,7 @@ def encode_to_quality(
     by_target = target_psnr is not None
     best = measure(coefficients)
     place = "at unseen lights" if len(held) else "at the fitted lights"
-    if target_psnr is None:
-        target_psnr = best - loss
+    target_psnr = best - loss if target_psnr is None else target_psnr
     if best < target_psnr:
         raise InputError(
             f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: fit with another method "
