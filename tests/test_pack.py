@@ -12,11 +12,16 @@ from clrelight.codec import decode, decode_regions
 from clrelight.codec.views import Region
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
+from clrelight.fit import prepare_fit
 from clrelight.images import write_image
 from clrelight.jobs import measure_parts as parts_module
+from clrelight.jobs import packing
+from clrelight.jobs.fitted_source import fitted_source
 from clrelight.jobs.measure_parts import measure_parts, sample_windows
+from clrelight.jobs.report import Report
 from clrelight.sampling import make_pattern
 from clrelight.store import open_stack, write_stack
+from clrelight.store.scratch import scratch_room
 from tests.commands import call, succeed
 from tests.stacks import make_samples
 
@@ -108,6 +113,22 @@ def test_a_quality_is_met(stack, tmp_path):
     better = cr.pack(stack, tmp_path / "p.h5", method="spline", degree=3, holdout=5, target_psnr=28)
     assert 28 <= better.psnr["pooled_holdout"] <= 28.4
     assert least < better.facts["bytes_on_disk"]
+
+
+def test_pieces_of_a_narrow_image_are_all_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(parts_module, "_WINDOW", 64)
+    monkeypatch.setattr(packing, "_MOSAIC_VALUES", 16 * 3 * 20 * 32 * 6)
+    stack = LightStack(codes(700, 20), make_pattern("uniform", LIGHTS), 255.0)
+    prepared = prepare_fit(stack, "spline", 3)
+    with scratch_room(tmp_path, 1 << 20) as room, fitted_source(prepared, room) as source:
+        split = (np.arange(LIGHTS), np.arange(0))
+        job = packing.Pack(stack, split, prepared, packing.Size(), "radiance", room, Report(), None)
+        fitted, mosaic = job._mosaic(source)
+    windows = sample_windows(stack, 20 * 32 * 6)
+    assert len(windows) > 3
+    expected = np.concatenate([stack.images_ihwc[:, w.top : w.bottom, w.left : w.right] for w in windows], axis=2)
+    np.testing.assert_array_equal(mosaic.images_ihwc, expected)
+    assert fitted.image_shape == mosaic.image_shape
 
 
 def test_coding_costs_what_it_may(stack, tmp_path):

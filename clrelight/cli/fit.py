@@ -14,6 +14,7 @@ from clrelight.cli.options import (
     is_given,
     json_option,
     memory_option,
+    within_option,
 )
 from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
@@ -44,14 +45,7 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "conf
 @click.option("--per", help="What shares one lambda (spline): stack or channel.")
 @click.option("--slope", type=float, help="Of the energy over degrees (spectrum); default: learnt.")
 @click.option("--noise", type=float, help="Its variance in units of the samples' (spectrum); default: learnt.")
-@click.option(
-    "--within",
-    type=float,
-    default=0.05,
-    show_default=True,
-    metavar="DB",
-    help="Decibels at unseen lights that auto may give for fewer coefficients.",
-)
+@within_option
 @click.option("--weights", default="uniform", show_default=True, help="uniform or solid-angle.")
 @click.option("--sampling", default="hemisphere", show_default=True, help="hemisphere or scattered (section V-D).")
 @click.option(

@@ -151,6 +151,14 @@ holdout_by_option = click.option(
     help="Which lights --holdout keeps out: every K-th as photographed (index, default), or blocks as large as the "
     "gaps between lights (place).",
 )
+within_option = click.option(
+    "--within",
+    type=float,
+    default=0.05,
+    show_default=True,
+    metavar="DB",
+    help="Decibels at unseen lights that auto may give for fewer coefficients.",
+)
 device_option = click.option(
     "--device",
     metavar="DEVICE",

@@ -15,6 +15,7 @@ from clrelight.cli.options import (
     holdout_option,
     json_option,
     memory_option,
+    within_option,
 )
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
@@ -48,14 +49,7 @@ from clrelight.cli.psnr import psnr_lines
     "--method", default="auto", show_default=True, help="auto, or a method of fit: spectrum, spline, cls, ..."
 )
 @click.option("--degree", type=DegreeType(), default="auto", show_default=True, help="Largest SH degree, or auto.")
-@click.option(
-    "--within",
-    type=float,
-    default=0.05,
-    show_default=True,
-    metavar="DB",
-    help="Decibels at unseen lights that auto may give for fewer coefficients.",
-)
+@within_option
 @holdout_option("the fit")
 @holdout_by_option
 @click.option(

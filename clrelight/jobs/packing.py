@@ -217,7 +217,7 @@ class Pack:
             for window in windows:
                 rows, columns = (window.top, window.bottom), (window.left, window.right)
                 coeffs.append(np.array(source.read_part(rows, columns)))
-                images.append(bands.part(rows, columns))
+                images.append(bands.part(rows, columns).copy())  # whole rows are lent for a while only
                 if stack.mask_hw is not None:
                     masks.append(stack.mask_hw[slice(*rows), slice(*columns)])
         mosaic = replace(
