@@ -58,8 +58,11 @@ def main() -> None:
 
 def _run(prefix: list[str], device: str, folder: Path) -> dict[str, object]:
     folder.mkdir()
-    # A cache of its own: kernels of the true processor are no use to another.
+    # A cache of its own: kernels of the true processor are no use to another. OpenBLAS is told the emulated one, of which
+    # it takes some for one with AVX.
     environment = {**os.environ, "CLRELIGHT_CACHE": str(folder)}
+    if prefix:
+        environment["OPENBLAS_CORETYPE"] = prefix[-1]
     start = time.perf_counter()
     words = [*prefix, sys.executable, "-c", _JOB, device, str(folder / "fit.npy")]
     ended = subprocess.run(words, env=environment, capture_output=True, text=True)
