@@ -58,8 +58,8 @@ def main() -> None:
 
 def _run(prefix: list[str], device: str, folder: Path) -> dict[str, object]:
     folder.mkdir()
-    # A cache of its own: kernels of the true processor are no use to another. OpenBLAS is told the emulated one, of which
-    # it takes some for one with AVX.
+    # A cache of its own: kernels of the true processor are no use to another. OpenBLAS is told the emulated one, for it
+    # takes some for others, with AVX.
     environment = {**os.environ, "CLRELIGHT_CACHE": str(folder)}
     if prefix:
         environment["OPENBLAS_CORETYPE"] = prefix[-1]
