@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 
 import numpy as np
 import OpenImageIO as oiio
@@ -256,6 +257,61 @@ def test_windows_lie_apart_in_the_image(shape, most):
         seen[window.top : window.bottom, window.left : window.right] += 1
     assert seen.max() == 1
     assert sum(w.shape[0] * w.shape[1] for w in windows) == seen.sum()
+
+
+def test_a_large_image_is_the_same_each_time_and_in_chunks(tmp_path, device):
+    """Of several tiles, at the usual memory: photographs are read ahead while the device makes planes of others."""
+    directions = make_pattern("uniform", 8)
+    images = np.tile(codes(300, 390, 8), (1, 4, 4, 1))
+    images += np.random.default_rng(0).integers(0, 9, images.shape, np.uint8)
+    stack = LightStack(images, directions, 300.0, "srgb")
+    write_stack(tmp_path / "s.h5", stack)
+    with open_stack(tmp_path / "s.h5") as stored:
+        kept = [
+            cr.pack(each, tmp_path / f"{n}.h5", method="spline", degree=4, rate=0.3, measure="none")
+            for n, each in enumerate([stack, stored, stack, stack])
+        ]
+    assert "fit" not in kept[0].seconds
+    first = payload(tmp_path / "0.h5")
+    assert [payload(tmp_path / f"{n}.h5") == first for n in (1, 2, 3)] == [True] * 3
+
+
+@pytest.mark.parametrize("name", ["IMG_03.png", "dome.lp", "mask.png"])
+@pytest.mark.parametrize("kept", [False, True])
+def test_no_photograph_light_or_mask_is_written_over(folder, tmp_path, name, kept):
+    place = tmp_path / "photos"
+    shutil.copytree(folder, place)
+    write_image(tmp_path / "mask.png", np.full((HEIGHT, WIDTH, 1), 255, np.uint8))
+    target = (tmp_path if name == "mask.png" else place) / name
+    before = target.read_bytes()
+    words = ["--mask", tmp_path / "mask.png", *(["--keep-stack", tmp_path / "kept.h5"] if kept else [])]
+    ended = call("pack", place, target, *words, "--degree", 2)
+    assert (ended.code, "that is the input" in ended.err) == (2, True), ended
+    assert target.read_bytes() == before
+    assert not (tmp_path / "kept.h5").exists()
+
+
+@pytest.mark.parametrize("size", [{"loss": 0.5}, {"target_psnr": 30.0}, {"rate": 0.5}])
+def test_a_mask_that_leaves_a_corner_is_measured_there(tmp_path, monkeypatch, size):
+    monkeypatch.setattr(parts_module, "_WINDOW", 32)
+    monkeypatch.setattr(packing, "SAMPLED_FROM", 0)
+    monkeypatch.setattr(packing, "_MOSAIC_VALUES", 27 * 32 * 32 * 4)
+    mask = np.zeros((300, 400), bool)
+    mask[-3:, -2:] = True
+    stack = LightStack(codes(300, 400), make_pattern("uniform", LIGHTS), 255.0, mask_hw=mask)
+    report = cr.pack(stack, tmp_path / "p.h5", method="spline", degree=2, **size)
+    assert np.isfinite(report.psnr["pooled_fitted"])
+    assert report.psnr["sampled"] == 1.0
+
+
+def test_a_quality_that_is_passed_at_the_coarsest_step(tmp_path):
+    white = LightStack(np.full((LIGHTS, 20, 24, 3), 255, np.uint8), make_pattern("uniform", LIGHTS), 255.0)
+    report = cr.pack(white, tmp_path / "p.h5", method="spline", degree=2, target_psnr=40)
+    assert report.psnr["pooled_fitted"] >= 40
+    stack = LightStack(codes(), make_pattern("uniform", LIGHTS), 255.0)
+    report = cr.pack(stack, tmp_path / "p.h5", method="spline", degree=2, target_psnr=1)
+    assert report.psnr["pooled_fitted"] >= 1
+    assert any("is the nearest to 1 dB" in note for note in report.notes)
 
 
 def test_a_sample_that_is_no_radiance_is_named(tmp_path):

@@ -80,6 +80,22 @@ def test_bands_give_parts(tmp_path, monkeypatch, kind, band_bytes):
                 np.testing.assert_array_equal(bands.part(rows, columns), expected[:, slice(*rows), slice(*columns)])
 
 
+def test_rows_that_were_lent_last_stay_as_they_are():
+    """A device may still read them while the next ones come, read ahead or not."""
+    images = make_images()
+    stack = LightStack(images, make_pattern("uniform", 20), 255.0)
+    every = (0, 37)
+    with bands_of(stack) as bands:
+        last, of = bands.part((0, 2), every), (0, 2)
+        for rows in [(2, 4), (4, 5), (0, 3), (3, 6), (6, 7), (9, 11), (1, 2), (2, 3), (3, 5), (5, 13)]:
+            following = bands.part(rows, every)
+            if bands._ahead is not None:
+                bands._ahead[1].result()  # whatever is read ahead is there by now
+            np.testing.assert_array_equal(last, images[:, slice(*of)])
+            last, of = following, rows
+            np.testing.assert_array_equal(last, images[:, slice(*of)])
+
+
 def test_scratch_images_are_indexed_as_arrays():
     images = make_images(6)
     with tempfile.TemporaryDirectory() as folder:

@@ -39,14 +39,15 @@ class Bands:
         self._held: dict[int, NDArray] = {}
         self._coming: tuple[int, Future[NDArray]] | None = None
         self._ahead: tuple[tuple[int, int], Future[NDArray]] | None = None
-        # One is returned, one was before it, which a device may still read, and one is being filled.
-        self._buffers = itertools.cycle([Buffer(), Buffer(), Buffer()])
+        # What was returned last, which a device may still read; what was read ahead, wanted or not; what is returned
+        # now; and what is read ahead then.
+        self._buffers = itertools.cycle([Buffer() for _ in range(4)])
         self._has_chunks, self._width = chunks is not None, width
 
     def part(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
         """Return samples (n_light, rows, columns, channel), C-contiguous; those of floats are not looked at.
 
-        They are the caller's until two more parts have been asked for.
+        They are the caller's until the next part but one has been asked for.
         """
         first, end = rows
         if columns == (0, self._width) and not self._has_chunks:
@@ -63,7 +64,7 @@ class Bands:
             found = self._ahead[1].result()
         else:
             if self._ahead is not None:
-                self._ahead[1].result()  # its buffer is the next but one
+                self._ahead[1].result()
             found = self._read(first, end, next(self._buffers))
         following = (end, min(2 * end - first, self._height))
         self._ahead = None

@@ -20,7 +20,7 @@ from clrelight.jobs.inputs import path_text
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
-from clrelight.store import open_stack
+from clrelight.store import check_output, open_stack
 from clrelight.store.scratch_images import ScratchImages
 
 DEFAULT_MEMORY = 1 << 30
@@ -90,7 +90,7 @@ def ingest(
     InputError
         Naming the file, line or light that is wrong.
     """
-    options = _checked(folder, options)
+    options = given_options(folder, options)
     kept, budget = report_for(report), count_bytes(memory)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="clrelight.") as place:
@@ -112,10 +112,15 @@ def lend_photographs(
     report: Report,
     progress: Progress | None,
     options: dict[str, Any],
+    out: str | os.PathLike[str],
 ) -> Iterator[LightStack]:
-    """Lend the photographs of a folder, read into a file without a name in the folder `place`; as `ingest`."""
-    since, options = time.perf_counter(), _checked(folder, options)
+    """Lend the photographs of a folder, read into a file without a name in the folder `place`; as `ingest`.
+
+    InputError if the file `out`, which is to be made of them, is one of those that are read.
+    """
+    since, options = time.perf_counter(), given_options(folder, options)
     found = read_folder(folder, memory_bytes=memory, **options)
+    check_output(out, found.inputs)
     plan = plan_memory(found.source, memory)
     images = ScratchImages(place, found.source.shape_ihwc, found.source.values.dtype)
     with closing(images):
@@ -127,7 +132,7 @@ def lend_photographs(
         yield replace(found.stack, images_ihwc=images)
 
 
-def _checked(folder: str | os.PathLike[str], options: dict[str, Any]) -> dict[str, Any]:
+def given_options(folder: str | os.PathLike[str], options: dict[str, Any]) -> dict[str, Any]:
     """Return the options that are given; InputError for those that there are not."""
     path_text(folder, "a folder")
     for name in options:

@@ -94,7 +94,10 @@ def _tiles(stack: LightStack, n_coeff: int) -> Iterator[Region]:
 
 
 def sample_windows(stack: LightStack, most: int | None = None) -> list[Region]:
-    """Return windows of at most so many pixels in rows and columns, each anywhere in its cell; always the same ones."""
+    """Return windows of at most so many pixels, but one, all over the image, or all over what a mask leaves of it.
+
+    They are in rows and columns, each anywhere in its cell; always the same ones.
+    """
     height, width, _ = stack.image_shape
     most = _WINDOWS * _WINDOW**2 if most is None else most
     if height * width <= most:
@@ -102,6 +105,8 @@ def sample_windows(stack: LightStack, most: int | None = None) -> list[Region]:
     side = _WINDOW if most >= _FEW * _WINDOW**2 else _WINDOW // 2
     high, wide = min(side, height), min(side, width)
     count = max(most // (high * wide), 1)
+    if stack.mask_hw is not None:
+        return _masked_windows(stack.mask_hw, high, wide, count)
     across = max(min(round(math.sqrt(count * width / height)), width // wide, count), 1)
     down = max(min(count // across, height // high), 1)
     rng, regions = np.random.default_rng(0), []
@@ -112,3 +117,17 @@ def sample_windows(stack: LightStack, most: int | None = None) -> list[Region]:
             left = int(rng.integers(column * width // across, (column + 1) * width // across - wide + 1))
             regions.append(Region(top, left, top + high, left + wide))
     return regions
+
+
+def _masked_windows(mask_hw: NDArray[np.bool_], high: int, wide: int, count: int) -> list[Region]:
+    """Return windows that hold pixels that count, at even distances among all that do."""
+    height, width = mask_hw.shape
+    found = []
+    for row in range(0, height, high):
+        for column in range(0, width, wide):
+            top, left = min(row, height - high), min(column, width - wide)  # those at the edge reach into others
+            part = Region(top, left, top + high, left + wide)
+            if mask_hw[part.top : part.bottom, part.left : part.right].any():
+                found.append(part)
+    chosen = np.unique(np.linspace(0, len(found) - 1, min(count, len(found))).round().astype(int))
+    return [found[at] for at in chosen]

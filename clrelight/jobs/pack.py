@@ -11,20 +11,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from clrelight.codec.transforms.colour import METRICS, RADIANCE
+from clrelight.codec.transforms.colour import METRICS, RADIANCE, check_metric
 from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit import prepare_fit
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
-from clrelight.jobs.ingest import ingest, lend_photographs
+from clrelight.ingest import read_folder
+from clrelight.jobs.ingest import given_options, ingest, lend_photographs
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.packing import Pack, Size
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
-from clrelight.store import write_encoded
+from clrelight.store import check_output, write_encoded
 from clrelight.store.scratch import scratch_room
 
 MEASURES = ("auto", "all", "sample", "none")
@@ -110,6 +111,8 @@ def pack(
         raise InputError(f"measure must be one of {', '.join(MEASURES)}, got {measure!r}")
     if metric not in METRICS:
         raise InputError(f"metric must be one of {', '.join(METRICS)}, got {metric!r}")
+    if keep_stack is not None and os.path.abspath(keep_stack) == os.path.abspath(out):
+        raise InputError(f"the stack that is kept and the packed file have the same name, {os.fsdecode(out)}")
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     with (
@@ -118,6 +121,7 @@ def pack(
         _photographs(source, out, keep_stack, budget, options, kept, progress) as stack,
         scratch_room(Path(os.fsdecode(out)).parent, budget) as room,
     ):
+        check_metric(metric, stack.image_shape[2])
         split = rule.split(stack.directions_i3)
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         unseen = stack.directions_i3[split[1]] if len(split[1]) else None
@@ -156,10 +160,11 @@ def _photographs(
         return
     if keep_stack is None:
         folder = Path(os.fsdecode(out)).parent
-        with lend_photographs(source, folder, memory, report, progress, options) as stack:
+        with lend_photographs(source, folder, memory, report, progress, options, out) as stack:
             yield stack
         return
     reading = Report(tell=report.note)
+    check_output(out, read_folder(source, memory_bytes=memory, **given_options(source, options)).inputs)
     ingest(source, keep_stack, memory=memory, progress=progress, report=reading, **options)
     report.seconds |= reading.seconds
     with lend_stack(keep_stack, report) as stack:

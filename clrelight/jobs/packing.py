@@ -14,6 +14,7 @@ import numpy as np
 
 from clrelight.codec import Encoded, array_source, codec_class, decode_regions, encode_stream
 from clrelight.codec.streams import Source
+from clrelight.codec.transforms.principal import STEP_RANGE
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
 from clrelight.fit import PreparedFit
@@ -37,6 +38,8 @@ _LEAST_BYTES = 4096
 _CORRECTIONS = 2
 _MOSAIC_VALUES = 1 << 25
 """Coefficients of the pieces at which a step is found."""
+_NO_ERROR = 200.0
+"""Decibel that images without any error count for."""
 _STEP_PER_DECIBEL = 0.5
 """Logarithm of the step, base 2, for a decibel."""
 
@@ -114,12 +117,12 @@ class Pack:
     def encode(self, out: str | os.PathLike[str], measure: str) -> Encoded:
         """Return the encoding, measured as is asked for."""
         height, width, _ = self.stack.image_shape
-        sampled = measure == "sample" or (measure == "auto" and height * width > SAMPLED_FROM)
+        mask_hw = self.stack.mask_hw
+        n_pixel = height * width if mask_hw is None else int(mask_hw.sum())
+        sampled = measure == "sample" or (measure == "auto" and n_pixel > SAMPLED_FROM)
         with self._source() as source:
             if not self.size.is_quality:
                 overhead = container_bytes(self.prepared.record, source.shape)
-                mask_hw = self.stack.mask_hw
-                n_pixel = height * width if mask_hw is None else int(mask_hw.sum())
                 encoded = self._code(source, self.size.options(overhead, n_pixel))
             else:
                 encoded = self._reach(source, sampled)
@@ -196,12 +199,13 @@ class Pack:
             found = self._measure(encoded, sampled)
             tried.append((step, found, encoded))
             self.report.note(f"tried step {step:.4g}: {encoded.encoded_bytes} bytes, {found:.2f} dB")
-            if 0.0 <= found - target <= TOLERANCE:
+            next_step = _next_step(tried, target + TOLERANCE / 3)
+            if 0.0 <= found - target <= TOLERANCE or next_step == step:
                 break
-            step = _next_step(tried, target + TOLERANCE / 3)
+            step = next_step
         reached = [each for each in tried if each[1] >= target]
         best = min(reached, key=lambda each: each[2].encoded_bytes) if reached else max(tried, key=lambda each: each[1])
-        if not reached:
+        if not 0.0 <= best[1] - target <= TOLERANCE:
             self.report.note(f"{best[1]:.2f} dB is the nearest to {target:g} dB that was found")
         if best is not tried[-1]:
             self._measure(best[2], sampled)
@@ -231,7 +235,8 @@ class Pack:
 def _next_step(tried: list[tuple[float, float, Encoded]], target: float) -> float:
     """Return the step at which the PSNR is about the target, by the line through the last two that were tried."""
     slope = -1.0 / _STEP_PER_DECIBEL
-    if len(tried) > 1 and tried[-1][1] != tried[-2][1]:
+    if len(tried) > 1 and tried[-1][1] != tried[-2][1] and math.isfinite(tried[-1][1]) and tried[-1][0] != tried[-2][0]:
         measured = (tried[-1][1] - tried[-2][1]) / math.log2(tried[-1][0] / tried[-2][0])
         slope = min(max(measured, -8.0), -0.25)
-    return tried[-1][0] * 2.0 ** ((target - tried[-1][1]) / slope)
+    step = tried[-1][0] * 2.0 ** ((target - min(tried[-1][1], _NO_ERROR)) / slope)
+    return min(max(step, STEP_RANGE[0]), STEP_RANGE[1])
