@@ -133,7 +133,9 @@ class Encoder:
         _, height, width, _ = self._shape
         count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
         planes = self._whitening.exact(count)
-        self._pieces = [self._take_part(window, None, planes) for window in list_pieces(height, width, count)]
+        self._pieces = [
+            self._take_part(window, None, planes) for window in list_pieces(height, width, count, self._memory)
+        ]
         self._prepared = count
 
     def _take_part(self, window: Window, tile: Tile | None, planes: Planes, *, lent: bool = False) -> Part:

@@ -17,8 +17,8 @@ from clrelight.opencl.arguments import DeviceArray
 _WHOLE = 1 << 19
 """Pixels up to which a map is tried as a whole; of larger ones, pieces."""
 _PIECE, _PIECES = 128, 48
-_MAX_TRIED = 1 << 26
-"""Values of the planes that are tried at once: what bounds memory."""
+_LEAST_TRIED, _MAX_TRIED = 1 << 22, 1 << 26
+"""Values of the planes that are tried at once: what bounds memory, of which they take an eighth."""
 _MAX_TRIALS, _MAX_LAST = 24, 7
 PRICES = (0.03, 0.6)
 """The range of prices by which the tiles of a large map meet a budget."""
@@ -111,12 +111,13 @@ def search_step(
     return max(below, key=lambda pair: pair[1])[0] if below else min(tried, key=lambda pair: pair[1])[0]
 
 
-def list_pieces(height: int, width: int, count: int) -> list[Window]:
+def list_pieces(height: int, width: int, count: int, memory: int) -> list[Window]:
     """Return what of a map is tried: all of it, or pieces that lie all over it."""
-    if height * width <= _WHOLE and height * width * count <= _MAX_TRIED:
+    tried = min(max(memory // 8, _LEAST_TRIED), _MAX_TRIED)
+    if height * width <= _WHOLE and height * width * count <= tried:
         return [Window(0, 0, height, width)]
     side_h, side_w = min(_PIECE, height), min(_PIECE, width)
-    most = max(min(_PIECES, _MAX_TRIED // (side_h * side_w * max(count, 1))), 1)
+    most = max(min(_PIECES, tried // (side_h * side_w * max(count, 1))), 1)
     across = min(max(round((most * width / height) ** 0.5), 1), most, max(width // side_w, 1))
     down = max(min(most // across, height // side_h), 1)
     tops = [int((height - side_h) * (i + 0.5) / down) & ~31 for i in range(down)]
