@@ -7,7 +7,8 @@ import pytest
 
 from clrelight.codec import encode
 from clrelight.codec.entropy.unit_streams import FLAGS, Tables, decode_streams, default_tables, encode_streams
-from clrelight.codec.entropy.units import LEVELS, Window, lay_out, list_tiles, list_units
+from clrelight.codec.entropy.units import LEVELS, Window, lay_out, list_tiles, list_units, low_side
+from clrelight.codec.formats import klt_regions
 from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_decode import UnitView, decode_region
 from clrelight.codec.formats.klt_encode import Encoder
@@ -144,6 +145,26 @@ def test_a_region_is_a_part_of_the_whole(device, large):
     for top, left, bottom, right in [(0, 0, 1, 1), (500, 500, 530, 525), (511, 513, 1025, 1100), (900, 0, 1100, 1300)]:
         part = decode_region(body, parsed, coeffs.shape, Region(top, left, bottom, right), device)
         np.testing.assert_allclose(part, whole[:, top:bottom, left:right], atol=2e-6)
+
+
+@pytest.mark.parametrize("at_once", [1, 4_000_000, 30_000_000])
+@pytest.mark.parametrize("level", [0, 1, 3, 5])
+def test_a_region_in_parts_is_the_same(device, large, monkeypatch, at_once, level):
+    """As where its planes are more than a device holds at once."""
+    coeffs, body, parsed = large
+    regions = [Region(0, 0, low_side(1100, level), low_side(1300, level), level), Region(3, 1, 34, 40, level)]
+    light = np.array([[0.36, 0.48, 0.8]])
+
+    def decoded():
+        view = UnitView(body, parsed, coeffs.shape)
+        for region in regions:
+            yield decode_region(body, parsed, coeffs.shape, region, device)
+            yield view.relight_region(light, region, device)
+
+    expected = list(decoded())
+    monkeypatch.setattr(klt_regions, "_AT_ONCE", at_once)
+    for found, wanted in zip(decoded(), expected, strict=True):
+        np.testing.assert_allclose(found, wanted, atol=2e-6)
 
 
 def test_a_region_reads_few_units(device, large):

@@ -16,6 +16,8 @@ from clrelight.codec.views import Region
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 
+_AT_ONCE = 1 << 31
+"""Bytes of planes that are decoded at once."""
 _REACH = 6
 """Samples of a subband beyond a region that its synthesis looks at: half of the next finer, and three, rounded up."""
 
@@ -51,8 +53,11 @@ class UnitReader:
         return self._synthesised(region, np.ascontiguousarray(weight_cj.T, np.float32))
 
     def _synthesised(self, region: Region, weight_jc: NDArray[np.float32] | None) -> NDArray[np.float32]:
-        """Decode the units of a region, and transform their planes or sums back."""
+        """Decode the units of a region, and transform their planes or sums back; part by part where they are many."""
         level = region.level
+        if (halves := self._halves(region)) is not None:
+            parts = [self._synthesised(half, weight_jc) for half in halves]
+            return np.concatenate(parts, axis=1 if halves[0].shape[1] == region.shape[1] else 2)
         decoded, rooms = self._decode(region, weight_jc)
         window = _around(region, *self._shape[1:3])
         values = self._device.hold(_crop(decoded, rooms, window, level))
@@ -68,6 +73,23 @@ class UnitReader:
         part = found[:, top : top + region.shape[0], left : left + region.shape[1]]
         # Every level of the transform doubles what is even: an image at a level is a mean.
         return np.ascontiguousarray(part) if not level else part * np.float32(0.5**level)
+
+    def _halves(self, region: Region) -> tuple[Region, Region] | None:
+        """Return two parts of a region whose planes of all levels, and of what lies around, a device may not hold."""
+        top, left, bottom, right = region.top, region.left, region.bottom, region.right
+        level, least = region.level, PRECINCT >> region.level
+        sides = [(side << level) + 2 * PRECINCT for side in region.shape]
+        count = max(self._parsed.head.n_plane, 1)
+        fits = 4 * count * sides[0] * sides[1] <= min(_AT_ONCE, self._device.info.memory_bytes // 4)
+        if fits or is_together(self._shape) or max(region.shape) <= least:
+            return None
+        if region.shape[0] >= region.shape[1]:
+            middle = (top + bottom) // 2 // least * least
+            middle = middle if top < middle < bottom else top + least
+            return Region(top, left, middle, right, level), Region(middle, left, bottom, right, level)
+        middle = (left + right) // 2 // least * least
+        middle = middle if left < middle < right else left + least
+        return Region(top, left, bottom, middle, level), Region(top, middle, bottom, right, level)
 
     def _decode(self, region: Region, weight_jc: NDArray[np.float32] | None) -> tuple[NDArray, Window]:
         """Return indices, or sums, in a window of whole units; what the region needs is in them."""
