@@ -150,7 +150,8 @@ class UnitView:
         if count:
             reader = UnitReader(self._body, self._parsed, self._shape, device)
             sums = self._sums(reader, region, operator_mj[:, :count], device)
-        sums += operator_mj[:, count, None, None].astype(np.float32)
+        with np.errstate(over="ignore"):  # what no encoder wrote: it is refused below
+            sums += operator_mj[:, count, None, None].astype(np.float32)
         images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
         if self._parsed.head.transfer == "srgb":
             images = bent(images, device, decode=True)
