@@ -94,6 +94,15 @@ def test_the_user_names_a_processor_or_keeps_the_drivers_own(zen_4, monkeypatch)
     assert record.texts() == [TRIPLE, "znver2"]
 
 
+def test_another_drivers_record_is_changed_at_a_name_only(zen_4, monkeypatch):
+    """What comes behind the platform's name is something else there, a library's name for example."""
+    monkeypatch.setenv(PROCESSOR_VARIABLE, "haswell")
+    record = Record(TRIPLE, "kernel-library", "haswell")
+    assert name_processor(record.device, POCL, packaged=False) == ""
+    assert record.texts() == [TRIPLE, "kernel-library", "haswell"]
+    assert name_processor(Record(TRIPLE, "kernel-library", "znver3").device, POCL, packaged=False) == "haswell"
+
+
 @pytest.mark.parametrize("address", [0, 8, 2**47, 2**64 - 8])
 def test_memory_that_is_not_there_is_not_touched(zen_4, address):
     assert name_processor(SimpleNamespace(int_ptr=address), POCL, packaged=True) == ""

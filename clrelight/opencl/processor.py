@@ -59,7 +59,7 @@ def name_processor(device: Any, version: str, *, packaged: bool) -> str:
     wanted = os.environ.get(PROCESSOR_VARIABLE, "")
     if "PoCL" not in version or sys.platform != "linux" or wanted == DRIVERS_OWN:
         return ""
-    found = _find_name(device.int_ptr)
+    found = _find_name(device.int_ptr, packaged=packaged)
     if found is None:
         return ""
     place, own = found
@@ -87,11 +87,12 @@ def processor_features() -> frozenset[str]:
     return frozenset(next((line.partition(":")[2].split() for line in lines if line.startswith("flags")), ()))
 
 
-def _find_name(record: int) -> tuple[int, bytes] | None:
+def _find_name(record: int, *, packaged: bool) -> tuple[int, bytes] | None:
     """Return where PoCL's record of a device points to the processor's name, and that name.
 
-    The pointer comes right after that to ``x86_64-...``, LLVM's name of the platform. Memory is read through the
-    kernel, which refuses what is not mapped.
+    The pointer comes after that to ``x86_64-...``, LLVM's name of the platform: in the packaged PoCL right after, in
+    others where there is a name that needs another. Memory is read through the kernel, which refuses what is not
+    mapped.
     """
     try:
         memory = os.open("/proc/self/mem", os.O_RDONLY)
@@ -107,7 +108,7 @@ def _find_name(record: int) -> tuple[int, bytes] | None:
             for near in range(at + 1, min(at + 1 + _NEAR_WORDS, len(texts))):
                 if texts[near] == _UNKNOWN or texts[near].startswith(_OLDER_WITHOUT_WIDE):
                     return record + near * _POINTER.size, texts[near]
-            return (record + (at + 1) * _POINTER.size, texts[at + 1]) if at + 1 < len(texts) else None
+            return (record + (at + 1) * _POINTER.size, texts[at + 1]) if packaged and at + 1 < len(texts) else None
     return None
 
 
