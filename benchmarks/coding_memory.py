@@ -19,7 +19,7 @@ from clrelight.cli.tables import print_table
 from clrelight.dataset import FitRecord
 from clrelight.errors import InputError
 from clrelight.jobs.fit import fit
-from clrelight.speed.job import peak_memory
+from clrelight.jobs.memory import peak_memory
 from clrelight.store import create_fit
 from datasets_synth.ring import render_ring
 

@@ -45,7 +45,7 @@ class Scene:
 
     def __init__(self, width: int, height: int, seed: int = 0) -> None:
         rng = np.random.default_rng(seed)
-        self._width, self._height, self._rng = width, height, rng
+        self._width, self._height = width, height
         side = min(_RELIEF, max(width, height))
         self._relief = 12.0 * _fractal(rng, side, side, wrap=True)
         slope_y, slope_x = np.gradient(self._relief)

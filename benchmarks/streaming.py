@@ -21,7 +21,7 @@ from clrelight.cli.options import ByteCount, whole_number
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 from clrelight.fit import fit_tiles, prepare_fit
-from clrelight.speed.job import peak_memory
+from clrelight.jobs.memory import peak_memory
 from clrelight.store import StoredArray, open_stack
 
 _HEADERS = ("pixels", "compute (s)", "end to end (s)", "ratio", "CPU ratio", "ns per column", "peak (MiB)")

@@ -32,6 +32,7 @@ IMAGE_EXTENSIONS = frozenset(
 
 MAX_PIXELS = 1 << 31
 _LARGE_PIXELS = 1 << 22
+"""From so many on a PNG is packed fast rather than well."""
 BAND_BYTES = 8 << 20
 """Size of a band where the caller gives none: enough for the decoders that use several threads."""
 

@@ -271,7 +271,7 @@ def test_a_damaged_payload_leaves_nothing(coded, tmp_path):
 PEAK = """
 import contextlib, io, json, sys
 from clrelight.cli.app import run
-from clrelight.speed.job import peak_memory
+from clrelight.jobs.memory import peak_memory
 for words in json.loads(sys.argv[1]):
     with contextlib.redirect_stdout(io.StringIO()):
         assert run(words) == 0

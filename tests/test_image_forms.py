@@ -385,7 +385,7 @@ def test_bombs_are_refused_before_memory_is_taken(tmp_path):
         (tmp_path / folder / "light_directions.txt").write_text("0 0 1\n")
     before = sorted(path.name for path in tmp_path.iterdir())
     program = (
-        "import sys\nfrom clrelight.cli.app import run\nfrom clrelight.speed.job import peak_memory\n"
+        "import sys\nfrom clrelight.cli.app import run\nfrom clrelight.jobs.memory import peak_memory\n"
         "code = run(sys.argv[1:])\nprint(peak_memory() >> 20)\nsys.exit(code)"
     )
     for arguments in (

@@ -229,7 +229,7 @@ PEAK = """
 import sys
 from clrelight.cli.app import run
 code = run(sys.argv[1:])
-from clrelight.speed.job import peak_memory
+from clrelight.jobs.memory import peak_memory
 print(code, peak_memory())
 """
 

@@ -153,13 +153,14 @@ def _checked(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.flo
         raise InputError(str(error)) from None
     with np.errstate(over="ignore"):  # what float32 cannot hold is infinite now, and refused below
         coeffs = np.ascontiguousarray(given, dtype=np.float32)
-    if not all_finite(coeffs, device):
-        refuse_infinite(coeffs)
+    check_coefficients(coeffs, device)
     return coeffs
 
 
-def refuse_infinite(coeffs_khwc: NDArray[np.float32], first_row: int = 0) -> None:
-    """Raise InputError that names a coefficient which is not finite."""
+def check_coefficients(coeffs_khwc: NDArray[np.float32], device: Device, first_row: int = 0) -> None:
+    """Raise InputError that names a coefficient which is not finite, of rows from `first_row` on."""
+    if all_finite(coeffs_khwc, device):
+        return
     k, row, column, channel = (int(i) for i in np.argwhere(~np.isfinite(coeffs_khwc))[0])
     raise InputError(
         f"coefficient (k, row, column, channel) = {(k, first_row + row, column, channel)} is "

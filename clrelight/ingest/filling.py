@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Generator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -80,13 +81,10 @@ def fill_stack(images_ihwc: Any, source: Photographs, plan: Plan) -> Generator[i
             tasks = [
                 pool.submit(_decode_into, block_ihwc[i - start], source, i, plan.band_bytes) for i in range(start, stop)
             ]
-            try:
+            with _cancelling(tasks):
                 for done, task in enumerate(tasks, start=start + 1):
                     task.result()
                     yield done
-            finally:
-                for task in tasks:
-                    task.cancel()
             images_ihwc[start:stop, 0 : image_shape[0]] = block_ihwc[: stop - start]
 
 
@@ -99,13 +97,20 @@ def fill_scratch(images_ihwc: ScratchImages, source: Photographs, plan: Plan) ->
 
     with ThreadPoolExecutor(plan.workers) as pool:
         tasks = [pool.submit(copy, light) for light in range(len(source.headers))]
-        try:
+        with _cancelling(tasks):
             for done, task in enumerate(tasks, start=1):
                 task.result()
                 yield done
-        finally:
-            for task in tasks:
-                task.cancel()
+
+
+@contextmanager
+def _cancelling(tasks: Sequence[Future[None]]) -> Iterator[None]:
+    """Leave no task to be begun when the block ends, however it does."""
+    try:
+        yield
+    finally:
+        for task in tasks:
+            task.cancel()
 
 
 def _multiple(count: int, of: int) -> int:

@@ -26,7 +26,7 @@ from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, decode_again, encode_source, take_source
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.jobs.sizes import size_facts
+from clrelight.jobs.sizes import payload_budget, size_facts
 from clrelight.jobs.target import encode_to_quality
 from clrelight.jobs.written import count_bytes
 from clrelight.store import write_encoded
@@ -147,7 +147,8 @@ def encode(
         scratch_room(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, held) as room,
     ):
         if out is not None and wanted.byte_budget is not None:
-            wanted = wanted.within(container_bytes(FitRecord.of(coefficients), tuple(coefficients.coeffs_khwc.shape)))
+            overhead = container_bytes(FitRecord.of(coefficients), tuple(coefficients.coeffs_khwc.shape))
+            wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead))
         encoded = _Encode(coefficients, wanted, opened, room, limit, kept, progress).run(stack)
         if out is None:
             return replace(encoded, body=encoded.body[:], record=FitRecord.of(coefficients))
@@ -167,12 +168,6 @@ class _Wanted:
     byte_budget: int | None
     target_psnr: float | None
     options: Mapping[str, Any]
-
-    def within(self, overhead: int) -> _Wanted:
-        """Return what is wanted of the payload in a file that takes so many bytes without it."""
-        if self.byte_budget is None or self.byte_budget <= overhead:
-            raise InputError(f"--bytes: a file of these lights takes {overhead} bytes without any image")
-        return replace(self, byte_budget=self.byte_budget - overhead)
 
     def make(self, shape: Shape) -> Codec:
         """Return the codec for a map."""

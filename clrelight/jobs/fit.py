@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
@@ -25,13 +24,11 @@ from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among,
 from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.split_quality import Split
 from clrelight.jobs.written import count_bytes
 from clrelight.store import FitSink, create_fit
 from clrelight.store.fits import coefficient_dtype
 from clrelight.streaming import writing_behind
-
-Split = tuple[NDArray[np.intp], NDArray[np.intp]]
-"""The lights to fit, and those held out."""
 
 
 @overload

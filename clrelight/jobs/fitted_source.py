@@ -9,8 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.finite import all_finite
-from clrelight.codec.registry import refuse_infinite
+from clrelight.codec.registry import check_coefficients
 from clrelight.codec.rooms import Room
 from clrelight.codec.streams import Linear, Source, parts_of
 from clrelight.fit.precision import DOUBLE, compute_dtype
@@ -67,8 +66,7 @@ class FittedSource(Source):
 
     def check(self, coeffs_khwc: NDArray[np.float32], first_row: int) -> None:
         """Raise InputError that names a coefficient which is not finite."""
-        if not all_finite(coeffs_khwc, self.device):
-            refuse_infinite(coeffs_khwc, first_row)
+        check_coefficients(coeffs_khwc, self.device, first_row)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
+import pathlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,8 +18,10 @@ from clrelight.arrays import read_rows_into
 from clrelight.codec import Encoded, decode
 from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.device import Device, open_device
+from clrelight.directions import unit_directions
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, stage
+from clrelight.light_files import read_light_file
 from clrelight.store import file_schema, open_fit, open_stack, read_encoded
 
 Path = str | os.PathLike[str]
@@ -53,6 +56,13 @@ def path_text(path: object, what: str) -> str:
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"expected the path of {what}, got {type(path).__name__}")
     return os.fsdecode(path)
+
+
+def read_directions(path: Path, report: Report) -> NDArray[np.float64]:
+    """Return unit vectors from a light file, those below the horizon too; what is to be said of it is noted."""
+    file = read_light_file(pathlib.Path(path_text(path, "directions")))
+    report.note(*file.notes, *file.count_notes())
+    return unit_directions(file.directions_i3, file.label, allow_below=True)
 
 
 def paths_among(*sources: object) -> list[Path]:

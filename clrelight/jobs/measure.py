@@ -6,7 +6,6 @@ import math
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clrelight.codec import decode_regions
 from clrelight.dataset import CoefficientMap, LightStack
@@ -23,7 +22,7 @@ from clrelight.jobs.inputs import (
 )
 from clrelight.jobs.measure_parts import measure_parts
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.jobs.split_quality import summarize_split
+from clrelight.jobs.split_quality import Split, summarize_split
 from clrelight.metrics import check_view, domain_note, measure_errors
 
 _WHOLE_BYTES = 1 << 28
@@ -79,6 +78,8 @@ def measure(
                 kept.psnr = measure_parts(regions, record, source, split, opened, sampled=False, progress=progress)
                 kept.add("measure", since)
                 return kept.psnr
+            fitted = encoded  # it is read already
+            kept.add("read", since)
         with lend_coefficients(fitted, opened, kept, progress) as coefficients:
             since = time.perf_counter()
             kept.note(*filter(None, [domain_note(coefficients, source)]))
@@ -91,7 +92,7 @@ def measure_split(
     coefficients: CoefficientMap,
     stack: LightStack,
     device: Device,
-    split: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
+    split: Split | None = None,
     progress: Progress | None = None,
 ) -> dict[str, float]:
     """Return PSNRs at the fitted lights and, apart, at those held out; by default all that were not fitted.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,9 @@ from numpy.typing import NDArray
 from clrelight.codec.views import Region, Regions
 from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import Device
+from clrelight.harmonics.index import coefficient_count
 from clrelight.jobs.bands import bands_of
+from clrelight.jobs.region import list_tiles
 from clrelight.jobs.report import Progress, stage
 from clrelight.jobs.split_quality import Split, summarize_split
 from clrelight.metrics import measure_errors
@@ -20,7 +21,7 @@ from clrelight.metrics import measure_errors
 SAMPLED_FROM = 1 << 20
 """Pixels from which an image is measured at a sample where nothing else is said."""
 _WINDOW, _WINDOWS, _FEW = 256, 30, 8
-_TILE_ROWS, _TILE_BYTES = 512, 1 << 26
+_TILE_BYTES = 1 << 26
 
 
 def measure_parts(
@@ -51,8 +52,9 @@ def measure_parts(
     progress : callable, optional
         Told how many parts are measured.
     """
-    n_coeff = (record.degree + 1) ** 2
-    windows = sample_windows(stack) if sampled else list(_tiles(stack, n_coeff))
+    height, width, channel = stack.image_shape
+    pixel_bytes = 4 * coefficient_count(record.degree) * channel
+    windows = sample_windows(stack) if sampled else list_tiles(height, width, pixel_bytes, _TILE_BYTES)
     sums_wi, counts_w = np.zeros((len(windows), stack.n_light)), np.zeros(len(windows))
     with stage(progress, "measuring") as tell, bands_of(stack) as bands:
         for number, window in enumerate(windows):
@@ -66,7 +68,7 @@ def measure_parts(
             tell(number + 1, len(windows))
     quality = summarize_split(sums_wi.sum(axis=0) / counts_w.sum(), record.directions_i3, stack, split)
     if sampled:
-        counted = stack.image_shape[0] * stack.image_shape[1] if stack.mask_hw is None else int(stack.mask_hw.sum())
+        counted = height * width if stack.mask_hw is None else int(stack.mask_hw.sum())
         quality["sampled"] = float(counts_w.sum() / counted)
         for name, lights in zip(("fitted", "holdout"), split, strict=True):
             if len(lights):
@@ -83,14 +85,6 @@ def _standard_error(sum_w: NDArray[np.float64], count_w: NDArray[np.float64]) ->
     residual_w = sum_w[used] - mean * count_w[used]
     deviation = math.sqrt(float((residual_w**2).sum()) * n / (n - 1)) / float(count_w.sum())
     return 10.0 / math.log(10.0) * deviation / mean
-
-
-def _tiles(stack: LightStack, n_coeff: int) -> Iterator[Region]:
-    height, width, channel = stack.image_shape
-    side = max(_TILE_BYTES // (4 * n_coeff * channel * _TILE_ROWS) // 64, 1) * 64
-    for top in range(0, height, _TILE_ROWS):
-        for left in range(0, width, side):
-            yield Region(top, left, min(top + _TILE_ROWS, height), min(left + side, width))
 
 
 def sample_windows(stack: LightStack, most: int | None = None) -> list[Region]:

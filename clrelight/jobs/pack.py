@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,8 +18,9 @@ from clrelight.fit import prepare_fit
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
 from clrelight.ingest import read_folder
-from clrelight.jobs.ingest import given_options, ingest, lend_photographs
+from clrelight.jobs.ingest import DEFAULT_MEMORY, given_options, ingest, lend_photographs
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
+from clrelight.jobs.memory import peak_memory
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.packing import Pack, Size
 from clrelight.jobs.report import Progress, Report, report_for, stage
@@ -30,8 +30,6 @@ from clrelight.store.scratch import scratch_room
 
 MEASURES = ("auto", "all", "sample", "none")
 """At which pixels quality is measured; auto: all of a small image, a sample of a large one."""
-DEFAULT_MEMORY = 1 << 30
-"""Bytes that photographs being read, and planes being coded, may take."""
 
 
 def pack(
@@ -130,12 +128,12 @@ def pack(
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
         job = Pack(stack, split, prepared, size, metric, room, kept, progress)
         job.tell_facts()
-        encoded = job.encode(out, measure)
+        encoded = job.encode(measure)
         since = time.perf_counter()
         write_encoded(out, encoded)
         kept.add("write", since)
     kept.facts = {"file": os.fsdecode(out), **kept.facts, "bytes_on_disk": os.stat(out).st_size}
-    kept.facts["peak_memory"] = _peak_memory()
+    kept.facts["peak_memory"] = peak_memory()
     return kept
 
 
@@ -169,13 +167,3 @@ def _photographs(
     report.seconds |= reading.seconds
     with lend_stack(keep_stack, report) as stack:
         yield stack
-
-
-def _peak_memory() -> int | None:
-    """Return the most memory that this process has held, in bytes; None where the system does not say."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,12 +18,13 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
 from clrelight.fit import PreparedFit
 from clrelight.fit.run import collect_fit
+from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import describe_duplicates, note_distance
 from clrelight.jobs.bands import bands_of
 from clrelight.jobs.fitted_source import fitted_source
 from clrelight.jobs.measure_parts import SAMPLED_FROM, measure_parts, sample_windows
 from clrelight.jobs.report import Progress, Report, stage
-from clrelight.jobs.sizes import size_facts
+from clrelight.jobs.sizes import payload_budget, size_facts
 from clrelight.jobs.split_quality import Split
 from clrelight.jobs.target import TOLERANCE, encode_to_quality
 from clrelight.store.encodings import container_bytes
@@ -74,9 +74,7 @@ class Size:
             return {"rate": self.rate}
         if self.byte_count is None:
             return {"byte_budget": max(int(DEFAULT_BYTES * n_pixel) - overhead, _LEAST_BYTES)}
-        if self.byte_count <= overhead:
-            raise InputError(f"--bytes: a file of these lights takes {overhead} bytes without any image")
-        return {"byte_budget": self.byte_count - overhead}
+        return {"byte_budget": payload_budget(self.byte_count, overhead)}
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,7 @@ class Pack:
         if (near := note_distance(self.stack.directions_i3, *self.split)) is not None:
             self.report.note(near)
 
-    def encode(self, out: str | os.PathLike[str], measure: str) -> Encoded:
+    def encode(self, measure: str) -> Encoded:
         """Return the encoding, measured as is asked for."""
         height, width, _ = self.stack.image_shape
         mask_hw = self.stack.mask_hw
@@ -135,7 +133,7 @@ class Pack:
     def _source(self) -> Iterator[Source]:
         """Lend the coefficients: in memory where they are few."""
         prepared, since = self.prepared, time.perf_counter()
-        n_value = (prepared.degree + 1) ** 2 * math.prod(self.stack.image_shape)
+        n_value = coefficient_count(prepared.degree) * math.prod(self.stack.image_shape)
         if 4 * n_value * _IN_MEMORY_SHARE <= self.room.memory_bytes:
             with stage(self.progress, f"fitting {prepared.method.title}") as tell:
                 fitted = collect_fit(prepared, memory_bytes=self.room.memory_bytes, progress=tell)
@@ -214,7 +212,7 @@ class Pack:
     def _mosaic(self, source: Source) -> tuple[CoefficientMap, LightStack]:
         """Return the coefficients and the photographs of windows all over the image, one beside another."""
         stack, record = self.stack, self.prepared.record
-        n_value = (self.prepared.degree + 1) ** 2 * stack.image_shape[2]
+        n_value = coefficient_count(self.prepared.degree) * stack.image_shape[2]
         windows = sample_windows(stack, _MOSAIC_VALUES // n_value)
         coeffs, images, masks = [], [], []
         with bands_of(stack) as bands:
@@ -235,7 +233,7 @@ class Pack:
 def _next_step(tried: list[tuple[float, float, Encoded]], target: float) -> float:
     """Return the step at which the PSNR is about the target, by the line through the last two that were tried."""
     slope = -1.0 / _STEP_PER_DECIBEL
-    if len(tried) > 1 and tried[-1][1] != tried[-2][1] and math.isfinite(tried[-1][1]) and tried[-1][0] != tried[-2][0]:
+    if len(tried) > 1 and tried[-1][1] != tried[-2][1] and math.isfinite(tried[-1][1]):
         measured = (tried[-1][1] - tried[-2][1]) / math.log2(tried[-1][0] / tried[-2][0])
         slope = min(max(measured, -8.0), -0.25)
     step = tried[-1][0] * 2.0 ** ((target - min(tried[-1][1], _NO_ERROR)) / slope)

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from clrelight.codec import Encoded, decode, decode_regions
-from clrelight.codec.entropy.units import LEVELS, low_side
+from clrelight.codec.entropy.units import LEVELS, PRECINCT, low_side
 from clrelight.codec.views import Region
 from clrelight.dataset import CoefficientMap, FitRecord, read_rows_into
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.jobs.inputs import whole
+
+_COLUMNS = 64
+"""Columns of tiles are a multiple of this."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,16 @@ class Part:
             raise InputError(f"region {x},{y},{w},{h} does not lie in an image of {width} x {height} pixels")
         bottom, right = low_side(y + h, self.level), low_side(x + w, self.level)
         return Region(y >> self.level, x >> self.level, bottom, right, self.level)
+
+
+def list_tiles(height: int, width: int, pixel_bytes: int, most_bytes: int) -> list[Region]:
+    """Return parts that are an image together, rows first, each of about so many bytes and of a precinct's height."""
+    columns = max(most_bytes // (pixel_bytes * min(PRECINCT, height)) // _COLUMNS, 1) * _COLUMNS
+    return [
+        Region(top, left, min(top + PRECINCT, height), min(left + columns, width))
+        for top in range(0, height, PRECINCT)
+        for left in range(0, width, columns)
+    ]
 
 
 def take_part(region: Sequence[int] | None, level: int) -> Part:

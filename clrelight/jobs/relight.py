@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pathlib
 import time
 from collections.abc import Sequence, Sized
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from clrelight.device import Device
 from clrelight.directions import unit_directions
 from clrelight.errors import InputError
 from clrelight.jobs.frames import DirectedFrames, Frames, LightFrames, Rotation, turn_light
-from clrelight.jobs.inputs import FittedLike, Path, opened_on, path_text, paths_among, whole
+from clrelight.jobs.inputs import FittedLike, Path, opened_on, path_text, paths_among, read_directions, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import (
     check_animation,
@@ -31,7 +30,6 @@ from clrelight.jobs.pictures import (
 from clrelight.jobs.region import Part, take_part
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_stops
-from clrelight.light_files import read_light_file
 from clrelight.lighting.light import Light
 from clrelight.lighting.relighting import TONEMAPS
 from clrelight.store import read_light
@@ -254,9 +252,7 @@ def _directions(light: ArrayLike | None, lights: Path | None, report: Report) ->
     if lights is None:
         numbers = _numbers(light)
         return unit_directions(numbers.reshape(-1, 3), "light {}".format, allow_below=True), numbers.ndim == 1
-    file = read_light_file(pathlib.Path(path_text(lights, "directions")))
-    report.note(*file.notes, *file.count_notes())
-    return unit_directions(file.directions_i3, file.label, allow_below=True), False
+    return read_directions(lights, report), False
 
 
 def _numbers(light: ArrayLike | None) -> NDArray[np.float64]:

@@ -1,10 +1,11 @@
-"""How large an encoding is, as reports tell it."""
+"""How large an encoding is, as reports tell it, and may be."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from clrelight.codec import Encoded
+from clrelight.errors import InputError
 
 
 def size_facts(encoded: Encoded) -> dict[str, Any]:
@@ -15,3 +16,10 @@ def size_facts(encoded: Encoded) -> dict[str, Any]:
         "bits_per_coefficient": encoded.bits_per_coefficient,
         **encoded.info,
     }
+
+
+def payload_budget(file_bytes: int, overhead: int) -> int:
+    """Return what a file of so many bytes leaves for its payload; InputError where that is nothing."""
+    if file_bytes <= overhead:
+        raise InputError(f"--bytes: a file of these lights takes {overhead} bytes without any image")
+    return file_bytes - overhead

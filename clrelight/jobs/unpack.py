@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import pathlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -16,24 +15,21 @@ from clrelight.arrays import check_transfer
 from clrelight.codec import Encoded, decode_regions
 from clrelight.codec.views import Region, Regions
 from clrelight.device import Device
-from clrelight.directions import unit_directions
 from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.images import write_image
-from clrelight.jobs.inputs import opened_on, path_text, take_encoded
+from clrelight.jobs.ingest import DEFAULT_MEMORY
+from clrelight.jobs.inputs import opened_on, read_directions, take_encoded
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import FLOAT_FORMATS
+from clrelight.jobs.region import list_tiles
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
-from clrelight.light_files import read_light_file
 from clrelight.relight import to_display
 from clrelight.store.scratch_images import ScratchImages
 
 FORMATS = ("jpg", "png", "tif", "exr", "hdr")
-DEFAULT_MEMORY = 1 << 30
 LIGHTS_FILE = "lights.lp"
-
-_ROWS, _COLUMNS = 512, 64
 
 
 def unpack(
@@ -93,13 +89,13 @@ def unpack(
         regions = decode_regions(encoded)
         if regions is None:
             raise InputError(f"only files of codec klt hold parts that can be decoded alone, this is {encoded.codec}")
-        directions_i3 = record.directions_i3 if lights is None else _read_lights(lights, kept)
+        directions_i3 = record.directions_i3 if lights is None else read_directions(lights, kept)
         since = kept.add("read", since)
         shape = (len(directions_i3), *encoded.shape[1:])
         dtype = np.dtype(np.float32 if f".{kind}" in FLOAT_FORMATS else np.uint8)
         with replacing_folder(out) as folder, closing(ScratchImages(folder.parent, shape, dtype)) as images:
             with stage(progress, "relighting") as tell:
-                parts = list(_parts(shape, budget))
+                parts = list_tiles(*shape[1:3], 4 * shape[0] * shape[3], budget // 4)
                 for number, part in enumerate(parts):
                     _relight(images, regions, part, directions_i3, transfer or record.transfer, opened)
                     tell(number + 1, len(parts))
@@ -109,21 +105,6 @@ def unpack(
             kept.add("write", since)
     kept.facts |= {"folder": os.fsdecode(out), "files": [os.path.join(os.fsdecode(out), name) for name in names]}
     return kept
-
-
-def _read_lights(path: str | os.PathLike[str], report: Report) -> NDArray[np.float64]:
-    file = read_light_file(pathlib.Path(path_text(path, "directions")))
-    report.note(*file.notes, *file.count_notes())
-    return unit_directions(file.directions_i3, file.label, allow_below=True)
-
-
-def _parts(shape: tuple[int, ...], memory: int) -> Iterator[Region]:
-    """Yield parts of the image whose pictures take a quarter of the memory."""
-    count, height, width, channel = shape
-    side = max(memory // 4 // (4 * count * channel * min(_ROWS, height)) // _COLUMNS, 1) * _COLUMNS
-    for top in range(0, height, _ROWS):
-        for left in range(0, width, side):
-            yield Region(top, left, min(top + _ROWS, height), min(left + side, width))
 
 
 def _relight(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 
 from clrelight.fit.plan import make_lighting
 from clrelight.fit.registry import method_class
+from clrelight.jobs.memory import peak_memory
 from clrelight.metrics import summarize_errors
 from clrelight.speed.peers import NewtonFit, squared_errors
 from clrelight.speed.timing import interleave, quartiles
@@ -138,7 +137,7 @@ def measure_point(
     most_resident = 0
     for way in ways:
         run(way)
-        most_resident = most_resident or peak_memory()
+        most_resident = most_resident or peak_memory() or 0
         first[way] = seconds[way][0][TOTAL]
     if sum(first.values()) < POINT_SECONDS:
         for taken in seconds.values():
@@ -179,13 +178,3 @@ def _compare(seconds: Mapping[str, list[dict[str, float]]]) -> dict[str, Any]:
     if len(samples) > 1:
         found["speed"] = {stage: quartiles(samples[NUMPY][stage] / samples[OURS][stage]) for stage in stages}
     return found
-
-
-def peak_memory() -> int:
-    """Return the most bytes that this process has had resident."""
-    try:
-        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-        return 1024 * int(next(line.split()[1] for line in lines if line.startswith("VmHWM:")))
-    except (OSError, StopIteration):
-        # Elsewhere than on Linux; there it would count what the starting process had.
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.arrays import read_rows_into
-from clrelight.codec.finite import all_finite
-from clrelight.codec.registry import check_decoded, refuse_infinite
+from clrelight.codec.registry import check_coefficients, check_decoded
 from clrelight.codec.rooms import Room
 from clrelight.codec.streams import Source, Target, buffers
 from clrelight.device import Device
@@ -41,8 +40,7 @@ class StoredSource(Source):
 
     def check(self, coeffs_khwc: NDArray[np.float32], first_row: int) -> None:
         """Raise InputError that names a coefficient which is not finite."""
-        if not all_finite(coeffs_khwc, self.device):
-            refuse_infinite(coeffs_khwc, first_row)
+        check_coefficients(coeffs_khwc, self.device, first_row)
 
 
 class RowTarget(Target):

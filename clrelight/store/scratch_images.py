@@ -29,7 +29,7 @@ class ScratchImages:
     chunks = None
 
     def __init__(self, folder: str | os.PathLike, shape: tuple[int, ...], dtype: np.dtype) -> None:
-        self.shape, self.dtype, self.ndim, self.size = tuple(shape), np.dtype(dtype), len(shape), math.prod(shape)
+        self.shape, self.dtype = tuple(shape), np.dtype(dtype)
         self._row_bytes = math.prod(shape[2:]) * self.dtype.itemsize
         self._image_bytes = self._row_bytes * shape[1]
         self._scratch = Scratch(folder, self._image_bytes * shape[0])

@@ -97,7 +97,7 @@ def bend(values: DeviceArray, device: Device, *, decode: bool) -> None:
 
 def bent(images: NDArray[np.float32], device: Device, *, decode: bool) -> NDArray[np.float32]:
     """Return images behind the curve; see `bend`."""
-    held = device.hold(np.ascontiguousarray(images).copy())
+    held = device.hold(np.array(images, order="C"))
     bend(held, device, decode=decode)
     return device.download(held)
 

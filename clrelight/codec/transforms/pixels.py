@@ -68,11 +68,10 @@ class Pixels:
         last = pack_operator(device, chain.last.reshape(len(offset_j), -1))
         offset = device.upload(offset_j.astype(np.float32))
         row_bytes = 4 * width * (2 * chain.last.shape[1] * channel + len(offset_j))
-        step = max(_PIECE_BYTES // row_bytes, 1)
+        step, curve = max(_PIECE_BYTES // row_bytes, 1), SampleCurve() if linear is None else linear.curve
         for top in range(*rows, step):
             piece = (top, min(top + step, rows[1]))
             held = self._read(piece, columns) if linear is None else self._source.read_samples(piece, columns)
-            curve = SampleCurve() if linear is None else linear.curve
             values = self._values(np.ascontiguousarray(held), first, curve)
             self._place(made, values, (held.shape[1], width), last, offset, top - rows[0])
         return made
@@ -185,7 +184,6 @@ class _Fused:
         offset = device.upload(offset_j.astype(np.float32))
         table = device.upload(curve.table(source.sample_type))
         step = max(_SAMPLE_BYTES // (first.shape[1] * width * channel * source.sample_type.itemsize), 1)
-        held: NDArray | None = None
         for top in range(*rows, step):
             piece = (top, min(top + step, rows[1]))
             samples = source.read_samples(piece, columns)
