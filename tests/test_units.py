@@ -30,7 +30,7 @@ def code(device, values, *, together=True, price=0.0, tables=None):
     taken = device.empty(values.shape, np.float32, np.ascontiguousarray(values, np.float32))
     index = device.empty(values.shape, np.int32)
     coded = encode_streams(device, layout, taken, index, tables, price)
-    found = device.empty(values.shape, np.int32, np.zeros(values.shape, np.int32))
+    found = device.hold(np.zeros(values.shape, np.float32))
     fault = decode_streams(device, layout, coded.streams, tables, found, count)
     assert not fault.any()
     return coded, layout, device.download(found).copy(), device.download(index).copy()
@@ -107,7 +107,7 @@ def test_damage_ends_in_a_fault_or_in_numbers(device, seed):
             del stream[int(rng.integers(len(stream))) :]
         else:
             stream[:] = rng.integers(0, 256, len(stream), np.uint8).tobytes()
-        found = device.empty(index.shape, np.int32, np.zeros(index.shape, np.int32))
+        found = device.hold(np.zeros(index.shape, np.float32))
         fault = decode_streams(device, layout, [bytes(s) for s in streams], default_tables(), found, len(index))
         assert set(np.unique(fault)) <= {0, 1}
         assert fault.any() or kind == 0

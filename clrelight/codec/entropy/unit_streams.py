@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.units import Layout
+from clrelight.codec.entropy.units import Layout, low_side
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 
@@ -22,8 +22,8 @@ _WORK_BYTES = 1 << 18
 _SEEN = CONTEXTS * SYMBOLS + 2 * FLAGS
 _RAW_BYTES = 8
 """Of a sample at most: what passes the last symbol, bits below a shift, and a sign."""
-_DECODED_AT_ONCE = 16
-"""Streams of each compute unit: what bounds the memory that they work in."""
+_WORKERS = {"cpu": 4, "gpu": 16}
+"""Streams that each compute unit decodes at once, each in memory of its own."""
 
 
 @dataclass(frozen=True)
@@ -176,40 +176,51 @@ def decode_streams(
     layout: Layout,
     streams: list[bytes],
     tables: Tables,
-    index: DeviceArray,
+    values: DeviceArray,
     planes: int,
-    sums: DeviceArray | None = None,
     weight_jc: NDArray[np.float32] | None = None,
 ) -> NDArray[np.int32]:
-    """Decode streams into zeroed planes of indices, or into sums of their values times weights.
+    """Decode streams into zeroed planes of the indices' values, or into sums of them times weights.
+
+    Parameters
+    ----------
+    device : Device
+    layout : Layout
+    streams : list of bytes
+        Of the layout.
+    tables : Tables
+        What streams start from.
+    values : DeviceArray, shape (n_plane, height, pitch) or (n_sum, height, pitch), float32
+        Zeros.
+    planes : int
+        Planes of the streams.
+    weight_jc : ndarray, shape (n_plane, n_sum), float32, optional
+        What sums are made with; None: planes are asked for.
 
     Returns
     -------
     ndarray, shape (n_stream,), int32
         1 where a stream is damaged.
     """
-    n_stream = len(streams)
+    n_stream, most = len(streams), max(end - begin for begin, end in layout.batches)
     size_t = np.array([len(s) for s in streams], np.uint32)
     place_t2 = np.stack([np.cumsum(size_t, dtype=np.uint32) - size_t, size_t], axis=1)
     stream = device.upload(np.frombuffer(b"".join(streams) or b"\0", np.uint8))
-    first, unit = device.upload(layout.first_t2), device.upload(layout.unit_uf)
-    counts, flags = device.upload(tables.count_ms), device.upload(tables.flag_f2)
-    most = max(end - begin for begin, end in layout.batches)
-    most = min(most, max(_DECODED_AT_ONCE * device.info.compute_units, 256))
-    work = device.empty((most, _WORK_BYTES), np.uint8)
-    fault_t = np.zeros(n_stream, np.int32)
-    fault, place = device.hold(fault_t), device.upload(place_t2)
+    given = [device.upload(a) for a in (place_t2, layout.first_t2, layout.unit_uf, tables.count_ms, tables.flag_f2)]
+    workers = min(most, _WORKERS[device.style] * device.info.compute_units)
+    work = device.empty((workers, _WORK_BYTES), np.uint8)
+    fault = device.hold(np.zeros(n_stream, np.int32))
+    # Half a plane has all levels but the finest.
+    sides = (low_side(side, 1) for side in values.shape[1:])
+    known = device.hold(np.zeros((planes, *sides), np.uint8))
+    weight = device.upload(np.zeros((planes, 1), np.float32) if weight_jc is None else weight_jc)
     n_sum = 0 if weight_jc is None else weight_jc.shape[1]
-    if sums is None or weight_jc is None:  # no kernel takes nothing: memory that is never touched
-        sums, weight_jc = device.empty((1, *index.shape[1:]), np.float32), np.zeros((index.shape[0], 1), np.float32)
-    weight = device.upload(weight_jc)
-    for batch, end in layout.batches:
-        for begin in range(batch, end, most):
-            device.launch(
-                "codec/units_decode.cl",
-                "decode_units",
-                (min(most, end - begin),),
-                *(index, sums, weight, stream, place, first, unit, counts, flags, work, fault),
-                *(begin, planes, n_sum, *sums.shape),
-            )
+    for begin, end in layout.batches:
+        device.launch(
+            "codec/units_decode.cl",
+            "decode_units",
+            (min(workers, end - begin),),
+            *(values, known, weight, stream, *given, work, fault),
+            *(begin, end, n_sum, planes, *values.shape[1:], *known.shape[1:]),
+        )
     return device.download(fault)

@@ -11,7 +11,6 @@ from clrelight.codec.entropy.units import LEVELS, MARGIN, PRECINCT, Unit, Window
 from clrelight.codec.formats.klt_units import Parsed, is_together, read_stream
 from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import list_subbands, padded_width, transform_planes
-from clrelight.codec.transforms.whitening import with_type
 from clrelight.codec.views import Region
 from clrelight.device import Device
 from clrelight.errors import PayloadError
@@ -62,10 +61,6 @@ class UnitReader:
         window = _around(region, *self._shape[1:3])
         values = self._device.hold(_crop(decoded, rooms, window, level))
         width = low_side(window.right, level) - (window.left >> level)
-        if values.dtype == np.int32:
-            count, *sides = values.shape
-            self._device.launch("codec/units_decode.cl", "value_indices", (*sides[::-1], count), values, *values.shape)
-            values = with_type(values, np.float32)
         if level < LEVELS:
             transform_planes("synthesise", values, width, LEVELS - level, self._device)
         found = self._device.download(values)
@@ -92,7 +87,7 @@ class UnitReader:
         return Region(top, left, bottom, middle, level), Region(top, middle, bottom, right, level)
 
     def _decode(self, region: Region, weight_jc: NDArray[np.float32] | None) -> tuple[NDArray, Window]:
-        """Return indices, or sums, in a window of whole units; what the region needs is in them."""
+        """Return values of indices, or sums, in a window of whole units; what the region needs is in them."""
         _, height, width, _ = self._shape
         count = self._parsed.head.n_plane
         together = is_together(self._shape)
@@ -102,15 +97,12 @@ class UnitReader:
         pitch = padded_width(window.shape[1])
         layout = lay_out(units, height, width, window, pitch, together)
         streams = [read_stream(self._body, self._parsed, t) for t in ([0] if together else chosen)]
-        # Memory that is not there before something is written to it.
-        index = self._device.hold(np.zeros((count, window.shape[0], pitch), np.int32))
-        sums = None
-        if weight_jc is not None:
-            sums = self._device.hold(np.zeros((weight_jc.shape[1], window.shape[0], pitch), np.float32))
-        fault_t = decode_streams(self._device, layout, streams, default_tables(), index, count, sums, weight_jc)
+        n_values = count if weight_jc is None else weight_jc.shape[1]
+        values = self._device.hold(np.zeros((n_values, window.shape[0], pitch), np.float32))
+        fault_t = decode_streams(self._device, layout, streams, default_tables(), values, count, weight_jc)
         if fault_t.any():
             raise PayloadError(f"unit {chosen[int(np.argmax(fault_t))]} of the klt body cannot be decoded")
-        return self._device.download(index if sums is None else sums), window
+        return self._device.download(values), window
 
     def _needed(self, region: Region) -> list[int]:
         """Return the numbers of the units that a region's samples hang on."""
