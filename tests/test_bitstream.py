@@ -124,7 +124,7 @@ def taken(monkeypatch):
         monkeypatch.setattr(module, name, run)
 
     spy(wavelet, "dequantise_map", lambda arguments, _: found["indices"].append(arguments[2].copy()))
-    spy(klt_regions, "decode_streams", lambda a, _: found["indices"].append(a[0].download(a[4]).copy()))
+    spy(klt_regions, "decode_streams", lambda a, _: found["indices"].append(a[0].download(a[5]).copy()))
     spy(klt_units, "code_vectors", lambda _, result: found["vectors"].append(result))
     return found
 

@@ -113,18 +113,25 @@ INLINE void note_symbol(__global work_t *work, const int context, const int symb
 typedef struct {
     __global float *value;
     __global const float *weight; /* of this plane, for each sum */
+    __global const int *place;    /* of the unit's subband: see units.py */
     size_t plane_size;
     int pitch, sums;
 } sink_t;
 
-INLINE void put(const sink_t *sink, const size_t at, const int index)
+enum { PLACES = 6 };
+
+INLINE void put(const sink_t *sink, const int y, const int x, const int index)
 {
+    const int row = sink->place[0] + y, column = sink->place[1] + x;
+    if (row < sink->place[2] || row >= sink->place[3] || column < sink->place[4] || column >= sink->place[5])
+        return;
+    __global float *to = sink->value + (size_t)row * sink->pitch + column;
     const float value = (float)index;
     if (sink->sums)
         for (int c = 0; c < sink->sums; ++c)
-            sink->value[c * sink->plane_size + at] += sink->weight[c] * value;
+            to[c * sink->plane_size] += sink->weight[c] * value;
     else
-        sink->value[at] = value;
+        *to = value;
 }
 
 /* What of a plane the units of finer levels ask for: sizes of all levels but the finest. */
@@ -134,12 +141,6 @@ typedef struct {
     int pitch;
 } known_t;
 
-INLINE __global uchar *known_at(const known_t *known, const sink_t *sink, const int offset)
-{
-    const int row = offset / sink->pitch;
-    return known->size + (size_t)row * known->pitch + (offset - row * sink->pitch);
-}
-
 INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink,
                         const known_t *known, const int band, const int plane)
 {
@@ -148,7 +149,7 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
         clear_sizes(work, band, UNIT); /* the next band looks there */
         return;
     }
-    __global const uchar *parent = unit[PARENT + band] < 0 ? 0 : known_at(known, sink, unit[PARENT + band]);
+    __global const uchar *parent = unit[PARENT + band] < 0 ? 0 : known->size + unit[PARENT + band];
     make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band],
                known->pitch, known->plane_size);
     clear_sizes(work, band, rows);
@@ -208,7 +209,7 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
                 work->place[found] = work->place[i];
                 found += work->context[i] != 0;
             }
-            __global uchar *own = unit[LEVEL] > 1 ? known_at(known, sink, unit[OFFSET + band]) : 0;
+            __global uchar *own = unit[LEVEL] > 1 ? known->size + unit[OFFSET + band] : 0;
             for (i = 0; i < found && !d->fault; ++i) {
                 const int symbol = work->context[i] & 0xfff, shift = work->context[i] >> 12;
                 int magnitude = symbol == LAST ? LAST + take_large(d, ORDER(shift)) : symbol;
@@ -222,7 +223,7 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
                     continue;
                 const int negative = (int)take_bits(d, 1), y = work->place[i] >> 6, x = work->place[i] & 63;
                 const uchar size = (uchar)LEAST(magnitude, MAX_SIZE);
-                put(sink, (size_t)unit[OFFSET + band] + (size_t)y * sink->pitch + x, negative ? -magnitude : magnitude);
+                put(sink, y, x, negative ? -magnitude : magnitude);
                 work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = size;
                 if (own)
                     own[(size_t)y * known->pitch + x] = size;
@@ -266,22 +267,23 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
     for (int y = 0; y < rows; ++y)
         for (int x = 0; x < columns; ++x)
             if (low[y * UNIT + x])
-                put(sink, (size_t)unit[OFFSET] + (size_t)y * sink->pitch + x, low[y * UNIT + x]);
+                put(sink, y, x, low[y * UNIT + x]);
 }
 
 /* Streams of units, one after another.
  *
  *   value_cyx   (C, Y, X) float  zeros at first: a plane each, or `sums` sums of all planes times weight_jn
- *   known_jrk   (J, R, K) uchar  zeros at first: sizes of all levels but the finest, at their places in half a plane
+ *   known_jrk   (J, R, K) uchar  zeros at first: sizes of all levels but the finest, where unit_uf says
  */
 __kernel void decode_units(__global float *value_cyx, __global uchar *known_jrk, __global const float *weight_jn,
                            __global const uchar *stream_b, __global const uint *place_t2, __global const int *first_t2,
-                           __global const int *unit_uf, __global const ushort *count_ms, __global const ushort *flag_q2,
-                           __global uchar *work_wd, __global int *fault_t, const int begin, const int end,
-                           const int sums, const int size_j, const int size_y, const int size_x, const int size_r, const int size_k)
+                           __global const int *unit_uf, __global const int *place_uv, __global const ushort *count_ms,
+                           __global const ushort *flag_q2, __global uchar *work_wd, __global int *fault_t, const int begin,
+                           const int end, const int sums, const int size_y, const int size_x, const int size_j,
+                           const int size_r, const int size_k)
 {
     __global work_t *work = (__global work_t *)(work_wd + get_global_id(0) * (size_t)WORK_BYTES);
-    sink_t sink = {value_cyx, weight_jn, (size_t)size_y * size_x, size_x, sums};
+    sink_t sink = {value_cyx, weight_jn, place_uv, (size_t)size_y * size_x, size_x, sums};
     known_t known = {known_jrk, (size_t)size_r * size_k, size_k};
     for (int t = begin + get_global_id(0); t < end; t += get_global_size(0)) {
         decoder_t d;
@@ -297,10 +299,11 @@ __kernel void decode_units(__global float *value_cyx, __global uchar *known_jrk,
                 else
                     sink.value = value_cyx + j * sink.plane_size;
                 known.size = known_jrk + j * known.plane_size;
+                sink.place = place_uv + u * 3 * PLACES;
                 if (unit[LEVEL] == 0)
                     decode_low(&d, work, unit, &sink, j);
                 else
-                    for (int band = 0; band < 3; ++band)
+                    for (int band = 0; band < 3; ++band, sink.place += PLACES)
                         decode_band(&d, work, unit, &sink, &known, band, j);
             }
         }

@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.units import Layout, low_side
+from clrelight.codec.entropy.units import Layout
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 
@@ -174,10 +174,11 @@ def _samples(layout: Layout) -> NDArray[np.int64]:
 def decode_streams(
     device: Device,
     layout: Layout,
+    place_uf: NDArray[np.int32],
     streams: list[bytes],
     tables: Tables,
     values: DeviceArray,
-    planes: int,
+    known_shape: tuple[int, int, int],
     weight_jc: NDArray[np.float32] | None = None,
 ) -> NDArray[np.int32]:
     """Decode streams into zeroed planes of the indices' values, or into sums of them times weights.
@@ -186,14 +187,17 @@ def decode_streams(
     ----------
     device : Device
     layout : Layout
+        How units lie in planes that have all levels but the finest.
+    place_uf : ndarray, shape (n_unit, 3, 6), int32
+        Where their subbands lie in `values`: see `place_units`.
     streams : list of bytes
         Of the layout.
     tables : Tables
         What streams start from.
     values : DeviceArray, shape (n_plane, height, pitch) or (n_sum, height, pitch), float32
         Zeros.
-    planes : int
-        Planes of the streams.
+    known_shape : tuple of int
+        (n_plane, rows, pitch) of the layout.
     weight_jc : ndarray, shape (n_plane, n_sum), float32, optional
         What sums are made with; None: planes are asked for.
 
@@ -206,14 +210,14 @@ def decode_streams(
     size_t = np.array([len(s) for s in streams], np.uint32)
     place_t2 = np.stack([np.cumsum(size_t, dtype=np.uint32) - size_t, size_t], axis=1)
     stream = device.upload(np.frombuffer(b"".join(streams) or b"\0", np.uint8))
-    given = [device.upload(a) for a in (place_t2, layout.first_t2, layout.unit_uf, tables.count_ms, tables.flag_f2)]
+    placed = place_uf.reshape(len(place_uf), -1)
+    tables_given = (tables.count_ms, tables.flag_f2)
+    given = [device.upload(a) for a in (place_t2, layout.first_t2, layout.unit_uf, placed, *tables_given)]
     workers = min(most, _WORKERS[device.style] * device.info.compute_units)
     work = device.empty((workers, _WORK_BYTES), np.uint8)
     fault = device.hold(np.zeros(n_stream, np.int32))
-    # Half a plane has all levels but the finest.
-    sides = (low_side(side, 1) for side in values.shape[1:])
-    known = device.hold(np.zeros((planes, *sides), np.uint8))
-    weight = device.upload(np.zeros((planes, 1), np.float32) if weight_jc is None else weight_jc)
+    known = device.hold(np.zeros(known_shape, np.uint8))
+    weight = device.upload(np.zeros((known_shape[0], 1), np.float32) if weight_jc is None else weight_jc)
     n_sum = 0 if weight_jc is None else weight_jc.shape[1]
     for begin, end in layout.batches:
         device.launch(
@@ -221,6 +225,6 @@ def decode_streams(
             "decode_units",
             (min(workers, end - begin),),
             *(values, known, weight, stream, *given, work, fault),
-            *(begin, end, n_sum, planes, *values.shape[1:], *known.shape[1:]),
+            *(begin, end, n_sum, *values.shape[1:], *known_shape),
         )
     return device.download(fault)
