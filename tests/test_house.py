@@ -11,7 +11,7 @@ import clrelight
 
 ROOT = Path(clrelight.__file__).parent
 FLOORS = [
-    {"arrays", "errors", "conventions", "configurable", "text_rows", "interrupts", "streaming", "statements"},
+    {"arrays", "errors", "conventions", "configurable", "text_rows", "interrupts", "search", "streaming", "statements"},
     {"harmonics", "durable", "threads"},
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {

@@ -27,6 +27,7 @@ from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.sizes import payload_budget, size_facts
 from clrelight.jobs.split_quality import Split
 from clrelight.jobs.target import TOLERANCE, encode_to_quality
+from clrelight.search import search_falling
 from clrelight.store.encodings import container_bytes
 from clrelight.store.scratch import ScratchBody, ScratchRoom
 
@@ -192,15 +193,26 @@ class Pack:
     def _correct(self, source: Source, target: float, step: float, transfer: str, sampled: bool) -> Encoded:
         """Return the smallest encoding that reaches a PSNR, of those at this step and a few others."""
         tried: list[tuple[float, float, Encoded]] = []
-        for _ in range(1 + _CORRECTIONS):
-            encoded = self._code(source, {"step": step, "transfer": transfer})
-            found = self._measure(encoded, sampled)
-            tried.append((step, found, encoded))
-            self.report.note(f"tried step {step:.4g}: {encoded.encoded_bytes} bytes, {found:.2f} dB")
-            next_step = _next_step(tried, target + TOLERANCE / 3)
-            if 0.0 <= found - target <= TOLERANCE or next_step == step:
-                break
-            step = next_step
+
+        def measure(place: float) -> float:
+            encoded = self._code(source, {"step": 2.0**place, "transfer": transfer})
+            tried.append((2.0**place, self._measure(encoded, sampled), encoded))
+            self.report.note(f"tried step {2.0**place:.4g}: {encoded.encoded_bytes} bytes, {tried[-1][1]:.2f} dB")
+            return min(tried[-1][1], _NO_ERROR)
+
+        aim = target + TOLERANCE / 3
+        search_falling(
+            measure,
+            math.log2(step),
+            (math.log2(STEP_RANGE[0]), math.log2(STEP_RANGE[1])),
+            aim,
+            limit=target,
+            is_enough=lambda psnr: 0.0 <= psnr - target <= TOLERANCE,
+            expect=lambda place, psnr: place + _STEP_PER_DECIBEL * (psnr - aim),
+            slopes=(-4.0, -0.125),
+            most=1 + _CORRECTIONS,
+            width=1e-3,
+        )
         reached = [each for each in tried if each[1] >= target]
         best = min(reached, key=lambda each: each[2].encoded_bytes) if reached else max(tried, key=lambda each: each[1])
         if not 0.0 <= best[1] - target <= TOLERANCE:
@@ -228,13 +240,3 @@ class Pack:
             mask_hw=np.concatenate(masks, axis=1) if masks else None,
         )
         return record.to_map(np.ascontiguousarray(np.concatenate(coeffs, axis=2))), mosaic
-
-
-def _next_step(tried: list[tuple[float, float, Encoded]], target: float) -> float:
-    """Return the step at which the PSNR is about the target, by the line through the last two that were tried."""
-    slope = -1.0 / _STEP_PER_DECIBEL
-    if len(tried) > 1 and tried[-1][1] != tried[-2][1] and math.isfinite(tried[-1][1]):
-        measured = (tried[-1][1] - tried[-2][1]) / math.log2(tried[-1][0] / tried[-2][0])
-        slope = min(max(measured, -8.0), -0.25)
-    step = tried[-1][0] * 2.0 ** ((target - min(tried[-1][1], _NO_ERROR)) / slope)
-    return min(max(step, STEP_RANGE[0]), STEP_RANGE[1])

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from clrelight.codec.streams import Source
 from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.codec.transforms.vectors import golden_indices
 from clrelight.dataset import read_rows_into
 
 _SAMPLED_COLUMNS = 16384
 _SAMPLED_BLOCKS = 1024
 _MEASURED_BYTES = 1 << 24
 """Of float64 coefficients that are measured at a time."""
-_GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def sample_columns(source: Source) -> NDArray[np.float32]:
     """Return up to 16384 columns (n_coeff, 1, column, 1) that are spread evenly and follow no row or channel."""
     n_coeff, height, width, channel = source.shape
     count = height * width * channel
-    chosen = np.arange(count) if count <= _SAMPLED_COLUMNS else _spread(count, _SAMPLED_COLUMNS)
+    chosen = np.arange(count) if count <= _SAMPLED_COLUMNS else golden_indices(count, _SAMPLED_COLUMNS)
     sample_kp = np.empty((n_coeff, len(chosen)), np.float32)
     with source.rows() as parts:
         for first, coeffs_khwc in parts:
@@ -111,7 +111,7 @@ def sample_blocks(source: Source, side: int) -> NDArray[np.float32]:
     rows, columns = height // side, width // side
     if rows * columns <= _SAMPLED_BLOCKS:
         return source.whole()
-    y, x = np.divmod(_spread(rows * columns, _SAMPLED_BLOCKS), columns)
+    y, x = np.divmod(golden_indices(rows * columns, _SAMPLED_BLOCKS), columns)
     sample_kybxc = np.empty((n_coeff, side, len(y), side, channel), np.float32)
     with source.rows(side) as parts:
         for first, coeffs_khwc in parts:
@@ -121,8 +121,3 @@ def sample_blocks(source: Source, side: int) -> NDArray[np.float32]:
             blocks_bkyxc = whole[:, y[here] - first // side, :, x[here]]  # indices that a slice parts come first
             sample_kybxc[:, :, here] = blocks_bkyxc.transpose(1, 2, 0, 3, 4)
     return sample_kybxc.reshape(n_coeff, side, -1, channel)
-
-
-def _spread(count: int, wanted: int) -> NDArray[np.int64]:
-    # Multiples of the golden ratio spread evenly over any extent.
-    return (np.arange(wanted) * _GOLDEN % 1.0 * count).astype(np.int64)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import functools
+import math
+from bisect import bisect_left
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
+from clrelight.search import search_falling
 
 STEPS_PER_OCTAVE = 2048
 FINEST = 22  # the finest step is 2**-22 of a map whose largest magnitude is in [1, 2): float32's own precision
@@ -78,54 +81,42 @@ def find_code(
         To start the next search from.
     """
     target = min(target, max(ceiling - tolerance, ceiling / 2.0))
-    tried: list[tuple[float, int, float]] = []  # (distance from the target, code, bits)
-    allowed: list[tuple[float, int]] = []
-    fine, coarse = finest - 1, COARSEST_CODE + 1  # known to take more, and not more, than the target
-    code = solve_code(guess_bits, target / ratio, finest, COARSEST_CODE)
-    for trial in range(_MAX_TRIALS):
-        bits = count_bits(code)
-        tried = sorted([*tried, (abs(bits - target), code, bits)])
-        if bits > 0.0 and guess_bits(code) > 0.0:
-            ratio = bits / guess_bits(code)
-        if bits <= ceiling:
-            allowed.append((abs(bits - target), code))
-            # Where bits jump from step to step, a longer search finds little better.
-            if abs(bits - target) <= tolerance * min(1.0 + trial / 4.0, 1.8):
-                break
-        if bits > target:
-            fine = max(fine, code)
-        else:
-            coarse = min(coarse, code)
-        if coarse - fine <= 1:
-            break
-        code = _next_code(tried, target, guess_bits, ratio, finest)
-        if not fine < code < coarse:
-            code = (fine + coarse) // 2
+    tried: dict[int, float] = {}
+
+    def measure(code: float) -> float:
+        nonlocal ratio
+        bits = tried[int(code)] = count_bits(int(code))
+        if bits > 0.0 and guess_bits(int(code)) > 0.0:
+            ratio = bits / guess_bits(int(code))
+        return _log(bits)
+
+    def is_enough(_: float) -> bool:
+        bits = list(tried.values())[-1]
+        # Where bits jump from step to step, a longer search finds little better.
+        return bits <= ceiling and abs(bits - target) <= tolerance * min(1.0 + (len(tried) - 1) / 4.0, 1.8)
+
+    def expect(*_: float) -> int:
+        return solve_code(guess_bits, target / ratio, finest, COARSEST_CODE)
+
+    search_falling(
+        measure,
+        expect(),
+        (finest, COARSEST_CODE),
+        _log(target),
+        limit=_log(target),
+        is_enough=is_enough,
+        expect=expect,
+        most=_MAX_TRIALS,
+        whole=True,
+    )
+    allowed = [(abs(bits - target), code) for code, bits in tried.items() if bits <= ceiling]
     return (min(allowed)[1] if allowed else None), ratio
 
 
-def _next_code(
-    tried: list[tuple[float, int, float]],
-    target: float,
-    guess_bits: Callable[[int], float],
-    ratio: float,
-    finest: int,
-) -> int:
-    """Return the code where the two best trials, or else the guess, expect the target."""
-    if len(tried) >= 2:
-        (_, code_a, bits_a), (_, code_b, bits_b) = tried[:2]
-        if min(bits_a, bits_b, target) > 0.0 and bits_a != bits_b:
-            slope = (code_b - code_a) / (np.log(bits_b) - np.log(bits_a))
-            return round(code_a + slope * (np.log(target) - np.log(bits_a)))
-    return solve_code(guess_bits, target / ratio, finest, COARSEST_CODE)
+def _log(bits: float) -> float:
+    return math.log(bits) if bits > 0.0 else -math.inf
 
 
 def solve_code(bits: Callable[[int], float], target: float, fine: int, coarse: int) -> int:
     """Return the finest code of at most `target` bits, by bisection."""
-    while fine < coarse:
-        middle = (fine + coarse) // 2
-        if bits(middle) > target:
-            fine = middle + 1
-        else:
-            coarse = middle
-    return fine
+    return bisect_left(range(coarse), True, fine, key=lambda code: bits(code) <= target)
