@@ -15,6 +15,7 @@ from clrelight.cli.options import (
     holdout_option,
     json_option,
     memory_option,
+    perceptual_option,
     within_option,
 )
 from clrelight.cli.output import make_report, print_report
@@ -59,6 +60,7 @@ from clrelight.cli.psnr import psnr_lines
     show_default=True,
     help="PSNR at all pixels, or at a sample with its standard error; auto: a sample from a megapixel on.",
 )
+@perceptual_option
 @click.option(
     "--keep-stack",
     type=click.Path(),

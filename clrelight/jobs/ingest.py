@@ -77,7 +77,7 @@ def ingest(
     report : Report, optional
         Filled; without one, notes become warnings (`Note`).
     **options
-        Of `clrelight.ingest.read_folder`: ``lights``, ``transfer``, ``peak``, ``crop``, ``mask``, ``subset``,
+        Of `clrelight.ingest.read_folder`: ``lights``, ``transfer``, ``peak``, ``crop``, ``mask``, ``downscale``,
         ``allow_below``, ``name``, ...
 
     Returns

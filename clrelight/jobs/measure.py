@@ -21,9 +21,11 @@ from clrelight.jobs.inputs import (
     take_encoded,
 )
 from clrelight.jobs.measure_parts import measure_parts
+from clrelight.jobs.perceived import measure_perceived, relit_map, relit_regions
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.split_quality import Split, summarize_split
 from clrelight.metrics import check_view, domain_note, measure_errors
+from clrelight.perception import check_perception
 
 _WHOLE_BYTES = 1 << 28
 """Coefficients from which an encoding is decoded and measured part by part, where its codec can."""
@@ -33,6 +35,7 @@ def measure(
     fitted: FittedLike,
     stack: StackLike,
     *,
+    perceptual: bool = False,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -44,6 +47,9 @@ def measure(
     fitted : path, CoefficientMap or Encoded
         A fit, or what encodes one.
     stack : path or LightStack
+    perceptual : bool
+        Measure FLIP and colour differences as well, at a sample of the lights: see
+        `clrelight.jobs.perceived.measure_perceived`. Needs the extra ``flip``.
     device : Device or str, optional
         As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
     progress : callable, optional
@@ -56,7 +62,8 @@ def measure(
     dict of str to float
         ``mean_fitted``, the mean over the lights that the fit has seen, and ``pooled_fitted``, of their pooled error;
         ``mean_holdout`` and ``pooled_holdout`` of those that it has not, where there are any, with the angle in degrees
-        from them to the nearest fitted one, ``distance_median_holdout`` and ``distance_largest_holdout``.
+        from them to the nearest fitted one, ``distance_median_holdout`` and ``distance_largest_holdout``. With
+        `perceptual` also ``flip_fitted``, ``flip_error_fitted``, ``colour_fitted``, ...
 
     Raises
     ------
@@ -65,6 +72,8 @@ def measure(
     """
     kept = report_for(report)
     with opened_on(device, kept) as opened, lend_stack(stack, kept) as source:
+        if perceptual:
+            check_perception(source.image_shape[2])
         if is_encoded(fitted):
             since = time.perf_counter()
             encoded, record = take_encoded(fitted)  # type: ignore[arg-type]
@@ -76,6 +85,8 @@ def measure(
                 since = kept.add("read", since)
                 split = split_by_fit(source, blank)
                 kept.psnr = measure_parts(regions, record, source, split, opened, sampled=False, progress=progress)
+                if perceptual:
+                    kept.psnr |= measure_perceived(relit_regions(regions, opened), source, split, progress)
                 kept.add("measure", since)
                 return kept.psnr
             fitted = encoded  # it is read already
@@ -83,7 +94,10 @@ def measure(
         with lend_coefficients(fitted, opened, kept, progress) as coefficients:
             since = time.perf_counter()
             kept.note(*filter(None, [domain_note(coefficients, source)]))
-            kept.psnr = measure_split(coefficients, source, opened, progress=progress)
+            split = split_by_fit(source, coefficients)
+            kept.psnr = measure_split(coefficients, source, opened, split, progress)
+            if perceptual:
+                kept.psnr |= measure_perceived(relit_map(coefficients, opened), source, split, progress)
             kept.add("measure", since)
     return kept.psnr
 

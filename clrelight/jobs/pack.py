@@ -25,6 +25,7 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.packing import Pack, Size
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
+from clrelight.perception import check_perception
 from clrelight.store import check_output, write_encoded
 from clrelight.store.scratch import scratch_room
 
@@ -47,6 +48,7 @@ def pack(
     holdout: int | None = None,
     holdout_by: str = "index",
     measure: str = "auto",
+    perceptual: bool = False,
     keep_stack: str | os.PathLike[str] | None = None,
     memory: int | str = DEFAULT_MEMORY,
     device: Device | str | None = None,
@@ -83,6 +85,8 @@ def pack(
         Lights that are kept out of the fit and measured apart; as of `clrelight.jobs.fit.fit`.
     measure : str
         One of `MEASURES`.
+    perceptual : bool
+        Measure FLIP and colour differences as well; as of `clrelight.jobs.measure.measure`.
     keep_stack : path, optional
         Where the photographs are kept as a stack file; by default they lie in a file without a name beside `out`, which
         goes with the process.
@@ -120,6 +124,8 @@ def pack(
         scratch_room(Path(os.fsdecode(out)).parent, budget) as room,
     ):
         check_metric(metric, stack.image_shape[2])
+        if perceptual:
+            check_perception(stack.image_shape[2])
         split = rule.split(stack.directions_i3)
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         unseen = stack.directions_i3[split[1]] if len(split[1]) else None
@@ -128,7 +134,7 @@ def pack(
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
         job = Pack(stack, split, prepared, size, metric, room, kept, progress)
         job.tell_facts()
-        encoded = job.encode(measure)
+        encoded = job.encode(measure, perceptual)
         since = time.perf_counter()
         write_encoded(out, encoded)
         kept.add("write", since)

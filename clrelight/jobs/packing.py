@@ -14,6 +14,7 @@ import numpy as np
 from clrelight.codec import Encoded, array_source, codec_class, decode_regions, encode_stream
 from clrelight.codec.streams import Source
 from clrelight.codec.transforms.principal import STEP_RANGE
+from clrelight.codec.views import Regions
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
 from clrelight.fit import PreparedFit
@@ -23,6 +24,7 @@ from clrelight.holdout import describe_duplicates, note_distance
 from clrelight.jobs.bands import bands_of
 from clrelight.jobs.fitted_source import fitted_source
 from clrelight.jobs.measure_parts import SAMPLED_FROM, measure_parts, sample_windows
+from clrelight.jobs.perceived import measure_perceived, relit_regions
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.sizes import payload_budget, size_facts
 from clrelight.jobs.split_quality import Split
@@ -113,7 +115,7 @@ class Pack:
         if (near := note_distance(self.stack.directions_i3, *self.split)) is not None:
             self.report.note(near)
 
-    def encode(self, measure: str) -> Encoded:
+    def encode(self, measure: str, perceptual: bool = False) -> Encoded:
         """Return the encoding, measured as is asked for."""
         height, width, _ = self.stack.image_shape
         mask_hw = self.stack.mask_hw
@@ -128,6 +130,8 @@ class Pack:
         self.report.facts |= {**size_facts(encoded), "config": dict(encoded.config)}
         if measure != "none" and not self.report.psnr:
             self._measure(encoded, sampled)
+        if perceptual:
+            self._perceive(encoded)
         return encoded
 
     @contextmanager
@@ -152,14 +156,17 @@ class Pack:
         self.report.add("code", since)
         return Encoded(codec.id, codec.to_config(), source.shape, body, info, self.prepared.record)
 
+    def _perceive(self, encoded: Encoded) -> None:
+        """Add what an eye sees of the differences to what was measured."""
+        since, relit = time.perf_counter(), relit_regions(_regions_of(encoded), self.prepared.device)
+        self.report.psnr |= measure_perceived(relit, self.stack, self.split, self.progress)
+        self.report.add("measure", since)
+
     def _measure(self, encoded: Encoded, sampled: bool) -> float:
         """Measure, and return the PSNR that a target is about."""
-        regions = decode_regions(encoded)
-        if regions is None:
-            raise TypeError("klt writes bodies of which parts can be decoded")
         since, report = time.perf_counter(), self.report
         report.psnr = measure_parts(
-            regions,
+            _regions_of(encoded),
             self.prepared.record,
             self.stack,
             self.split,
@@ -240,3 +247,10 @@ class Pack:
             mask_hw=np.concatenate(masks, axis=1) if masks else None,
         )
         return record.to_map(np.ascontiguousarray(np.concatenate(coeffs, axis=2))), mosaic
+
+
+def _regions_of(encoded: Encoded) -> Regions:
+    regions = decode_regions(encoded)
+    if regions is None:
+        raise TypeError("klt writes bodies of which parts can be decoded")
+    return regions
