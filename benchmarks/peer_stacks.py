@@ -27,7 +27,7 @@ from clrelight.metrics import psnr_of
 from clrelight.sampling import make_pattern
 
 PIXELS_QUICK, LIGHTS_QUICK = 40, 16
-_WIDTH, _HEIGHT, _LIGHTS = 1224, 816, 40
+_WIDTH, _HEIGHT, _LIGHTS, _MARGIN = 1224, 816, 30, 128
 _BAND = 1 << 16
 """Pixels that are relit at once."""
 _FIT, _SMOOTHING = "spline", 1e-3
@@ -146,7 +146,7 @@ def requests() -> list[Request]:
             if source.name in names:
                 found.append(Request(source.name, 6, lambda quick, source=source: _field(source, quick)))
     found.append(Request("ring", 6, _ring))
-    found.append(Request("photographs 1 MP", 6, _photographs))
+    found.append(Request("photographs 1 MP", 4, _photographs))
     return found
 
 
@@ -197,8 +197,8 @@ def _photographs(quick: bool) -> tuple[LightStack, NDArray[np.intp], NDArray[np.
     """Return the middle of larger photographs."""
     width, height, lights = (PIXELS_QUICK, PIXELS_QUICK, LIGHTS_QUICK) if quick else (_WIDTH, _HEIGHT, _LIGHTS)
     directions_i3 = make_pattern("uniform", lights)
-    scene = Scene(2 * width, 2 * height)
-    rows, columns = slice(height // 2, height // 2 + height), slice(width // 2, width // 2 + width)
+    scene = Scene(width + 2 * _MARGIN, height + 2 * _MARGIN)
+    rows, columns = slice(_MARGIN, _MARGIN + height), slice(_MARGIN, _MARGIN + width)
     images_ihwc = np.empty((lights, height, width, 3), np.uint8)
 
     def take(light: int) -> None:

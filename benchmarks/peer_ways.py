@@ -26,6 +26,8 @@ KLT, RTI = "klt", "RTI planes, JPEG"
 _RAW = ("JPEG 2000", "HTJ2K")
 """Codecs that get the raw maps too, which take several times the bytes of principal planes with any."""
 _QUALITIES = (5, 100)
+_PART = 544
+"""Side of a part that klt codes as it does a whole map of so many pixels or more: in several units."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,11 @@ class KltCurve:
         self.encoded[rate] = encoded
         return Point(encoded.encoded_bytes, self._stack.score_coefficients(decoded_khwc), *seconds, f"{rate:g} bit")
 
+    def build_kernels(self) -> None:
+        """Code a part of the map, for seconds hold no building of kernels."""
+        part_khwc = np.ascontiguousarray(self._stack.coeffs_khwc[:, :_PART, :_PART])
+        decode(encode(part_khwc, codec_class("klt").from_config({"rate": 0.1}), self._device), self._device)
+
     def bytes_at(self, measure: str, psnr: float) -> float:
         """Return the bytes at a PSNR that may be below those of the rates."""
         found = match(lambda place: self.at(2.0**place), measure, psnr, -6.0, (-11.0, 1.0), 1.5)
@@ -108,8 +115,7 @@ def measure_stack(
 ) -> None:
     """Add the rows of a stack, klt's first at each rate; `tell` gets each as it comes."""
     curve = KltCurve(stack, device)
-    curve.at(rates[len(rates) // 2])
-    curve.at.cache_clear()  # kernels are built now
+    curve.build_kernels()
 
     def add(row: Row) -> None:
         measurement.rows.append(row)
