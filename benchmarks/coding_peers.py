@@ -18,6 +18,7 @@ import click
 from benchmarks.pages import check_markdown, replace_block
 from benchmarks.peer_page import (
     SUMMARY_HEADERS,
+    seconds,
     stack_headers,
     stack_rows,
     summary_rows,
@@ -88,7 +89,7 @@ def _tell(row: Row) -> None:
     what = "" if row.reached else ", not reached"
     click.echo(
         f"{row.stack:26} {row.way:32} {row.rate:5g} bit  {row.byte_count:10.0f} B {row.ratio:7.3f} × at"
-        f" {row.psnr:.2f} dB {row.equal}{what}  {row.point.encode_seconds:.2f} / {row.point.decode_seconds:.2f} s"
+        f" {row.psnr:.2f} dB {row.equal}{what}  {seconds(row.point)}"
         f"  {row.point.setting}"
     )
 

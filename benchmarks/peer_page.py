@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
-from benchmarks.peer_search import CODING, HELD_OUT, SEEN
+from benchmarks.peer_search import CODING, HELD_OUT, SEEN, Point
 from benchmarks.peer_ways import KLT, Measurement, Row
 from clrelight.speed.tables import markdown_table
 
@@ -64,13 +64,17 @@ def stack_rows(rows: Sequence[Row], rates: Sequence[float]) -> list[list[str]]:
 
 
 def _cell(row: Row) -> str:
-    seconds = f"{_digits(row.point.encode_seconds)} / {_digits(row.point.decode_seconds)} s"
     size = f"{_digits(row.byte_count / 1000.0)} kB"
     if row.way == KLT:
         decibel = " / ".join(f"{row.point.psnr[name]:.2f}" for name in (CODING, HELD_OUT, SEEN))
-        return f"{size}, {decibel} dB, {seconds}"
+        return f"{size}, {decibel} dB, {seconds(row.point)}"
     at = "" if row.reached else f" † at {row.psnr:.2f} dB"
-    return f"{size}, {row.ratio:.2f} ×{at}, {seconds}"
+    return f"{size}, {row.ratio:.2f} ×{at}, {seconds(row.point)}"
+
+
+def seconds(point: Point) -> str:
+    """Return seconds to encode and to decode, a dash where they are not known apart."""
+    return f"{_digits(point.encode_seconds)} / {_digits(point.decode_seconds)} s"
 
 
 def _ratio(values: Sequence[float]) -> str:
@@ -136,7 +140,7 @@ def to_json(measurement: Measurement, facts: Mapping[str, str]) -> dict[str, Any
             "setting": row.point.setting,
             "psnr_of_setting": dict(row.point.psnr),
             "encode_seconds": row.point.encode_seconds,
-            "decode_seconds": row.point.decode_seconds,
+            "decode_seconds": None if math.isnan(row.point.decode_seconds) else row.point.decode_seconds,
         }
         for row in measurement.rows
     ]

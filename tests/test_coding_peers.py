@@ -193,3 +193,13 @@ def test_what_cannot_be_is_refused_before_work(words, message):
     done = CliRunner().invoke(coding_peers.main, words)
     assert done.exit_code == 2
     assert message in done.output
+
+
+def test_planes_of_noise_have_room_in_a_jpeg():
+    pytest.importorskip("PIL")
+    from benchmarks.jpeg_planes import compress_planes
+
+    noise = np.random.default_rng(0).random((300, 300, 3), np.float32)
+    size, (back,) = compress_planes([noise], 100)
+    assert size > 2 * 300 * 300  # more than Pillow's usual buffer
+    np.testing.assert_allclose(back, np.clip(noise, 0.0025, 0.9975), atol=0.02)
