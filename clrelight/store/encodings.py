@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import tempfile
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,7 +21,11 @@ from clrelight.store.fits import read_record, write_record
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import ENCODED
 from clrelight.store.scratch import ScratchBody, ScratchRoom
+from clrelight.store.stored import StoredArray
 from clrelight.store.writing import CHUNK_BYTES, COMPACT_BYTES, Draft, config_text, drafting
+
+if TYPE_CHECKING:
+    from clrelight.remote.ranges import RangedFile
 
 _CONFIG_BYTES = 64
 _MARGIN = 64
@@ -77,25 +84,23 @@ def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
         return encoded_of(opened)
 
 
-def stage_encoded(path: str | os.PathLike, room: ScratchRoom) -> tuple[Encoded, FitRecord]:
-    """Return what `read_encoded` does, a payload that is large for the room copied to a file; errors as of it."""
-    with opening(path, "encoded") as opened:
-        stored = opened.arrays["payload"]
-        body = None
-        if not room.holds(stored.size):
-            body = ScratchBody(room)
-            body.reserve(stored.size)
-            for start in range(0, stored.size, _PIECE_BYTES):
-                body.write(start, stored[start : start + _PIECE_BYTES])
-        with refusing(opened.path):
-            return encoded_of(opened, body)
+def stage_encoded(opened: Opened, room: ScratchRoom) -> tuple[Encoded, FitRecord]:
+    """Return what `encoded_of` does, a payload that is large for the room copied to a file."""
+    stored, body = opened.arrays["payload"], None
+    if not room.holds(stored.size):
+        body = ScratchBody(room)
+        body.reserve(stored.size)
+        for start in range(0, stored.size, _PIECE_BYTES):
+            body.write(start, stored[start : start + _PIECE_BYTES])
+    with refusing(opened.path):
+        return encoded_of(opened, body)
 
 
 class StoredBody:
     """The payload of an open file, read as it is sliced."""
 
-    def __init__(self, opened: Opened) -> None:
-        self._stored = opened.arrays["payload"]
+    def __init__(self, stored: StoredArray) -> None:
+        self._stored = stored
 
     def __len__(self) -> int:
         return self._stored.size
@@ -104,14 +109,57 @@ class StoredBody:
         return self._stored[part].tobytes()
 
 
-def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRecord]:
+class RemoteBody(StoredBody):
+    """The payload of an open file on another machine, of which exactly what is asked for is fetched.
+
+    So blocks are not compared with their checksums: it is for payloads whose parts have their own.
+    """
+
+    def __init__(self, stored: StoredArray, remote: RangedFile, extents: list[tuple[int, int]]) -> None:
+        super().__init__(stored)
+        self._remote, self._extents = remote, extents
+        self._firsts = np.cumsum([0, *(size for _, size in extents)]).tolist()
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, stop, _ = part.indices(len(self))
+        content = b"".join([self._remote.read_at(*place) for place in self._places(start, stop)])
+        if len(content) != max(stop - start, 0):
+            raise StoreFormatError("its payload lies beyond its end: it is damaged")
+        return content
+
+    def prefetch(self, parts: Sequence[tuple[int, int]]) -> None:
+        """See `clrelight.codec.bodies.FarBody`."""
+        self._remote.prefetch([place for part in parts for place in self._places(*part)])
+
+    def _places(self, start: int, stop: int) -> Iterator[tuple[int, int]]:
+        at = bisect_right(self._firsts, start) - 1
+        while start < stop:
+            place, end = self._extents[at][0] + start - self._firsts[at], min(stop, self._firsts[at + 1])
+            yield place, place + end - start
+            start, at = end, at + 1
+
+
+def body_of(opened: Opened, *, compared: bool = True) -> StoredBody:
+    """Return the payload of an open file, to be read as it is sliced.
+
+    Of a file on another machine only what is sliced is fetched. Its blocks are `compared` with their checksums where
+    they are read whole.
+    """
+    stored, place = opened.arrays["payload"], opened.place
+    extents = stored.extents() if place.remote is not None and place.begin == 0 else []
+    if place.remote is not None and extents:
+        return RemoteBody(stored, place.remote, extents)
+    return StoredBody(stored if compared else stored.unchecked())
+
+
+def encoded_of(opened: Opened, body: Body | None = None, *, summed: bool = True) -> tuple[Encoded, FitRecord]:
     """Return what an open file holds; StoreFormatError or InputError if it is not sound.
 
-    `body` is its payload, where that is read already.
+    `body` is its payload, where that is read already or not to be read yet; `summed` as of `Encoded.from_parts`.
     """
     held = opened.attributes()
     body = opened.arrays["payload"][...].tobytes() if body is None else body
-    encoded = Encoded.from_parts(opened.arrays["header"][...].tobytes(), body)
+    encoded = Encoded.from_parts(opened.arrays["header"][...].tobytes(), body, summed=summed)
     for name, value in (
         ("codec", encoded.codec),
         ("encoded_bytes", encoded.encoded_bytes),

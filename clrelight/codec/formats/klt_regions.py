@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
 from clrelight.codec.entropy.units import LEVELS, MARGIN, PRECINCT, Unit, Window, lay_out, list_units, low_side
-from clrelight.codec.formats.klt_units import Parsed, is_together, read_stream
+from clrelight.codec.formats.klt_salvage import Salvage
+from clrelight.codec.formats.klt_units import Parsed, expect_streams, is_together, read_stream
 from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import list_subbands, padded_width, transform_planes
 from clrelight.codec.transforms.whitening import with_type
@@ -33,10 +34,15 @@ class UnitReader:
     shape : tuple of int
         (n_coeff, height, width, channel).
     device : Device
+    salvage : Salvage, optional
+        Lets units be damaged.
     """
 
-    def __init__(self, body: Body, parsed: Parsed, shape: Shape, device: Device) -> None:
+    def __init__(
+        self, body: Body, parsed: Parsed, shape: Shape, device: Device, salvage: Salvage | None = None
+    ) -> None:
         self._body, self._parsed, self._shape, self._device = body, parsed, shape, device
+        self._salvage = salvage
         self._units = list_units(shape[1], shape[2])
 
     @property
@@ -94,23 +100,44 @@ class UnitReader:
     def _decode(self, region: Region, weight_jc: NDArray[np.float32] | None) -> tuple[NDArray, Window]:
         """Return indices, or sums, in a window of whole units; what the region needs is in them."""
         _, height, width, _ = self._shape
-        count = self._parsed.head.n_plane
         together = is_together(self._shape)
         chosen = list(range(len(self._units))) if together else self._needed(region)
         units = [self._units[t] for t in chosen]
         window = Window(0, 0, height, width) if together else _cover(units, height, width)
-        pitch = padded_width(window.shape[1])
-        layout = lay_out(units, height, width, window, pitch, together)
-        streams = [read_stream(self._body, self._parsed, t) for t in ([0] if together else chosen)]
+        expect_streams(self._body, self._parsed, [0] if together else chosen)
+        if self._salvage is None:
+            streams = [self._read(t) for t in ([0] if together else chosen)]
+            decoded, fault_t = self._run(units, window, streams, weight_jc)
+            if fault_t.any():
+                raise PayloadError(f"unit {chosen[int(np.argmax(fault_t))]} of the klt body cannot be decoded")
+            return decoded, window
+        while True:
+            kept, streams = self._salvage.keep(chosen, self._read)
+            decoded, fault_t = self._run([self._units[t] for t in kept], window, streams, weight_jc)
+            if not fault_t.any():
+                self._salvage.fill(decoded, window, chosen, self._read, self._device, weight_jc)
+                return decoded, window
+            self._salvage.fault(np.array(kept)[fault_t != 0].tolist())
+
+    def _read(self, stream: int) -> bytes:
+        return read_stream(self._body, self._parsed, stream)
+
+    def _run(
+        self, units: list[Unit], window: Window, streams: list[bytes], weight_jc: NDArray[np.float32] | None
+    ) -> tuple[NDArray, NDArray[np.int32]]:
+        """Decode streams into a window's planes of indices, or sums of them; return those, and which are damaged."""
+        _, height, width, _ = self._shape
+        count, rows, pitch = self._parsed.head.n_plane, window.shape[0], padded_width(window.shape[1])
         # Memory that is not there before something is written to it.
-        index = self._device.hold(np.zeros((count, window.shape[0], pitch), np.int32))
+        index = self._device.hold(np.zeros((count, rows, pitch), np.int32))
         sums = None
         if weight_jc is not None:
-            sums = self._device.hold(np.zeros((weight_jc.shape[1], window.shape[0], pitch), np.float32))
-        fault_t = decode_streams(self._device, layout, streams, default_tables(), index, count, sums, weight_jc)
-        if fault_t.any():
-            raise PayloadError(f"unit {chosen[int(np.argmax(fault_t))]} of the klt body cannot be decoded")
-        return self._device.download(index if sums is None else sums), window
+            sums = self._device.hold(np.zeros((weight_jc.shape[1], rows, pitch), np.float32))
+        fault_t = np.zeros(0, np.int32)
+        if streams:
+            layout = lay_out(units, height, width, window, pitch, is_together(self._shape))
+            fault_t = decode_streams(self._device, layout, streams, default_tables(), index, count, sums, weight_jc)
+        return self._device.download(index if sums is None else sums), fault_t
 
     def _needed(self, region: Region) -> list[int]:
         """Return the numbers of the units that a region's samples hang on."""
