@@ -8,7 +8,6 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,13 +18,11 @@ from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store.fits import read_record, write_record
 from clrelight.store.opening import Opened, opening, parse_config, refusing
+from clrelight.store.places import Place
 from clrelight.store.schemas import ENCODED
 from clrelight.store.scratch import ScratchBody, ScratchRoom
 from clrelight.store.stored import StoredArray
 from clrelight.store.writing import CHUNK_BYTES, COMPACT_BYTES, Draft, config_text, drafting
-
-if TYPE_CHECKING:
-    from clrelight.remote.ranges import RangedFile
 
 _CONFIG_BYTES = 64
 _MARGIN = 64
@@ -109,29 +106,29 @@ class StoredBody:
         return self._stored[part].tobytes()
 
 
-class RemoteBody(StoredBody):
-    """The payload of an open file on another machine, of which exactly what is asked for is fetched.
+class PlacedBody(StoredBody):
+    """The payload of an open file as it lies there: exactly what is asked for is read, or fetched.
 
     So blocks are not compared with their checksums: it is for payloads whose parts have their own.
     """
 
-    def __init__(self, stored: StoredArray, remote: RangedFile, extents: list[tuple[int, int]]) -> None:
+    def __init__(self, stored: StoredArray, place: Place, extents: list[tuple[int, int]]) -> None:
         super().__init__(stored)
-        self._remote, self._extents = remote, extents
+        self._place, self._extents = place, extents
         self._firsts = np.cumsum([0, *(size for _, size in extents)]).tolist()
 
     def __getitem__(self, part: slice) -> bytes:
         start, stop, _ = part.indices(len(self))
-        content = b"".join([self._remote.read_at(*place) for place in self._places(start, stop)])
+        content = b"".join([self._place.read_at(*range_) for range_ in self._ranges(start, stop)])
         if len(content) != max(stop - start, 0):
-            raise StoreFormatError("its payload lies beyond its end: it is damaged")
+            raise StoreFormatError(f"{self._place.path}: its payload lies beyond its end: it is damaged")
         return content
 
     def prefetch(self, parts: Sequence[tuple[int, int]]) -> None:
         """See `clrelight.codec.bodies.FarBody`."""
-        self._remote.prefetch([place for part in parts for place in self._places(*part)])
+        self._place.prefetch([range_ for part in parts for range_ in self._ranges(*part)])
 
-    def _places(self, start: int, stop: int) -> Iterator[tuple[int, int]]:
+    def _ranges(self, start: int, stop: int) -> Iterator[tuple[int, int]]:
         at = bisect_right(self._firsts, start) - 1
         while start < stop:
             place, end = self._extents[at][0] + start - self._firsts[at], min(stop, self._firsts[at + 1])
@@ -142,14 +139,14 @@ class RemoteBody(StoredBody):
 def body_of(opened: Opened, *, compared: bool = True) -> StoredBody:
     """Return the payload of an open file, to be read as it is sliced.
 
-    Of a file on another machine only what is sliced is fetched. Its blocks are `compared` with their checksums where
-    they are read whole.
+    It is `compared` with the checksums of its blocks where they are read whole: not of a file on another machine, of
+    which only what is sliced is fetched.
     """
     stored, place = opened.arrays["payload"], opened.place
-    extents = stored.extents() if place.remote is not None and place.begin == 0 else []
-    if place.remote is not None and extents:
-        return RemoteBody(stored, place.remote, extents)
-    return StoredBody(stored if compared else stored.unchecked())
+    if compared and place.remote is None:
+        return StoredBody(stored)
+    extents = stored.extents() if place.begin == 0 else []
+    return PlacedBody(stored, place, extents) if extents else StoredBody(stored if compared else stored.unchecked())
 
 
 def encoded_of(opened: Opened, body: Body | None = None, *, summed: bool = True) -> tuple[Encoded, FitRecord]:

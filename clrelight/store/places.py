@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -51,6 +51,19 @@ class Place:
         if self.remote is not None:
             return h5py.File(self.remote, "r", rdcc_nbytes=CACHE_BYTES)
         return h5py.File(self.path, "r", locking=False, rdcc_nbytes=CACHE_BYTES)
+
+    def read_at(self, start: int, end: int) -> bytes:
+        """Return bytes `start` to `end`, or to where the file ends before."""
+        if self.remote is not None:
+            return self.remote.read_at(start, end)
+        with open(self.path, "rb") as stream:
+            stream.seek(start)
+            return stream.read(end - start)
+
+    def prefetch(self, ranges: Iterable[tuple[int, int]]) -> None:
+        """Fetch ranges that are read next."""
+        if self.remote is not None:
+            self.remote.prefetch(ranges)
 
     def traffic(self) -> dict[str, int]:
         """Return what was fetched so far: bytes, of how many, and in how many requests; nothing of a file here."""

@@ -58,15 +58,17 @@ class StoredArray:
         Places count from where HDF5 begins.
         """
         plan, itemsize = self.id.get_create_plist(), self.dtype.itemsize
-        if self.ndim != 1 or plan.get_nfilters():
+        filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
+        if self.ndim != 1 or filters not in ([], [h5py.h5z.FILTER_FLETCHER32]):  # of which the checksum stands behind
             return []
         if plan.get_layout() == h5py.h5d.CONTIGUOUS:
             return [(self.id.get_offset(), self.size * itemsize)]
         if not self.chunks:
             return []
-        found: list[tuple[int, int, int]] = []
-        self.id.chunk_iter(lambda info: found.append((info.chunk_offset[0], info.byte_offset, info.size)))
-        return [(at, min(size, (self.size - first) * itemsize)) for first, at, size in sorted(found)]
+        found: list[tuple[int, int]] = []
+        self.id.chunk_iter(lambda info: found.append((info.chunk_offset[0], info.byte_offset)))
+        (extent,) = self.chunks
+        return [(at, min(extent, self.size - first) * itemsize) for first, at in sorted(found)]
 
     def __getitem__(self, key: Any) -> NDArray:
         """Read a selection: integers, slices, and lists of integers."""
