@@ -128,10 +128,8 @@ def test_pictures_regions_levels_and_photographs(sound, tmp_path):
     ]
     assert np.abs(found - whole).max() < 0.5
 
-    # Where nothing is damaged, nothing needs to be salvaged, and what lies elsewhere is not told of.
-    region = (0, 0, 200, 200)
-    np.testing.assert_array_equal(cr.relight(broken, LIGHT, region=region), cr.relight(path, LIGHT, region=region))
-    for asked in ({"region": region}, {"level": 3}):
+    # What lies elsewhere is not told of.
+    for asked in ({"region": (0, 0, 200, 200)}, {"level": 3}):
         report = cr.Report()
         image = cr.relight(broken, LIGHT, salvage=True, report=report, **asked)
         np.testing.assert_array_equal(image, cr.relight(path, LIGHT, **asked))
