@@ -20,6 +20,7 @@ class Served:
 
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
+    wbufsize = -1  # headers and content go together, and nobody waits for an acknowledgement
 
     def do_GET(self):
         served = self.server.served
@@ -52,14 +53,17 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(content)
 
-    def drip(self, content, seconds):
+    def drip(self, seconds):
         """Send headers, and then a byte at a time."""
+        (start, end), whole = self.asked(), self.server.served.content
+        end = min(end, len(whole))
         self.send_response(206)
-        self.send_header("Content-Length", str(len(content)))
-        self.send_header("Content-Range", f"bytes 0-{len(content) - 1}/{len(self.server.served.content)}")
+        self.send_header("Content-Length", str(end - start))
+        self.send_header("Content-Range", f"bytes {start}-{end - 1}/{len(whole)}")
         self.end_headers()
-        for byte in content:
+        for byte in whole[start:end]:
             self.wfile.write(bytes([byte]))
+            self.wfile.flush()
             time.sleep(seconds)
 
     def hang_up(self):

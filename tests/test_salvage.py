@@ -123,9 +123,7 @@ def test_pictures_regions_levels_and_photographs(sound, tmp_path):
     whole, report = cr.relight(path, LIGHT), cr.Report()
     found = cr.relight(broken, LIGHT, salvage=True, report=report)
     np.testing.assert_array_equal(found[far], whole[far])
-    assert report.facts["damaged"] == [
-        {"row": rows[0], "column": columns[0], "level": 3, "height": 512, "width": 512}
-    ]
+    assert report.facts["damaged"] == [{"row": rows[0], "column": columns[0], "level": 3, "height": 512, "width": 512}]
     assert np.abs(found - whole).max() < 0.5
 
     # What lies elsewhere is not told of.
@@ -137,7 +135,9 @@ def test_pictures_regions_levels_and_photographs(sound, tmp_path):
     with pytest.raises(InputError, match="is damaged"):
         cr.relight(broken, LIGHT, region=(600, 300, 50, 50))
 
-    ended = call("relight", broken, tmp_path / "o.exr", "--light", "0.2,0.3,1", "--salvage", "--region", "600,300,50,50")
+    ended = call(
+        "relight", broken, tmp_path / "o.exr", "--light", "0.2,0.3,1", "--salvage", "--region", "600,300,50,50"
+    )
     assert ended.err.startswith(f"note: unit row {rows[0]}, column {columns[0]}, level 3 damaged: its 512 x ")
     np.testing.assert_allclose(read_image(tmp_path / "o.exr"), found[300:350, 600:650], atol=1e-5)
 
