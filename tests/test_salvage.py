@@ -156,7 +156,7 @@ def test_light_from_everywhere_on_a_damaged_file(sound, tmp_path):
     path, _ = sound
     number, rows, columns = find_unit(2, 300, 600)
     broken, sky = damage(path, tmp_path / "broken.h5", number), cr.sky_light("clear", 35, 120, degree=2)
-    found, report = None, cr.Report()
+    report = cr.Report()
     found = cr.relight(broken, sky, salvage=True, report=report)
     far = outside(rows, columns, 2)
     np.testing.assert_array_equal(found[far], cr.relight(path, sky, report=cr.Report())[far])
@@ -253,7 +253,7 @@ def test_a_copy_with_checksums_of_hdf5(sound, tmp_path):
 
 def test_what_cannot_be_salvaged(sound, tmp_path):
     path, _ = sound
-    parsed, blocks = streams_of(path)
+    _, blocks = streams_of(path)
     tables = tmp_path / "tables.h5"
     content = bytearray(path.read_bytes())
     content[blocks[0][1] + HEAD_SIZE + 2] ^= 1

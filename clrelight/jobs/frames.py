@@ -104,8 +104,9 @@ class LightFrames:
     @contextmanager
     def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
         """See `Frames`."""
-        salvage = self._salvage
+        since, salvage = time.perf_counter(), self._salvage
         with lend_fitted(source, report, parts=not self._part.is_all, salvage=salvage) as held:
+            report.add("read", since)
             coefficients = _part_of(held, source, self._part, salvage, device, report, progress)
             yield self._images(coefficients, device, report), coefficients.transfer
 
@@ -147,6 +148,7 @@ def _lend_view(
     """
     since = time.perf_counter()
     with lend_fitted(source, report, parts=not part.is_all, salvage=salvage) as held:
+        since = report.add("read", since)
         if isinstance(held, Packed):
             encoded = held.encoded
             region, light = part.of(*encoded.shape[1:3]), None
@@ -154,7 +156,7 @@ def _lend_view(
                 light = partial(regions.relight_region, region=region, device=device)
             elif part.is_all and (view := decode_view(encoded, device)) is not None:
                 light = partial(view.relight, device=device)
-            since = report.add("decode", since)
+            report.add("decode", since)
             if light is not None:
                 yield _View(light, 4 * math.prod(region.shape) * encoded.shape[3], held.record.transfer)
                 return
