@@ -163,6 +163,20 @@ def test_light_from_everywhere_on_a_damaged_file(sound, tmp_path):
     assert report.facts["damaged"][0]["level"] == 2
 
 
+@pytest.mark.parametrize("level", [0, 4])
+def test_what_is_filled_does_not_hang_on_the_region(sound, tmp_path, level):
+    broken = damage(sound[0], tmp_path / "broken.h5", find_unit(level, 300, 600)[0])
+    whole_khwc = cr.decode(broken, salvage=True, report=cr.Report()).coeffs_khwc
+    relit = cr.relight(cr.read_encoded(sound[0])[1].to_map(whole_khwc), LIGHT)
+    for x, y, w, h in ((480, 200, 70, 40), (700, 530, 400, 46)):
+        asked = {"region": (x, y, w, h), "salvage": True, "report": cr.Report()}
+        np.testing.assert_allclose(
+            cr.decode(broken, **asked).coeffs_khwc, whole_khwc[:, y : y + h, x : x + w], atol=5e-6
+        )
+        np.testing.assert_allclose(cr.relight(broken, LIGHT, **asked), relit[y : y + h, x : x + w], atol=5e-6)
+        assert [each["level"] for each in asked["report"].facts["damaged"]] == [level or "low"]
+
+
 def test_all_that_can_be_salvaged_of_everything(sound, tmp_path):
     """Every unit damaged: the mean is left."""
     path, whole_khwc = sound
