@@ -12,7 +12,7 @@ import clrelight
 ROOT = Path(clrelight.__file__).parent
 FLOORS = [
     {"arrays", "errors", "conventions", "configurable", "text_rows", "interrupts", "search", "streaming", "statements"},
-    {"harmonics", "durable", "threads"},
+    {"harmonics", "durable", "remote", "threads"},
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {
         *("dataset", "directions", "holdout", "lights", "light_columns", "light_files", "masks", "negatives"),

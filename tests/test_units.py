@@ -10,7 +10,7 @@ from clrelight.codec.entropy.unit_streams import FLAGS, Tables, decode_streams, 
 from clrelight.codec.entropy.units import LEVELS, Window, lay_out, list_tiles, list_units, low_side, place_units
 from clrelight.codec.formats import klt_regions
 from clrelight.codec.formats.klt import Klt
-from clrelight.codec.formats.klt_decode import UnitView, decode_region
+from clrelight.codec.formats.klt_decode import UnitView
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_units import parse_body, read_stream
@@ -20,6 +20,10 @@ from clrelight.codec.views import Region
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
 from tests.reference.entropy import join_plane
+
+
+def decode_region(body, parsed, shape, region, device):
+    return UnitView(body, parsed, shape).coefficients(region, device)
 
 
 def code(device, values, *, together=True, price=0.0, tables=None):

@@ -97,6 +97,11 @@ region_option = click.option(
 level_option = click.option(
     "--level", type=click.IntRange(0, 5), default=0, show_default=True, help="Halve width and height so often (klt)."
 )
+salvage_option = click.option(
+    "--salvage",
+    is_flag=True,
+    help="Take a damaged file (klt): what is damaged is named, and filled from what is left.",
+)
 
 
 class Degrees(Numbers):

@@ -16,6 +16,7 @@ from clrelight.cli.options import (
     json_option,
     memory_option,
     perceptual_option,
+    salvage_option,
     within_option,
 )
 from clrelight.cli.output import make_report, print_report
@@ -132,6 +133,7 @@ def pack(
     help="8-bit images, or linear radiance in floats.",
 )
 @click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
+@salvage_option
 @memory_option("1GiB", "images and planes")
 @device_option
 @json_option

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.arrays import check_transfer
-from clrelight.codec import Encoded, decode_regions
+from clrelight.codec import Encoded
 from clrelight.codec.views import Region, Regions
 from clrelight.device import Device
 from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.images import write_image
 from clrelight.jobs.ingest import DEFAULT_MEMORY
-from clrelight.jobs.inputs import opened_on, read_directions, take_encoded
+from clrelight.jobs.inputs import lend_encoded, opened_on, read_directions
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import FLOAT_FORMATS
 from clrelight.jobs.region import list_tiles
@@ -39,6 +39,7 @@ def unpack(
     lights: str | os.PathLike[str] | None = None,
     kind: str = "jpg",
     transfer: str | None = None,
+    salvage: bool = False,
     memory: int | str = DEFAULT_MEMORY,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -50,7 +51,7 @@ def unpack(
 
     Parameters
     ----------
-    source : path or Encoded
+    source : path, URL or Encoded
         As `clrelight.jobs.pack.pack` or codec ``klt`` writes it.
     out : path
         The folder to make; one that is there must be empty.
@@ -60,6 +61,8 @@ def unpack(
         One of `FORMATS`: ``jpg`` and ``png`` of 8 bits behind the transfer, the others of linear radiance in floats.
     transfer : str, optional
         ``"linear"`` or ``"srgb"``: curve of 8-bit files; by default the stack's.
+    salvage : bool
+        Write what is left of a damaged file: notes, and ``damaged`` in the report, say what is filled.
     memory : int or str
         Bytes of images and planes that are held.
     device, progress, report
@@ -83,10 +86,13 @@ def unpack(
         if f".{kind}" in FLOAT_FORMATS:
             raise InputError(f"--transfer is for 8-bit files, but {kind} holds linear radiance: leave it out")
     given = [] if isinstance(source, Encoded) else [source]
-    with claimed([], given, kept), opened_on(device, kept) as opened:
+    with (
+        claimed([], given, kept),
+        opened_on(device, kept) as opened,
+        lend_encoded(source, kept, salvage=salvage) as packed,
+    ):
         since = time.perf_counter()
-        encoded, record = take_encoded(source)
-        regions = decode_regions(encoded)
+        encoded, record, regions = packed.encoded, packed.record, packed.regions()
         if regions is None:
             raise InputError(f"only files of codec klt hold parts that can be decoded alone, this is {encoded.codec}")
         directions_i3 = record.directions_i3 if lights is None else read_directions(lights, kept)

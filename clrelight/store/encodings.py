@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +18,10 @@ from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store.fits import read_record, write_record
 from clrelight.store.opening import Opened, opening, parse_config, refusing
+from clrelight.store.places import Place
 from clrelight.store.schemas import ENCODED
 from clrelight.store.scratch import ScratchBody, ScratchRoom
+from clrelight.store.stored import StoredArray
 from clrelight.store.writing import CHUNK_BYTES, COMPACT_BYTES, Draft, config_text, drafting
 
 _CONFIG_BYTES = 64
@@ -77,25 +81,23 @@ def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
         return encoded_of(opened)
 
 
-def stage_encoded(path: str | os.PathLike, room: ScratchRoom) -> tuple[Encoded, FitRecord]:
-    """Return what `read_encoded` does, a payload that is large for the room copied to a file; errors as of it."""
-    with opening(path, "encoded") as opened:
-        stored = opened.arrays["payload"]
-        body = None
-        if not room.holds(stored.size):
-            body = ScratchBody(room)
-            body.reserve(stored.size)
-            for start in range(0, stored.size, _PIECE_BYTES):
-                body.write(start, stored[start : start + _PIECE_BYTES])
-        with refusing(opened.path):
-            return encoded_of(opened, body)
+def stage_encoded(opened: Opened, room: ScratchRoom) -> tuple[Encoded, FitRecord]:
+    """Return what `encoded_of` does, a payload that is large for the room copied to a file."""
+    stored, body = opened.arrays["payload"], None
+    if not room.holds(stored.size):
+        body = ScratchBody(room)
+        body.reserve(stored.size)
+        for start in range(0, stored.size, _PIECE_BYTES):
+            body.write(start, stored[start : start + _PIECE_BYTES])
+    with refusing(opened.path):
+        return encoded_of(opened, body)
 
 
 class StoredBody:
     """The payload of an open file, read as it is sliced."""
 
-    def __init__(self, opened: Opened) -> None:
-        self._stored = opened.arrays["payload"]
+    def __init__(self, stored: StoredArray) -> None:
+        self._stored = stored
 
     def __len__(self) -> int:
         return self._stored.size
@@ -104,14 +106,57 @@ class StoredBody:
         return self._stored[part].tobytes()
 
 
-def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRecord]:
+class PlacedBody(StoredBody):
+    """The payload of an open file as it lies there: exactly what is asked for is read, or fetched.
+
+    So blocks are not compared with their checksums: it is for payloads whose parts have their own.
+    """
+
+    def __init__(self, stored: StoredArray, place: Place, extents: list[tuple[int, int]]) -> None:
+        super().__init__(stored)
+        self._place, self._extents = place, extents
+        self._firsts = np.cumsum([0, *(size for _, size in extents)]).tolist()
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, stop, _ = part.indices(len(self))
+        content = b"".join([self._place.read_at(*range_) for range_ in self._ranges(start, stop)])
+        if len(content) != max(stop - start, 0):
+            raise StoreFormatError(f"{self._place.path}: its payload lies beyond its end: it is damaged")
+        return content
+
+    def prefetch(self, parts: Sequence[tuple[int, int]]) -> None:
+        """See `clrelight.codec.bodies.FarBody`."""
+        self._place.prefetch([range_ for part in parts for range_ in self._ranges(*part)])
+
+    def _ranges(self, start: int, stop: int) -> Iterator[tuple[int, int]]:
+        at = bisect_right(self._firsts, start) - 1
+        while start < stop:
+            place, end = self._extents[at][0] + start - self._firsts[at], min(stop, self._firsts[at + 1])
+            yield place, place + end - start
+            start, at = end, at + 1
+
+
+def body_of(opened: Opened, *, compared: bool = True) -> StoredBody:
+    """Return the payload of an open file, to be read as it is sliced.
+
+    It is `compared` with the checksums of its blocks where they are read whole: not of a file on another machine, of
+    which only what is sliced is fetched.
+    """
+    stored, place = opened.arrays["payload"], opened.place
+    if compared and place.remote is None:
+        return StoredBody(stored)
+    extents = stored.extents() if place.begin == 0 else []
+    return PlacedBody(stored, place, extents) if extents else StoredBody(stored if compared else stored.unchecked())
+
+
+def encoded_of(opened: Opened, body: Body | None = None, *, summed: bool = True) -> tuple[Encoded, FitRecord]:
     """Return what an open file holds; StoreFormatError or InputError if it is not sound.
 
-    `body` is its payload, where that is read already.
+    `body` is its payload, where that is read already or not to be read yet; `summed` as of `Encoded.from_parts`.
     """
     held = opened.attributes()
     body = opened.arrays["payload"][...].tobytes() if body is None else body
-    encoded = Encoded.from_parts(opened.arrays["header"][...].tobytes(), body)
+    encoded = Encoded.from_parts(opened.arrays["header"][...].tobytes(), body, summed=summed)
     for name, value in (
         ("codec", encoded.codec),
         ("encoded_bytes", encoded.encoded_bytes),

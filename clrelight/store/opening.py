@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import re
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,19 +13,13 @@ from typing import Any
 import h5py
 import numpy as np
 
-from clrelight.errors import InputError, StoreFormatError
+from clrelight.errors import InputError, RemoteError, StoreFormatError
 from clrelight.store.blocks import SUM_DTYPE, Blocks
+from clrelight.store.places import Place, placed
 from clrelight.store.schemas import SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, STACK, Field, Schema
 from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, seal_of, type_text
 from clrelight.store.stored import StoredArray
 from clrelight.store.walk import walk
-
-MAGIC = b"\x89HDF\r\n\x1a\n"
-CACHE_BYTES = 1 << 20
-"""Chunk cache of each dataset of another program: a chunk of several rows, for who reads row by row."""
-
-_USER_BLOCK = 512
-"""HDF5 begins at byte 0, 512, 1024, 2048, ..."""
 
 _UNSEAL = (
     f"so it is damaged, or another program changed it; to trust it as it is, delete its attribute {SEAL_ATTRIBUTE} and "
@@ -49,14 +42,16 @@ class Opened:
     sealed : bool
         Whether this program wrote the file, with checksums of all that is read; then they were compared as far as they
         are not of the arrays' values, which are checked when they are read.
+    place : Place
+        Where it is.
     """
 
-    def __init__(self, path: str, file: h5py.File, kinds: tuple[str, ...]) -> None:
-        self.path = path
+    def __init__(self, place: Place, file: h5py.File, kinds: tuple[str, ...], *, trusting: bool = False) -> None:
+        self.path, self.place, path = place.path, place, place.path
         self._root = h5py.h5g.open(file.id, b"/")
         self.schema = self._check_schema(kinds)
-        self.sealed = self.has(SEAL_ATTRIBUTE)
-        datasets = walk(file, os.stat(path).st_size, self._names())
+        self.sealed = self.has(SEAL_ATTRIBUTE) and not trusting
+        datasets = walk(file, place.size, self._names(trusting))
         table = datasets.pop(TABLE, None)
         if self.sealed != (table is not None):
             lost = TABLE if self.sealed else SEAL_ATTRIBUTE
@@ -70,9 +65,9 @@ class Opened:
             self._check_arrays()
             self._check_required()
 
-    def _names(self) -> set[str]:
+    def _names(self, trusting: bool) -> set[str]:
         """Return the names in the root to look at; another program's dataset may have the name of one of our scales."""
-        names = {name.partition("/")[0] for name in (*self.schema.fields, TABLE)}
+        names = {name.partition("/")[0] for name in (*self.schema.fields, *([] if trusting else [TABLE]))}
         return names.union(self.schema.scales) if self.sealed else names
 
     def _open_sealed(self, datasets: dict[str, h5py.Dataset], table: StoredArray) -> None:
@@ -184,25 +179,26 @@ class Opened:
 
 
 @contextmanager
-def opening(path: str | os.PathLike, *kinds: str) -> Iterator[Opened]:
-    """Open a file that is of one of the `kinds` (of any without).
+def opening(path: str | os.PathLike, *kinds: str, trusting: bool = False) -> Iterator[Opened]:
+    """Open a file that is of one of the `kinds` (of any without), here or behind a URL.
+
+    Who is `trusting` takes it as it is, and compares none of its checksums but those that HDF5 has itself.
 
     Raises
     ------
     InputError
-        If there is no such file, or it may not be read.
+        If there is no such file, or it may not be read; RemoteError of a URL.
     StoreFormatError
         If it is not ours, of another kind or a newer version, damaged, or made in a way we do not read.
     """
-    text = os.fsdecode(path)
-    _check_file(text)
-    _forget_plugins()
-    with refusing(text):
-        file = h5py.File(text, "r", locking=False, rdcc_nbytes=CACHE_BYTES)
-    with file:
-        with refusing(text):
-            opened = Opened(text, file, kinds)
-        yield opened
+    with placed(os.fsdecode(path)) as place:
+        _forget_plugins()
+        with refusing(place.path):
+            file = place.open()
+        with file:
+            with refusing(place.path):
+                opened = Opened(place, file, kinds, trusting=trusting)
+            yield opened
 
 
 @contextmanager
@@ -211,6 +207,8 @@ def refusing(path: str) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):  # checks reject absurd numbers, and need not warn of them as well
             yield
+    except RemoteError:
+        raise
     except InputError as error:
         message = str(error)
         raise StoreFormatError(message if message.startswith(path) else f"{path}: {message}") from error
@@ -239,29 +237,6 @@ def parse_config(text: str, name: str) -> dict[str, Any]:
 
 def _refuse_constant(text: str) -> None:
     raise ValueError(f"{text} is no JSON value")
-
-
-def _check_file(path: str) -> None:
-    if "\0" in path:
-        raise InputError(f"cannot read {path!r}: that is no file name")
-    try:
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise StoreFormatError(f"{path} is no regular file (a folder or a device)")
-        with open(path, "rb") as stream:
-            start = stream.read(len(MAGIC))
-            at, size = _USER_BLOCK, os.fstat(stream.fileno()).st_size
-            while start and start != MAGIC and at < size:  # behind what another program put before
-                stream.seek(at)
-                start = stream.read(len(MAGIC))
-                at *= 2
-    except FileNotFoundError:
-        raise InputError(f"there is no file {path}") from None
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from None
-    if not size:
-        raise StoreFormatError(f"{path} is empty, expected an HDF5 file")
-    if start != MAGIC:
-        raise StoreFormatError(f"{path} is not an HDF5 file")
 
 
 def _forget_plugins() -> None:

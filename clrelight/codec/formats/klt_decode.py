@@ -6,10 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
+from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.units import MARGIN, PRECINCT, tile_sides
 from clrelight.codec.factored import finite_images
 from clrelight.codec.formats.klt_regions import UnitReader
-from clrelight.codec.formats.klt_units import Parsed
+from clrelight.codec.formats.klt_salvage import Salvage
+from clrelight.codec.formats.klt_units import Parsed, is_together
 from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Target
 from clrelight.codec.transforms.code_values import bent, radiance_of
@@ -24,20 +26,6 @@ from clrelight.matmul import apply_operator, multiply_columns, pack_operator
 _PIECE_BYTES = 1 << 26
 _KEPT_BYTES = 1 << 26
 """Bytes of planes that a view keeps, for the lights that follow the first."""
-
-
-def decode_rows(body: Body, parsed: Parsed, target: Target, device: Device, memory: int) -> None:
-    """Put the coefficients of a body, strip by strip where planes of all of it pass a number of bytes."""
-    maker = _Maker(parsed, target.shape, device)
-    strips = _Strips(UnitReader(body, parsed, target.shape, device), target.shape, parsed.head.n_plane, memory)
-    for part in target.row_parts():
-        target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
-
-
-def decode_region(body: Body, parsed: Parsed, shape: Shape, region: Region, device: Device) -> NDArray[np.float32]:
-    """Return the coefficients of a part of an image, at a level; only units that it hangs on are read."""
-    reader = UnitReader(body, parsed, shape, device)
-    return _Maker(parsed, shape, device).coefficients(_planes_of(reader, region, parsed.head.n_plane))
 
 
 def _planes_of(reader: UnitReader, region: Region, count: int) -> NDArray[np.float32]:
@@ -124,8 +112,11 @@ class UnitView:
     and become radiance then.
     """
 
-    def __init__(self, body: Body, parsed: Parsed, shape: Shape) -> None:
+    def __init__(self, body: Body, parsed: Parsed, shape: Shape, damage: Damage | None = None) -> None:
         self._body, self._parsed, self._shape = body, parsed, shape
+        self._salvage: Salvage | None = None
+        if damage is not None and parsed.head.n_plane and not is_together(shape):
+            self._salvage = Salvage(shape, parsed.head.n_plane, damage)
         self._planes_jyx: NDArray[np.float32] | None = None  # of a small image, once they are asked for
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
@@ -134,7 +125,15 @@ class UnitView:
 
     def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
         """Return those of a part, at its level."""
-        return decode_region(self._body, self._parsed, self._shape, region, device)
+        planes_jyx = _planes_of(self._reader(device), region, self._parsed.head.n_plane)
+        return _Maker(self._parsed, self._shape, device).coefficients(planes_jyx)
+
+    def put_rows(self, target: Target, device: Device) -> None:
+        """Put all coefficients, strip by strip."""
+        maker, reader = _Maker(self._parsed, self._shape, device), self._reader(device)
+        strips = _Strips(reader, self._shape, self._parsed.head.n_plane, target.room.memory_bytes)
+        for part in target.row_parts():
+            target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
 
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""
@@ -148,14 +147,16 @@ class UnitView:
         count = self._parsed.head.n_plane
         sums = np.zeros((len(operator_mj), *region.shape), np.float32)
         if count:
-            reader = UnitReader(self._body, self._parsed, self._shape, device)
-            sums = self._sums(reader, region, operator_mj[:, :count], device)
+            sums = self._sums(self._reader(device), region, operator_mj[:, :count], device)
         with np.errstate(over="ignore"):  # what no encoder wrote: it is refused below
             sums += operator_mj[:, count, None, None].astype(np.float32)
         images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
         if self._parsed.head.transfer == "srgb":
             images = bent(images, device, decode=True)
         return np.ascontiguousarray(finite_images(images))
+
+    def _reader(self, device: Device) -> UnitReader:
+        return UnitReader(self._body, self._parsed, self._shape, device, self._salvage)
 
     def _sums(
         self, reader: UnitReader, region: Region, operator_mj: NDArray[np.float64], device: Device

@@ -18,7 +18,8 @@ from clrelight.codec.entropy.units import (
     low_side,
     place_units,
 )
-from clrelight.codec.formats.klt_units import Parsed, is_together, read_stream
+from clrelight.codec.formats.klt_salvage import Salvage
+from clrelight.codec.formats.klt_units import Parsed, expect_streams, is_together, read_stream
 from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import padded_width, transform_planes
 from clrelight.codec.views import Region
@@ -43,10 +44,15 @@ class UnitReader:
     shape : tuple of int
         (n_coeff, height, width, channel).
     device : Device
+    salvage : Salvage, optional
+        Lets units be damaged.
     """
 
-    def __init__(self, body: Body, parsed: Parsed, shape: Shape, device: Device) -> None:
+    def __init__(
+        self, body: Body, parsed: Parsed, shape: Shape, device: Device, salvage: Salvage | None = None
+    ) -> None:
         self._body, self._parsed, self._shape, self._device = body, parsed, shape, device
+        self._salvage = salvage
         self._units = list_units(shape[1], shape[2])
 
     @property
@@ -103,14 +109,39 @@ class UnitReader:
     def _decode(self, region: Region, window: Window, weight_jc: NDArray[np.float32] | None) -> DeviceArray:
         """Return values of indices, or sums, in a window at the region's level; what the region needs is in them."""
         _, height, width, _ = self._shape
-        count, level = self._parsed.head.n_plane, region.level
         together = is_together(self._shape)
         chosen = list(range(len(self._units))) if together else self._needed(region)
-        units = [self._units[t] for t in chosen]
-        cover = Window(0, 0, height, width) if together else _cover(units, height, width)
-        known = (count, low_side(cover.shape[0], 1), low_side(cover.shape[1], 1))
-        layout = lay_out(units, height, width, cover, known[-1], together)
-        streams = [read_stream(self._body, self._parsed, t) for t in ([0] if together else chosen)]
+        cover = Window(0, 0, height, width) if together else _cover([self._units[t] for t in chosen], height, width)
+        expect_streams(self._body, self._parsed, [0] if together else chosen)
+        if self._salvage is None:
+            streams = [self._read(t) for t in ([0] if together else chosen)]
+            values, fault_t = self._run(chosen, cover, streams, window, region.level, weight_jc)
+            if fault_t.any():
+                raise PayloadError(f"unit {chosen[int(np.argmax(fault_t))]} of the klt body cannot be decoded")
+            return values
+        while True:
+            kept, streams = self._salvage.keep(chosen, self._read)
+            values, fault_t = self._run(kept, cover, streams, window, region.level, weight_jc)
+            if not fault_t.any():
+                return self._salvage.filled(values, window, chosen, self._read, self._device, weight_jc)
+            self._salvage.fault(np.array(kept)[fault_t != 0].tolist())
+
+    def _read(self, stream: int) -> bytes:
+        return read_stream(self._body, self._parsed, stream)
+
+    def _run(
+        self,
+        numbers: list[int],
+        cover: Window,
+        streams: list[bytes],
+        window: Window,
+        level: int,
+        weight_jc: NDArray[np.float32] | None,
+    ) -> tuple[DeviceArray, NDArray[np.int32]]:
+        """Decode units' streams into planes of a window at a level, or sums of them; return those, and which fail."""
+        _, height, width, _ = self._shape
+        count = self._parsed.head.n_plane
+        units = [self._units[t] for t in numbers]
         sides = (
             low_side(window.bottom, level) - (window.top >> level),
             low_side(window.right, level) - (window.left >> level),
@@ -118,12 +149,13 @@ class UnitReader:
         n_values = count if weight_jc is None else weight_jc.shape[1]
         # Memory that is not there before something is written to it.
         values = self._device.hold(np.zeros((n_values, sides[0], padded_width(sides[1])), np.float32))
-        places = place_units(units, height, width, window, level)
-        tables = default_tables()
+        if not streams:
+            return values, np.zeros(0, np.int32)
+        known = (count, low_side(cover.shape[0], 1), low_side(cover.shape[1], 1))
+        layout = lay_out(units, height, width, cover, known[-1], is_together(self._shape))
+        places, tables = place_units(units, height, width, window, level), default_tables()
         fault_t = decode_streams(self._device, layout, places, streams, tables, values, known, weight_jc)
-        if fault_t.any():
-            raise PayloadError(f"unit {chosen[int(np.argmax(fault_t))]} of the klt body cannot be decoded")
-        return values
+        return values, fault_t
 
     def _needed(self, region: Region) -> list[int]:
         """Return the numbers of the units that a region's samples hang on."""

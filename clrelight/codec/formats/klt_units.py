@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.bodies import Body
+from clrelight.codec.bodies import Body, expect_parts
 from clrelight.codec.entropy.range_coding import Decoder, Encoder
 from clrelight.codec.entropy.units import LEVELS, list_units
 from clrelight.codec.rooms import Shape
@@ -177,9 +177,16 @@ def _read_index(body: Body, at: int, count: int) -> tuple[NDArray[np.int64], NDA
     return start_t, np.array(sums, np.uint16)
 
 
+def expect_streams(body: Body, parsed: Parsed, streams: list[int]) -> None:
+    """Say which streams are read next, for bodies that are not at hand."""
+    expect_parts(body, [(int(parsed.start_t[t]), int(parsed.start_t[t + 1])) for t in streams])
+
+
 def read_stream(body: Body, parsed: Parsed, stream: int) -> bytes:
     """Return a stream's bytes; PayloadError if they are not those that were written."""
     content = body[int(parsed.start_t[stream]) : int(parsed.start_t[stream + 1])]
     if binascii.crc_hqx(content, 0) != parsed.sum_t[stream]:
+        if len(parsed.sum_t) == 1:
+            raise PayloadError("the klt body is damaged, and all of its units are one stream: none can be salvaged")
         raise PayloadError(f"unit {stream} of the klt body is damaged")
     return content
