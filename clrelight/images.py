@@ -33,7 +33,6 @@ IMAGE_EXTENSIONS = frozenset(
 MAX_PIXELS = 1 << 31
 _LARGE_PIXELS = 1 << 22
 """From so many on a PNG is packed fast rather than well."""
-_NO_DATE = "0000:00:00 00:00:00"
 BAND_BYTES = 8 << 20
 """Size of a band where the caller gives none: enough for the decoders that use several threads."""
 
@@ -241,7 +240,7 @@ def _encode(name: str, extension: str, values: NDArray, stored: Any) -> None:
     if writer is None:
         raise RuntimeError(oiio.geterror())
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], stored)
-    spec.attribute("DateTime", _NO_DATE)  # else EXR and TIFF get today's, and the same picture never the same bytes
+    spec.attribute("DateTime", "0000:00:00 00:00:00")  # else EXR and TIFF get today's: never the same bytes twice
     if values.shape[2] not in (1, 3):
         # Otherwise the fourth is alpha.
         spec.channelnames = tuple(f"band{i:03}" for i in range(values.shape[2]))
