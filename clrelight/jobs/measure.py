@@ -23,10 +23,8 @@ from clrelight.jobs.inputs import (
 from clrelight.jobs.measure_parts import measure_parts
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.split_quality import Split, summarize_split
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.metrics import check_view, domain_note, measure_errors
-
-_WHOLE_BYTES = 1 << 28
-"""Coefficients from which an encoding is decoded and measured part by part, where its codec can."""
 
 
 def measure(
@@ -69,7 +67,7 @@ def measure(
             since = time.perf_counter()
             encoded, record = take_encoded(fitted)  # type: ignore[arg-type]
             regions = decode_regions(encoded)
-            if regions is not None and 4 * math.prod(encoded.shape) > _WHOLE_BYTES:
+            if regions is not None and 4 * math.prod(encoded.shape) > DEFAULT_MEMORY:  # part by part
                 blank = record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # takes no memory
                 check_view(blank, source)
                 kept.note(*filter(None, [domain_note(blank, source)]))
