@@ -148,6 +148,12 @@ class Device:
         self._cl.enqueue_copy(self._queue, values, array.buffer)
         return values
 
+    def fetch(self, array: DeviceArray, out: NDArray) -> None:
+        """Wait for the queue and have the array's values in `out`, where they are if that is its memory on a CPU."""
+        values = self.download(array)
+        if not np.may_share_memory(values, out):
+            out[...] = values
+
     def finish(self) -> None:
         """Wait until everything launched has ended."""
         check_process()

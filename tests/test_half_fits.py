@@ -148,7 +148,7 @@ def test_python_writes_and_reads_either_type(device, tmp_path, monkeypatch, stre
         store.write_fit(tmp_path / "again.h5", lazy)
         wide = lazy.to_float32()
         store.write_fit(tmp_path / "wide.h5", lazy, dtype=np.float32)
-        monkeypatch.setattr("clrelight.dataset._WIDENED_BYTES", 2 * 9 * 11 * 3 * 5)  # five rows at a time
+        monkeypatch.setattr("clrelight.dataset.PIECE_BYTES", 2 * 9 * 11 * 3 * 5)  # five rows at a time
         np.testing.assert_array_equal(lazy.to_float32().coeffs_khwc, wide.coeffs_khwc)
         rows_khwc = np.empty((9, 12, 11, 3), np.float32)
         np.testing.assert_array_equal(lazy.read_rows(4, 16, rows_khwc), wide.coeffs_khwc[:, 4:16])

@@ -20,6 +20,7 @@ from clrelight.ingest.filling import fill_stack, plan_memory
 from clrelight.ingest.photographs import Extremes, Photographs, Values, choose_values, keep_mask, place_crop
 from clrelight.ingest.shrinking import plan_shrink, shrink_mask, shrink_notes
 from clrelight.lights import INTENSITIES_FILE, MASK_FILE, NAMES_FILE, LightTable, find_lights, parse_subset
+from clrelight.memory import IMAGE_MEMORY
 from clrelight.negatives import Negatives
 
 
@@ -91,7 +92,7 @@ def ingest_folder(
     folder: str | os.PathLike[str],
     out_path: str | os.PathLike[str],
     *,
-    memory_bytes: int = 1 << 30,
+    memory_bytes: int = IMAGE_MEMORY,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> IngestSummary:
@@ -149,7 +150,7 @@ def read_folder(
     layer: str | None = None,
     upright: bool = False,
     clip_negative: bool = False,
-    memory_bytes: int = 1 << 30,
+    memory_bytes: int = IMAGE_MEMORY,
     name: str | None = None,
 ) -> Folder:
     """Return the photographs of a folder and their lights, as headers and light files tell of them.

@@ -18,11 +18,12 @@ from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.jobs.inputs import Packed, lend_encoded, opened_on, paths_among
 from clrelight.jobs.outputs import claimed
-from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, fits
+from clrelight.jobs.parts import check_memory, fits
 from clrelight.jobs.region import Part, decode_part, take_part
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.sizes import size_facts
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import create_fit, write_fit
 from clrelight.store.coding import RowTarget
 from clrelight.store.scratch import ScratchRoom, scratch_room

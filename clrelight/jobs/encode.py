@@ -24,11 +24,12 @@ from clrelight.jobs.coding_noise import coding_psnr, predicted_psnr
 from clrelight.jobs.inputs import FitLike, StackLike, lend_fit, lend_stack, opened_on, paths_among
 from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
-from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, decode_again, encode_source, take_source
+from clrelight.jobs.parts import check_memory, decode_again, encode_source, take_source
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.sizes import payload_budget, size_facts
 from clrelight.jobs.target import encode_to_quality
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import write_encoded
 from clrelight.store.encodings import container_bytes
 from clrelight.store.scratch import ScratchRoom, scratch_room

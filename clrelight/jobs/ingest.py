@@ -20,11 +20,9 @@ from clrelight.jobs.inputs import path_text
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import IMAGE_MEMORY
 from clrelight.store import check_output, open_stack
 from clrelight.store.scratch_images import ScratchImages
-
-DEFAULT_MEMORY = 1 << 30
-"""Bytes of image data that are held where nothing else is said."""
 
 _OWN = ("folder", "memory_bytes")
 _OPTIONS = [name for name in inspect.signature(read_folder).parameters if name not in _OWN]
@@ -35,7 +33,7 @@ def ingest(
     folder: str | os.PathLike[str],
     out: None = None,
     *,
-    memory: int | str = DEFAULT_MEMORY,
+    memory: int | str = IMAGE_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
     **options: Any,
@@ -47,7 +45,7 @@ def ingest(
     folder: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
-    memory: int | str = DEFAULT_MEMORY,
+    memory: int | str = IMAGE_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
     **options: Any,
@@ -58,7 +56,7 @@ def ingest(
     folder: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
     *,
-    memory: int | str = DEFAULT_MEMORY,
+    memory: int | str = IMAGE_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
     **options: Any,

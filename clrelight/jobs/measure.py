@@ -24,11 +24,9 @@ from clrelight.jobs.measure_parts import measure_parts
 from clrelight.jobs.perceived import measure_perceived, relit_map, relit_regions
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.split_quality import Split, summarize_split
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.metrics import check_view, domain_note, measure_errors
 from clrelight.perception import check_perception
-
-_WHOLE_BYTES = 1 << 28
-"""Coefficients from which an encoding is decoded and measured part by part, where its codec can."""
 
 
 def measure(
@@ -77,7 +75,7 @@ def measure(
         since = time.perf_counter()
         with lend_fitted(fitted, kept) as held:
             since = kept.add("read", since)
-            if isinstance(held, Packed) and 4 * math.prod(held.encoded.shape) > _WHOLE_BYTES:
+            if isinstance(held, Packed) and 4 * math.prod(held.encoded.shape) > DEFAULT_MEMORY:
                 regions = held.regions()
                 if regions is not None:
                     kept.psnr = _measure_regions(regions, held, source, perceptual, opened, kept, progress)

@@ -18,13 +18,14 @@ from clrelight.fit import prepare_fit
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
 from clrelight.ingest import read_folder
-from clrelight.jobs.ingest import DEFAULT_MEMORY, given_options, ingest, lend_photographs
+from clrelight.jobs.ingest import given_options, ingest, lend_photographs
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.memory import peak_memory
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.packing import Pack, Size
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import IMAGE_MEMORY
 from clrelight.perception import check_perception
 from clrelight.store import check_output, write_encoded
 from clrelight.store.scratch import scratch_room
@@ -50,7 +51,7 @@ def pack(
     measure: str = "auto",
     perceptual: bool = False,
     keep_stack: str | os.PathLike[str] | None = None,
-    memory: int | str = DEFAULT_MEMORY,
+    memory: int | str = IMAGE_MEMORY,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,

@@ -18,13 +18,13 @@ from clrelight.device import Device
 from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.images import write_image
-from clrelight.jobs.ingest import DEFAULT_MEMORY
 from clrelight.jobs.inputs import lend_encoded, opened_on, read_directions
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import FLOAT_FORMATS
 from clrelight.jobs.region import list_tiles
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import IMAGE_MEMORY
 from clrelight.relight import to_display
 from clrelight.store.scratch_images import ScratchImages
 
@@ -40,7 +40,7 @@ def unpack(
     kind: str = "jpg",
     transfer: str | None = None,
     salvage: bool = False,
-    memory: int | str = DEFAULT_MEMORY,
+    memory: int | str = IMAGE_MEMORY,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,

@@ -152,9 +152,7 @@ def convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, c
         result = device.empty(out.shape, out.dtype, out)
         source = device.upload(values)
         launch_conversion(device, kernel, result, refused_j, source, clamp=clamp)
-        fetched = device.download(result)
-        if fetched is not out:
-            out[:] = fetched
+        device.fetch(result, out)
         refused |= bool(device.download(refused_j).any())
     return refused
 

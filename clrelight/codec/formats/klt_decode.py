@@ -13,6 +13,7 @@ from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_salvage import Salvage
 from clrelight.codec.formats.klt_units import Parsed, is_together
 from clrelight.codec.rooms import Shape
+from clrelight.codec.slabs import SLAB_BYTES
 from clrelight.codec.streams import Target
 from clrelight.codec.transforms.code_values import bent, radiance_of
 from clrelight.codec.transforms.lifting import join_channels, padded_width
@@ -23,7 +24,6 @@ from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degree_of
 from clrelight.matmul import apply_operator, multiply_columns, pack_operator
 
-_PIECE_BYTES = 1 << 26
 _KEPT_BYTES = 1 << 26
 """Bytes of planes that a view keeps, for the lights that follow the first."""
 
@@ -46,7 +46,7 @@ class _Maker:
         count, height, width = planes_jyx.shape
         coeffs_khwc = np.empty((self._n_coeff, height, width, self._channel), np.float32)
         n_value, pitch = self._n_coeff * self._channel, padded_width(width)
-        step = max(_PIECE_BYTES // (4 * pitch * (2 * n_value + count)), 1)
+        step = max(SLAB_BYTES // (4 * pitch * (2 * n_value + count)), 1)
         for first in range(0, height, step):
             rows = slice(first, min(first + step, height))
             size = rows.stop - first

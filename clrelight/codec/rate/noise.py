@@ -12,11 +12,10 @@ from clrelight.codec.streams import Source
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.vectors import golden_indices
 from clrelight.dataset import read_rows_into
+from clrelight.memory import PIECE_BYTES
 
 _SAMPLED_COLUMNS = 16384
 _SAMPLED_BLOCKS = 1024
-_MEASURED_BYTES = 1 << 24
-"""Of float64 coefficients that are measured at a time."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def measure_image_error(coeffs_khwc: Any, decoded_khwc: Any) -> float:
     """
     n_coeff, height, width, channel = coeffs_khwc.shape
     forward_jk = hemisphere_metric(n_coeff, "singular").forward_jk
-    step = max(1, _MEASURED_BYTES // (8 * n_coeff * width * channel))
+    step = max(1, PIECE_BYTES // (8 * n_coeff * width * channel))
     total = 0.0
     for first in range(0, height, step):
         shape = (n_coeff, min(step, height - first), width, channel)
