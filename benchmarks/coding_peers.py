@@ -66,17 +66,17 @@ def main(
             continue
         measure_stack(stack, device, measurement, _tell)
         del stack
+        facts = describe_environment(device)
+        if json_path is not None:
+            json_path.write_text(json.dumps(to_json(measurement, facts), indent=1) + "\n", encoding="utf-8")
     if not measurement.rows:
         raise click.ClickException("no stack could be measured")
-    facts = describe_environment(device)
     click.echo()
     print_table(stack_headers(RATES), stack_rows(measurement.rows, RATES))
     click.echo()
     print_table(SUMMARY_HEADERS, summary_rows(measurement.rows))
     click.echo(f"\n{where_behind(measurement.rows)}\n")
     print_facts({**facts, **{f"left out: {name}": why for name, why in measurement.left_out.items()}})
-    if json_path is not None:
-        json_path.write_text(json.dumps(to_json(measurement, facts), indent=1) + "\n", encoding="utf-8")
     if markdown is not None:
         replace_block(markdown, to_page(measurement, facts, RATES), BEGIN, END)
 

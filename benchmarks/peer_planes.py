@@ -28,6 +28,7 @@ _MEAN = 4
 _TRIED = (-1, 0, 1, 2)
 """Errors to try, in half octaves beside what equal errors in the image would ask."""
 _WIDER = 2
+_ROWS = 64
 _PIECE = 512
 """Side of the part of a larger plane that the errors are tried on."""
 
@@ -87,9 +88,11 @@ def principal_planes(stack: FittedStack, encoded: Encoded) -> PlaneSet:
     mean_n = solve @ turned[:, -1]
     planes_jhw = np.empty((len(solve), height, width), np.float32)
     matrix = forward_nkc.reshape(len(solve), -1).astype(np.float32)
-    for row in range(height):
-        part_qw = np.ascontiguousarray(stack.coeffs_khwc[:, row].transpose(0, 2, 1)).reshape(-1, width)
-        planes_jhw[:, row] = matrix @ part_qw - mean_n[:, None]
+    for top in range(0, height, _ROWS):
+        part_khwc = stack.coeffs_khwc[:, top : top + _ROWS]
+        part_qp = np.ascontiguousarray(part_khwc.transpose(0, 3, 1, 2)).reshape(matrix.shape[1], -1)
+        part_jp = matrix @ part_qp - mean_n[:, None]
+        planes_jhw[:, top : top + _ROWS] = part_jp.reshape(len(solve), -1, width)
     relight_icj = np.einsum("ik,kcj->icj", stack.basis_ik, parsed.operator_kcj).astype(np.float32)
     row_bytes = parsed.head.axes_bytes / (len(solve) + 1)
     fixed = HEAD_SIZE + math.ceil(row_bytes)

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 TOLERANCE = 0.02
 """Decibel within which two qualities are one."""
 
+_AS_GOOD = 0.1
+"""Decibel below the best setting that bytes may buy where none reaches what is asked for."""
+
 CODING, SEEN, HELD_OUT = "coding", "seen", "held out"
 """What a PSNR is of: images from decoded coefficients against those from the fit, at all lights; images against
 photographs at the lights that were fitted or stored; and the same at lights that were not."""
@@ -44,7 +47,7 @@ class Match:
         At the quality asked for: between two settings, the logarithm is linear in decibel. None where no setting
         reaches it.
     nearest : Point
-        The setting nearest to it: its seconds are what the peer took. Where none reaches it, the best.
+        The setting nearest to it: its seconds are what the peer took. Where none reaches it, the smallest of the best.
     """
 
     byte_count: float | None
@@ -112,4 +115,6 @@ def _between(points: list[Point], measure: str, target: float) -> Match:
     if above or abs(nearest.psnr[measure] - target) < TOLERANCE:
         # The coarsest setting is better than asked for: it is the least that the peer takes.
         return Match(float(nearest.byte_count), nearest)
-    return Match(None, nearest)
+    best = max(point.psnr[measure] for point in points)
+    as_good = [point for point in points if point.psnr[measure] > best - _AS_GOOD]
+    return Match(None, min(as_good, key=lambda point: point.byte_count))

@@ -141,7 +141,7 @@ def requests() -> list[Request]:
         folder = Path(os.environ[DATA_VARIABLE]) / "stacks" / "loewenkopf"
         if folder.is_dir():
             found.append(Request("loewenkopf", 15, lambda quick: _loewenkopf(folder, quick)))
-        names = ("Single/Object1/material1", "Multi/Object2/material5", "Real/item1", "Real/item6")
+        names = ("Single/Object1/material1", "Multi/Object2/material5", "Real/item6")
         for source in find_stacks():
             if source.name in names:
                 found.append(Request(source.name, 6, lambda quick, source=source: _field(source, quick)))

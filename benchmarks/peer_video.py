@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import os
@@ -9,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,6 +201,8 @@ def _encode(form: Format, frames: list[list[NDArray[np.uint16]]], crf: int) -> l
     context.pix_fmt, context.time_base, context.framerate = form.pixels, Fraction(1, 25), Fraction(25, 1)
     context.options = {**form.options, "crf": str(crf)}
     context.color_range = 2
+    context.open()
+    _take_no_precedence()
     packets: list[bytes] = []
     for number, planes in enumerate(frames):
         frame = av.VideoFrame(context.width, context.height, form.pixels)
@@ -209,6 +213,18 @@ def _encode(form: Format, frames: list[list[NDArray[np.uint16]]], crf: int) -> l
         frame.pts, frame.time_base = number, context.time_base
         packets += [bytes(packet) for packet in context.encode(frame)]
     return packets + [bytes(packet) for packet in context.encode(None)]
+
+
+def _take_no_precedence() -> None:
+    """Give all threads the usual scheduling again.
+
+    SVT-AV1 runs in real time where it may, as for root: nothing else would, and its seconds were not those of others.
+    """
+    threads = Path("/proc/self/task")
+    if hasattr(os, "sched_setscheduler") and threads.is_dir():
+        for thread in threads.iterdir():
+            with contextlib.suppress(ProcessLookupError):
+                os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
 
 
 def _decode(form: Format, packets: list[bytes]) -> list[list[NDArray[np.uint16]]]:

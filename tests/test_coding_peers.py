@@ -2,12 +2,14 @@
 
 import itertools
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import coding_peers
+from benchmarks import coding_peers, peer_video
 from benchmarks.peer_page import where_behind
 from benchmarks.peer_search import CODING, HELD_OUT, SEEN, Point, match
 from benchmarks.peer_stacks import FittedStack
@@ -203,3 +205,13 @@ def test_planes_of_noise_have_room_in_a_jpeg():
     size, (back,) = compress_planes([noise], 100)
     assert size > 2 * 300 * 300  # more than Pillow's usual buffer
     np.testing.assert_allclose(back, np.clip(noise, 0.0025, 0.9975), atol=0.02)
+
+
+def test_an_encoder_that_takes_real_time_gives_it_back():
+    pytest.importorskip("av")
+    if not hasattr(os, "sched_getscheduler") or not Path("/proc/self/task").is_dir():
+        pytest.skip("scheduling is Linux's")
+    images = np.random.default_rng(0).random((3, 64, 64, 3), np.float32)
+    packets = peer_video._encode(peer_video.FORMATS["AV1"], to_frames(images, True), 40)
+    assert len(packets) == 3
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
