@@ -5,6 +5,8 @@ made twice: in the whole payload, which its checksum guards, and in the body alo
 which looks at the checksums of the tables, of the index and of each unit.
 """
 
+import math
+
 import numpy as np
 from click import IntRange, command, option
 
@@ -13,21 +15,14 @@ from clrelight.device import open_device
 from clrelight.errors import PayloadError
 from tests import campaign
 from tests.campaign import Tally
-from tests.mutations import UNITS, UNITS_CASES, make_payloads
+from tests.mutations import UNITS_CASES, make_units
 
-LARGEST = 1000
-"""Bytes of payloads that are small; one with many streams is taken beside them."""
-
-
-def small_payloads(device):
-    """Return payloads by what they are of."""
-    every = make_payloads(UNITS, device)
-    made = zip(UNITS_CASES, [*every[: len(UNITS_CASES) - 3], *every[-3:]], strict=True)
-    return {
-        f"{shape} {options}": payload
-        for (shape, options), payload in made
-        if len(payload) <= LARGEST or (shape[1] * shape[2] > 1 << 18 and len(payload) < 2500)
-    }
+CASES = {
+    f"{shape} {options}": number
+    for number, (shape, options) in enumerate(UNITS_CASES)
+    if math.prod(shape) < 8000 or "600" in str(shape)
+}
+"""Of `tests.mutations` those that are small, and one with many streams."""
 
 
 def change_bytes(name, payload, device, values, seed=1):
@@ -69,10 +64,12 @@ def _refuse(given, device):
 def main(values, seed, only):
     """Change every byte of small payloads; print one JSON object for each payload, exit 1 on a failure."""
     device = open_device("cpu")
-    payloads = {name: payload for name, payload in small_payloads(device).items() if only in name}
-    campaign.conclude(
-        "payload", ((name, change_bytes(name, payload, device, values, seed)) for name, payload in payloads.items())
+    tallies = (
+        (name, change_bytes(name, make_units(number, device), device, values, seed))
+        for name, number in CASES.items()
+        if only in name
     )
+    campaign.conclude("payload", tallies)
 
 
 if __name__ == "__main__":

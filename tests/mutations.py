@@ -148,7 +148,7 @@ def families():
 def make_payloads(family, device):
     """Return one payload for each shape and setting of a family, and those that are frozen: of old versions too."""
     if family == UNITS:
-        made = [_make_payload("klt", *case[::-1], number, device, lit=True) for number, case in enumerate(UNITS_CASES)]
+        made = [make_units(number, device) for number in range(len(UNITS_CASES))]
         return [*made[:-3] * 4, *made[-3:]]  # large ones take ten times as long
     outer, _, inner = family.partition("/")
     settings = OPTIONS.get(inner or outer, [{}])
@@ -158,6 +158,12 @@ def make_payloads(family, device):
         for number, shape in enumerate(SHAPES):
             payloads.append(_make_payload(outer, config, shape, number, device))
     return payloads
+
+
+def make_units(number, device):
+    """Return the payload of a case of `UNITS`."""
+    shape, options = UNITS_CASES[number]
+    return _make_payload("klt", options, shape, number, device, lit=True)
 
 
 def _make_payload(codec, config, shape, number, device, lit=False):
