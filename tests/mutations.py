@@ -12,6 +12,7 @@ import itertools
 import math
 import struct
 import sys
+import time
 import zlib
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ import click
 import numpy as np
 
 from clrelight.codec import codec_class, codec_ids, decode, decode_view, encode
-from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, pack_index
+from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, count_streams, pack_index
 from clrelight.device import open_device
 from clrelight.errors import PayloadError
 from tests import campaign
@@ -35,12 +36,38 @@ OPTIONS = {
     "cpca": [{"clusters": 4, "components": 2, "bits": 5}],
     "vq": [{"bits": 5}, {"bits": 5, "block": 2}],
 }
+UNITS = "klt 4"
+"""A family of its own, of what its units hang on."""
+UNITS_CASES = [
+    ((1, 9, 14, 1), {"step": 0.02}),
+    ((1, 1, 1, 1), {"step": 0.02}),
+    ((4, 12, 9, 3), {"step": 0.01}),
+    ((9, 7, 16, 4), {"step": 0.05}),
+    ((16, 5, 9, 3), {"step": 0.05, "metric": "perceptual"}),
+    ((25, 6, 8, 3), {"step": 0.004, "transfer": "srgb", "metric": "perceptual"}),
+    ((36, 3, 31, 1), {"step": 0.004, "transfer": "srgb"}),
+    ((49, 4, 5, 2), {"step": 0.05}),
+    ((64, 33, 2, 1), {"step": 0.1}),
+    ((81, 5, 6, 3), {"step": 0.3}),
+    ((4, 40, 33, 3), {"rate": 1.0, "metric": "perceptual"}),
+    ((1, 70, 140, 4), {"rate": 0.3}),
+    ((9, 64, 64, 1), {"rate": 0.1}),
+    ((1, 1, 300, 3), {"step": 1e-4}),
+    ((1, 3, 90000, 1), {"rate": 0.06}),
+    ((4, 520, 513, 1), {"rate": 0.02}),
+    ((1, 600, 450, 3), {"rate": 0.02, "metric": "perceptual"}),
+]
+"""Shapes and settings: degrees 0 to 8, 1 to 4 channels; the last three have streams for each of many units."""
 WEIGHTS = {"wavelet": 2.5, "klt": 4.0, "whitened/wavelet": 1.5}
 """How often a family is taken beside the others, which count 1."""
 FREE_BYTES, BYTES_EACH = 1 << 28, 32
 """Address space that decoding may take, and for each coefficient claimed: eight float32 arrays."""
+UNITS_FREE_BYTES = 1 << 27
+"""Of `UNITS`."""
 FREE_SECONDS, SECONDS_EACH = 20.0, 1e-6
 """A decoder that takes longer hangs: a thousand times the usual, whatever else the machine does."""
+UNITS_FREE_SECONDS = 2.0
+"""Of `UNITS`, of processors' time: then a payload has failed, which another process beside cannot cause."""
 WRAPPERS = ("principal", "whitened")
 """Codecs that hold another one."""
 UNITS_SEALED = 0.7
@@ -69,14 +96,32 @@ def seal_units(payload):
     shape = struct.unpack_from("<4I", payload, at - 28)
     count, tables = struct.unpack_from("<HxI", body, 8)
     front = HEAD_SIZE + tables
-    if count == 0 or not 0 < shape[1] * shape[2] <= 1 << 18 or len(body) < front:
+    if count == 0 or not 0 < shape[1] * shape[2] <= 1 << 20 or len(body) < front:
         return payload
-    place = front
-    while place < len(body) - 1 and body[place] >= 128:
-        place += 1
-    stream = body[place + 5 :]  # behind the last byte of the length and two checksums
-    index = pack_index([stream])
-    return payload[:at] + body[:front] + index + _crc(body[:front] + index) + stream
+    streams = _split_streams(body, front, count_streams(shape))
+    if not streams:
+        return payload
+    index = pack_index(streams)
+    return payload[:at] + body[:front] + index + _crc(body[:front] + index) + b"".join(streams)
+
+
+def _split_streams(body, place, count):
+    """Return streams as an index at a place says, the last one with all that is left; none where that is cut short."""
+    sizes = []
+    for _ in range(count):
+        size = shift = 0
+        while place < len(body) and body[place] >= 128:
+            size, place, shift = size | (body[place] & 127) << shift, place + 1, shift + 7
+        if place >= len(body):
+            return []
+        sizes.append(size | body[place] << shift)
+        place += 3  # behind the last byte of the length, and a checksum
+    place += 2
+    streams = []
+    for size in sizes[:-1]:
+        streams.append(body[place : place + size])
+        place += len(streams[-1])
+    return [*streams, body[place:]]
 
 
 def _crc(content):
@@ -97,20 +142,36 @@ def check_large_claims(device, codec_class, bodies):
 def families():
     """Return the names under which payloads are counted: the codecs, and each of them inside each of `WRAPPERS`."""
     plain = [name for name in codec_ids() if name not in WRAPPERS]
-    return plain + [f"{outer}/{name}" for outer in WRAPPERS for name in plain if name != "klt"]
+    return [*plain, UNITS] + [f"{outer}/{name}" for outer in WRAPPERS for name in plain if name != "klt"]
 
 
 def make_payloads(family, device):
     """Return one payload for each shape and setting of a family, and those that are frozen: of old versions too."""
+    if family == UNITS:
+        made = [make_units(number, device) for number in range(len(UNITS_CASES))]
+        return [*made[:-3] * 4, *made[-3:]]  # large ones take ten times as long
     outer, _, inner = family.partition("/")
     settings = OPTIONS.get(inner or outer, [{}])
     payloads = [] if inner else [path.read_bytes() for path in sorted(FROZEN.glob(f"{outer}*.bin"))]
     for options in settings[: 1 if inner else None]:
         config = {"codec": inner, "options": options} if inner else options
         for number, shape in enumerate(SHAPES):
-            coeffs = np.random.default_rng(number).standard_normal(shape).astype(np.float32)
-            payloads.append(encode(coeffs, codec_class(outer).from_config(config), device).to_bytes())
+            payloads.append(_make_payload(outer, config, shape, number, device))
     return payloads
+
+
+def make_units(number, device):
+    """Return the payload of a case of `UNITS`."""
+    shape, options = UNITS_CASES[number]
+    return _make_payload("klt", options, shape, number, device, lit=True)
+
+
+def _make_payload(codec, config, shape, number, device, lit=False):
+    coeffs = np.random.default_rng(number).standard_normal(shape).astype(np.float32)
+    if lit:  # most radiance is positive, and has a code value
+        coeffs = coeffs * np.float32(0.2)
+        coeffs[0] += 1.5 + 0.7 * np.sin(np.arange(shape[2]) / 40).astype(np.float32)[:, None]
+    return encode(coeffs, codec_class(codec).from_config(config), device).to_bytes()
 
 
 def damage(payload, others, rng):
@@ -198,13 +259,16 @@ class Campaign:
                 print(f"{family} {number}", file=sys.stderr, flush=True)
             case = f"--only {family} --first {number} --seed {seed}"
             tally.counts["unsealed"] += not sealed
-            tally.run(case, partial(self._check, payload, sealed, number % RELIT == 0), first="payloads")
+            check = partial(self._check, payload, sealed, number % RELIT == 0, family == UNITS)
+            tally.run(case, check, first="payloads")
         return tally
 
-    def _check(self, payload, sealed, relit):
+    def _check(self, payload, sealed, relit, strict):
         """Return whether a damaged payload was decoded; AssertionError where it should not have been."""
         claimed = _claimed(payload)
-        with bounded(FREE_BYTES + BYTES_EACH * claimed, FREE_SECONDS + SECONDS_EACH * claimed):
+        free_bytes = UNITS_FREE_BYTES if strict else FREE_BYTES
+        start = time.process_time()
+        with bounded(free_bytes + BYTES_EACH * claimed, FREE_SECONDS + SECONDS_EACH * claimed):
             try:
                 values = decode(payload, self.device)
             except PayloadError:
@@ -219,6 +283,8 @@ class Campaign:
                 assert images.dtype == np.float32
                 assert images.shape == (1, *struct.unpack_from("<3I", payload, 10 + payload[5]))
                 assert np.isfinite(images).all()
+        spent = time.process_time() - start
+        assert not strict or spent < UNITS_FREE_SECONDS + SECONDS_EACH * claimed, f"{spent:.1f} s"
         return ["refused" if values is None else "decoded"]
 
     def _relight(self, payload):

@@ -15,6 +15,7 @@ from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_units import parse_body, read_stream
 from clrelight.codec.streams import ArraySource
+from clrelight.codec.transforms.lifting import padded_width
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.views import Region
 from clrelight.errors import InputError, PayloadError
@@ -272,3 +273,33 @@ def test_every_byte_is_guarded(device, large):
         damaged[at] ^= int(rng.integers(1, 256))
         with pytest.raises(PayloadError):
             read_all(bytes(damaged), coeffs.shape)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_units_lie_in_their_planes(seed):
+    """What the kernel takes for granted: units and their parents lie in the planes that a launcher allocates."""
+    rng = np.random.default_rng(seed)
+    height, width = (int(side) for side in np.exp(rng.uniform(0, np.log(4000), 2)).astype(int))
+    level = int(rng.integers(0, LEVELS + 1))
+    sides = [low_side(side, level) for side in (height, width)]
+    top, left = (int(rng.integers(0, side)) for side in sides)
+    bottom, right = (int(rng.integers(first, side)) + 1 for first, side in zip((top, left), sides, strict=True))
+    reader = UnitReader(b"", None, (1, height, width, 1), None)
+    chosen = [reader._units[t] for t in reader._needed(Region(top, left, bottom, right, level))]
+    window = klt_regions._cover(chosen, height, width)
+    pitch = padded_width(window.shape[1])
+    fields = lay_out(chosen, height, width, window, pitch, seed % 2 == 0).unit_uf
+    for unit in fields:
+        most = 16 if unit[0] == 0 else 64
+        for band in range(1 if unit[0] == 0 else 3):
+            offset, rows, columns, parent, parent_rows, parent_columns = unit[(1 + band) :: 3][:6]
+            places = [(offset, rows, columns)] if rows > 0 < columns else []
+            assert rows <= most
+            assert columns <= most
+            if places and parent >= 0:
+                assert parent_rows > 0 < parent_columns
+                places.append((parent, min(parent_rows, (rows + 1) // 2), min(parent_columns, (columns + 1) // 2)))
+            for at, high, wide in places:
+                assert at >= 0
+                assert at % pitch + wide <= window.shape[1]
+                assert at // pitch + high <= window.shape[0]
