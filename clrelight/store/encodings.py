@@ -1,28 +1,49 @@
-"""``encoded/1``: coefficients as a codec's bytes, with what they need to become a fit again."""
+"""``encoded/2``, and ``encoded/1`` of before: a codec's bytes, with what they need to become a fit again."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import tempfile
+import zlib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
-from clrelight.codec.encoded import Encoded
+from clrelight.codec.encoded import MAX_HEADER_BYTES, Encoded, header_size
 from clrelight.codec.rooms import Shape
 from clrelight.dataset import CoefficientMap, FitRecord
+from clrelight.directions import pack_directions, unpack_directions
 from clrelight.errors import InputError, StoreFormatError
-from clrelight.store.fits import read_record, write_record
+from clrelight.store.fits import read_record
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import ENCODED
 from clrelight.store.scratch import ScratchBody, ScratchRoom
-from clrelight.store.writing import CHUNK_BYTES, COMPACT_BYTES, Draft, config_text, drafting
+from clrelight.store.writing import CHUNK_BYTES, COMPACT_BYTES, MAX_TEXT_BYTES, Draft, config_text, drafting, even_part
 
-_CONFIG_BYTES = 64
-_MARGIN = 64
-"""Bytes that HDF5's own records may take more than in an example."""
+_SETTING = "8f1c3be97a52"
+"""For other settings than klt has: what cannot be compressed."""
+_MARGIN = 48
+"""Bytes that HDF5's own records, and packed settings, may take more than in an example."""
+_MOST_PACKED = 4096
+"""Lights; more are as in a fit."""
+_MAX_RECORD_BYTES = 1 << 20
+_RECORD_TYPES: dict[str, type | tuple[type, ...]] = {
+    "method": str,
+    "degree": int,
+    "peak": (float, int),
+    "transfer": str,
+    "name": str,
+    "fit_config": dict,
+    "config": dict,
+    "info": dict,
+}
 _PIECE_BYTES = 4 * CHUNK_BYTES
 """Of a payload that are copied at a time."""
 
@@ -49,26 +70,50 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
     record = FitRecord.of(source) if source is not None else encoded.record
     if record is None:
         raise InputError("these encoded bytes come without the record of their fit: say which fit was encoded")
-    header = np.frombuffer(encoded.header(), np.uint8)
+    many = len(record.directions_i3) > _MOST_PACKED
+    blob = _pack_record(encoded, record) + (b"" if many else pack_directions(record.directions_i3))
+    if len(blob) > MAX_TEXT_BYTES:
+        raise InputError(f"the options and names of a fit must take at most {MAX_TEXT_BYTES} bytes, got {len(blob)}")
     with drafting(path, ENCODED, encoded.encoded_bytes + CHUNK_BYTES) as draft:
-        draft.attributes({"codec": encoded.codec, "config": config_text(encoded.config)})
-        draft.attributes({"encoded_bytes": encoded.encoded_bytes})
-        draft.attributes({"bits_per_coefficient": float(encoded.bits_per_coefficient)})
-        write_record(draft, record, "fit_config")
-        draft.dataset("header", header)
+        draft.attributes({"record": blob})
+        if many:
+            draft.dataset("directions", record.directions_i3, ("light", "xyz"))
         _write_payload(draft, encoded)
-        draft.attributes({key: float(value) for key, value in sorted(encoded.info.items())}, of="payload")
+
+
+def _pack_record(encoded: Encoded, record: FitRecord) -> bytes:
+    """Return all that is not in the payload, but for directions."""
+    facts = {
+        "method": record.method,
+        "degree": int(record.degree),
+        "peak": float(record.peak),
+        "transfer": record.transfer,
+        "name": record.name,
+        "fit_config": dict(record.config),
+        "config": dict(encoded.config),
+        "info": {key: _plain(float(value)) for key, value in sorted(encoded.info.items())},
+    }
+    text = json.dumps(json.loads(config_text(facts)), separators=(",", ":"), sort_keys=True)
+    packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS, 9)
+    return packer.compress(text.encode()) + packer.flush()
+
+
+def _plain(value: float) -> float | str:
+    return value if math.isfinite(value) else str(value)
 
 
 def _write_payload(draft: Draft, encoded: Encoded) -> None:
-    size = encoded.encoded_bytes
-    if size <= COMPACT_BYTES:
-        draft.dataset("payload", np.frombuffer(encoded.body[:], np.uint8))
+    header, size = encoded.header(), encoded.encoded_bytes
+    whole = len(header) + size
+    if whole <= COMPACT_BYTES:
+        draft.dataset("payload", np.frombuffer(header + encoded.body[:], np.uint8))
         return
-    sink = draft.sink("payload", (size,), np.uint8, (), (min(size, CHUNK_BYTES),))
+    # HDF5 stores the last chunk whole.
+    sink = draft.sink("payload", (whole,), np.uint8, (), (even_part(whole, CHUNK_BYTES),))
+    sink[: len(header)] = np.frombuffer(header, np.uint8)
     for start in range(0, size, _PIECE_BYTES):
         end = min(start + _PIECE_BYTES, size)
-        sink[start:end] = np.frombuffer(encoded.body[start:end], np.uint8)
+        sink[len(header) + start : len(header) + end] = np.frombuffer(encoded.body[start:end], np.uint8)
 
 
 def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
@@ -80,28 +125,34 @@ def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
 def stage_encoded(path: str | os.PathLike, room: ScratchRoom) -> tuple[Encoded, FitRecord]:
     """Return what `read_encoded` does, a payload that is large for the room copied to a file; errors as of it."""
     with opening(path, "encoded") as opened:
-        stored = opened.arrays["payload"]
         body = None
-        if not room.holds(stored.size):
+        stored = StoredBody(opened)
+        if not room.holds(len(stored)):
             body = ScratchBody(room)
-            body.reserve(stored.size)
-            for start in range(0, stored.size, _PIECE_BYTES):
-                body.write(start, stored[start : start + _PIECE_BYTES])
+            body.reserve(len(stored))
+            for start in range(0, len(stored), _PIECE_BYTES):
+                body.write(start, np.frombuffer(stored[start : start + _PIECE_BYTES], np.uint8))
         with refusing(opened.path):
             return encoded_of(opened, body)
 
 
 class StoredBody:
-    """The payload of an open file, read as it is sliced."""
+    """The payload of an open file behind its header, read as it is sliced."""
 
     def __init__(self, opened: Opened) -> None:
         self._stored = opened.arrays["payload"]
+        if opened.schema is ENCODED:
+            start = self._stored[:MAX_HEADER_BYTES].tobytes()
+            self.header, self._first = start[: header_size(start)], min(header_size(start), self._stored.size)
+        else:
+            self.header, self._first = opened.arrays["header"][...].tobytes(), 0
 
     def __len__(self) -> int:
-        return self._stored.size
+        return self._stored.size - self._first
 
     def __getitem__(self, part: slice) -> bytes:
-        return self._stored[part].tobytes()
+        start, stop, step = part.indices(len(self))
+        return self._stored[self._first + start : self._first + stop : step].tobytes()
 
 
 def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRecord]:
@@ -109,9 +160,36 @@ def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRe
 
     `body` is its payload, where that is read already.
     """
-    held = opened.attributes()
-    body = opened.arrays["payload"][...].tobytes() if body is None else body
-    encoded = Encoded.from_parts(opened.arrays["header"][...].tobytes(), body)
+    held, stored = opened.attributes(), StoredBody(opened)
+    encoded = Encoded.from_parts(stored.header, stored[:] if body is None else body)
+    if opened.schema is ENCODED:
+        facts, directions_i3 = _parse_record(held["record"], opened)
+        about = {name: facts[name] for name in ("degree", "method", "peak", "transfer", "name")}
+        record = FitRecord(**about, directions_i3=directions_i3, config=facts["fit_config"])
+        config, info = facts["config"], {key: float(value) for key, value in facts["info"].items()}
+    else:
+        record = _record_of_1(opened, held, encoded)
+        config, info = parse_config(held["config"], "config"), opened.floats("payload")
+    record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # checks the record, takes no memory
+    return replace(encoded, config=config, info=info, record=record), record
+
+
+def _parse_record(blob: bytes, opened: Opened) -> tuple[dict[str, Any], NDArray[np.float64]]:
+    """Return the facts of a record, each of its type, and the directions."""
+    unpacker = zlib.decompressobj(-zlib.MAX_WBITS)
+    text = unpacker.decompress(blob, _MAX_RECORD_BYTES)
+    if not unpacker.eof:
+        raise StoreFormatError(f"attribute record is cut short, or inflates to more than {_MAX_RECORD_BYTES} bytes")
+    facts = parse_config(text.decode(), "record")
+    for name, kinds in _RECORD_TYPES.items():
+        if not isinstance(facts.get(name), kinds) or isinstance(facts[name], bool):
+            raise StoreFormatError(f"attribute record must have {name}, got {facts.get(name)!r:.80}")
+    if "directions" in opened.arrays:
+        return facts, opened.arrays["directions"][...]
+    return facts, unpack_directions(unpacker.unused_data)
+
+
+def _record_of_1(opened: Opened, held: Mapping[str, Any], encoded: Encoded) -> FitRecord:
     for name, value in (
         ("codec", encoded.codec),
         ("encoded_bytes", encoded.encoded_bytes),
@@ -119,16 +197,15 @@ def encoded_of(opened: Opened, body: Body | None = None) -> tuple[Encoded, FitRe
     ):
         if held[name] != value:
             raise StoreFormatError(f"attribute {name} is {held[name]!r}, but its payload says {value!r}")
-    record = read_record(opened, held, "fit_config")
-    record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # checks the record, takes no memory
-    config, info = parse_config(held["config"], "config"), opened.floats("payload")
-    return replace(encoded, config=config, info=info, record=record), record
+    return read_record(opened, held, "fit_config")
 
 
 def container_bytes(record: FitRecord, shape: Shape) -> int:
     """Return how many bytes, or a few more, a file will have beside the payload of an encoding that is to come."""
-    config = {"a setting of the codec": "x" * _CONFIG_BYTES}
-    encoded = Encoded("klt", config, shape, bytes(2 * COMPACT_BYTES), {"step": 1.0, "planes": 1.0}, record)
+    config = {"byte_budget": 1234567890, "metric": "perceptual", "rate": None, "transfer": "linear", "other": _SETTING}
+    encoded = Encoded(
+        "klt", config, shape, bytes(2 * COMPACT_BYTES), {"step": 0.12345678901234567, "planes": 123.0}, record
+    )
     with tempfile.TemporaryDirectory(prefix="clrelight.") as folder:
         path = Path(folder, "empty.h5")
         write_encoded(path, encoded)

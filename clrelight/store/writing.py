@@ -19,7 +19,7 @@ from clrelight.errors import InputError
 from clrelight.store.blocks import SUM_DTYPE, BlockReader, BlockWriter, box_of
 from clrelight.store.creating import create_compact, create_in_memory, create_on_disk
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
-from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, seal_of, type_text
+from clrelight.store.seal import MOST_IN_TEXT, SEAL_ATTRIBUTE, TABLE, seal_of, sums_text, type_text
 
 IN_MEMORY_BYTES = 64 << 20
 """Files of fewer bytes are built in memory, which holds them three times, and where a full disk cannot reach HDF5."""
@@ -99,13 +99,15 @@ class Draft:
         self._sinks: list[Sink] = []
         self._pending: list[tuple[BlockWriter, NDArray]] = []
         self._writers: dict[str, BlockWriter] = {}
-        self._attributes: dict[str, dict[str, int | float | str]] = {}
+        self._attributes: dict[str, dict[str, int | float | str | bytes]] = {}
         self.attributes({SCHEMA_ATTRIBUTE: schema.name})
 
-    def attributes(self, values: Mapping[str, int | float | str], of: str = "/") -> None:
-        """Write scalar attributes of the root or of the object named `of`."""
+    def attributes(self, values: Mapping[str, int | float | str | bytes], of: str = "/") -> None:
+        """Write attributes of the root or of the object named `of`: scalars, and bytes as arrays of uint8."""
         for name, value in values.items():
-            if isinstance(value, str):
+            if isinstance(value, bytes):
+                data = np.frombuffer(value, np.uint8)
+            elif isinstance(value, str):
                 text = _text_bytes(name, value)
                 data = np.array(text, dtype=h5py.string_dtype("utf-8", max(1, len(text))))
             else:
@@ -153,8 +155,12 @@ class Draft:
             for name, writer in sealed.items()
         }
         held = {name: self._attributes["/"][name] for name in self._schema.attributes}
-        self.dataset(TABLE, table_b, chunks=(min(len(table_b), _TABLE_CHUNK),))
-        self.attributes({SEAL_ATTRIBUTE: seal_of(self._schema.name, held, arrays, table_b)})
+        seal = seal_of(self._schema.name, held, arrays, table_b)
+        if self._schema.has_table or len(table_b) > MOST_IN_TEXT:
+            self.dataset(TABLE, table_b, chunks=(min(len(table_b), _TABLE_CHUNK),))
+        else:
+            seal += sums_text(table_b)
+        self.attributes({SEAL_ATTRIBUTE: seal})
 
     def _create(
         self,
@@ -253,8 +259,8 @@ def chunk_shape(shape: tuple[int, ...], itemsize: int, first: int | None = None)
     row_bytes = width * channel * itemsize
     extent = n if first is None else max(1, min(n, first))
     if extent * row_bytes > FAR_OVER_BYTES:
-        extent = min(extent, _even_part(n, CHUNK_BYTES // row_bytes))
-    return extent, _even_part(height, CHUNK_BYTES // (extent * row_bytes)), width, channel
+        extent = min(extent, even_part(n, CHUNK_BYTES // row_bytes))
+    return extent, even_part(height, CHUNK_BYTES // (extent * row_bytes)), width, channel
 
 
 def padded_bytes(shape: tuple[int, ...], chunks: tuple[int, ...], itemsize: int) -> int:
@@ -270,7 +276,7 @@ def config_text(config: Mapping[str, Any]) -> str:
         raise InputError(f"a configuration must be JSON values, got {config!r}: {error}") from None
 
 
-def _even_part(n: int, largest: int) -> int:
+def even_part(n: int, largest: int) -> int:
     """Return the size of equal parts of `n`, none over `largest`: unequal ones waste space in the last chunk."""
     parts = -(-n // max(1, min(n, largest)))
     return -(-n // parts)
