@@ -1,4 +1,4 @@
-"""Attributes of files that somebody else may have made."""
+"""Attributes: those to be written, and those of files that somebody else may have made."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from clrelight.errors import StoreFormatError
+from clrelight.errors import InputError, StoreFormatError
 
 MAX_ATTRIBUTE_BYTES = 1 << 20
+MAX_TEXT_BYTES = 32 << 10  # HDF5 keeps attributes up to 64 KiB within the checksummed object header
 
 
 def read_bytes(attribute: h5py.h5a.AttrID, name: str) -> bytes:
@@ -41,3 +42,14 @@ def read_scalar(attribute: h5py.h5a.AttrID, name: str, kind: type) -> Any:
         return text if isinstance(text, str) else bytes(text).decode("utf-8")
     padding = b" " if held.get_strpad() == h5py.h5t.STR_SPACEPAD else b"\0"
     return value.tobytes().rstrip(padding).decode("utf-8")
+
+
+def text_bytes(name: str, value: str) -> bytes:
+    """Return a text that is to be an attribute; InputError if it cannot be one."""
+    try:
+        text = value.encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(f"{name} must be text without lone surrogates, got {value!r}") from None
+    if b"\0" in text or len(text) > MAX_TEXT_BYTES:
+        raise InputError(f"{name} must be at most {MAX_TEXT_BYTES} bytes without NUL, got {len(text)} bytes")
+    return text

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import math
 import os
-import tempfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,11 +19,20 @@ from clrelight.codec.rooms import Shape
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.directions import pack_directions, unpack_directions
 from clrelight.errors import InputError, StoreFormatError
+from clrelight.store.attributes import MAX_TEXT_BYTES
 from clrelight.store.fits import read_record
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import ENCODED
 from clrelight.store.scratch import ScratchBody, ScratchRoom
-from clrelight.store.writing import CHUNK_BYTES, COMPACT_BYTES, MAX_TEXT_BYTES, Draft, config_text, drafting, even_part
+from clrelight.store.writing import (
+    CHUNK_BYTES,
+    COMPACT_BYTES,
+    Draft,
+    config_text,
+    drafted_bytes,
+    drafting,
+    even_part,
+)
 
 _SETTING = "8f1c3be97a52"
 """For other settings than klt has: what cannot be compressed."""
@@ -70,15 +77,19 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
     record = FitRecord.of(source) if source is not None else encoded.record
     if record is None:
         raise InputError("these encoded bytes come without the record of their fit: say which fit was encoded")
+    with drafting(path, ENCODED, encoded.encoded_bytes + CHUNK_BYTES) as draft:
+        _fill(draft, encoded, record)
+
+
+def _fill(draft: Draft, encoded: Encoded, record: FitRecord) -> None:
     many = len(record.directions_i3) > _MOST_PACKED
     blob = _pack_record(encoded, record) + (b"" if many else pack_directions(record.directions_i3))
     if len(blob) > MAX_TEXT_BYTES:
         raise InputError(f"the options and names of a fit must take at most {MAX_TEXT_BYTES} bytes, got {len(blob)}")
-    with drafting(path, ENCODED, encoded.encoded_bytes + CHUNK_BYTES) as draft:
-        draft.attributes({"record": blob})
-        if many:
-            draft.dataset("directions", record.directions_i3, ("light", "xyz"))
-        _write_payload(draft, encoded)
+    draft.attributes({"record": blob})
+    if many:
+        draft.dataset("directions", record.directions_i3, ("light", "xyz"))
+    _write_payload(draft, encoded)
 
 
 def _pack_record(encoded: Encoded, record: FitRecord) -> bytes:
@@ -206,7 +217,4 @@ def container_bytes(record: FitRecord, shape: Shape) -> int:
     encoded = Encoded(
         "klt", config, shape, bytes(2 * COMPACT_BYTES), {"step": 0.12345678901234567, "planes": 123.0}, record
     )
-    with tempfile.TemporaryDirectory(prefix="clrelight.") as folder:
-        path = Path(folder, "empty.h5")
-        write_encoded(path, encoded)
-        return path.stat().st_size - encoded.encoded_bytes + _MARGIN
+    return drafted_bytes(ENCODED, lambda draft: _fill(draft, encoded, record)) - encoded.encoded_bytes + _MARGIN

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clrelight.durable import Part, naming, replacing, syncing
 from clrelight.errors import InputError
+from clrelight.store.attributes import text_bytes
 from clrelight.store.blocks import SUM_DTYPE, BlockReader, BlockWriter, box_of
 from clrelight.store.creating import create_compact, create_in_memory, create_on_disk
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
@@ -34,8 +35,6 @@ RESERVE_SHARE, RESERVE_BYTES = 64, 4 << 20
 
 COMPACT_BYTES = 8 << 10
 _SUPERBLOCK = struct.Struct("<8xB19xQ")  # versions 2 and 3: the version at byte 8, the end of the file at 28
-
-MAX_TEXT_BYTES = 32 << 10  # HDF5 keeps attributes up to 64 KiB within the checksummed object header
 
 
 class Sink:
@@ -108,7 +107,7 @@ class Draft:
             if isinstance(value, bytes):
                 data = np.frombuffer(value, np.uint8)
             elif isinstance(value, str):
-                text = _text_bytes(name, value)
+                text = text_bytes(name, value)
                 data = np.array(text, dtype=h5py.string_dtype("utf-8", max(1, len(text))))
             else:
                 data = np.array(value, dtype="<i8" if isinstance(value, int) else "<f8")
@@ -210,6 +209,16 @@ def drafting(path: str | os.PathLike, schema: Schema, n_bytes: int) -> Iterator[
         yield draft
 
 
+def drafted_bytes(schema: Schema, fill: Callable[[Draft], None]) -> int:
+    """Return how large a file is that `fill` writes; nothing is written to a disk."""
+    with create_in_memory(uuid.uuid4().hex, 1 << 16) as file:
+        draft = Draft(file, schema)
+        fill(draft)
+        draft.finish()
+        file.flush()
+        return len(file.id.get_file_image())
+
+
 @contextmanager
 def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int, schema: Schema) -> Iterator[Draft]:
     # HDF5 takes two files of one name for the same, also in memory: a name that nobody has. It is not stored.
@@ -280,13 +289,3 @@ def even_part(n: int, largest: int) -> int:
     """Return the size of equal parts of `n`, none over `largest`: unequal ones waste space in the last chunk."""
     parts = -(-n // max(1, min(n, largest)))
     return -(-n // parts)
-
-
-def _text_bytes(name: str, value: str) -> bytes:
-    try:
-        text = value.encode("utf-8")
-    except UnicodeEncodeError:
-        raise InputError(f"{name} must be text without lone surrogates, got {value!r}") from None
-    if b"\0" in text or len(text) > MAX_TEXT_BYTES:
-        raise InputError(f"{name} must be at most {MAX_TEXT_BYTES} bytes without NUL, got {len(text)} bytes")
-    return text
