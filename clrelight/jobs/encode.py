@@ -148,8 +148,9 @@ def encode(
         scratch_room(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, held) as room,
     ):
         if out is not None and wanted.byte_budget is not None:
-            overhead = container_bytes(FitRecord.of(coefficients), tuple(coefficients.coeffs_khwc.shape))
-            wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead))
+            shape = tuple(coefficients.coeffs_khwc.shape)
+            overhead = container_bytes(FitRecord.of(coefficients), shape)
+            wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead, shape))
         encoded = _Encode(coefficients, wanted, opened, room, limit, kept, progress).run(stack)
         if out is None:
             return replace(encoded, body=encoded.body[:], record=FitRecord.of(coefficients))

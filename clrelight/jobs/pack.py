@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -118,15 +118,13 @@ def pack(
         raise InputError(f"the stack that is kept and the packed file have the same name, {os.fsdecode(out)}")
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
+    look = _looking(size, rule, metric, perceptual, wanted)
     with (
         claimed([out, keep_stack], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
-        _photographs(source, out, keep_stack, budget, options, kept, progress) as stack,
+        _photographs(source, out, keep_stack, budget, options, look, kept, progress) as stack,
         scratch_room(Path(os.fsdecode(out)).parent, budget) as room,
     ):
-        check_metric(metric, stack.image_shape[2])
-        if perceptual:
-            check_perception(stack.image_shape[2])
         split = rule.split(stack.directions_i3)
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         unseen = stack.directions_i3[split[1]] if len(split[1]) else None
@@ -144,6 +142,20 @@ def pack(
     return kept
 
 
+def _looking(
+    size: Size, rule: HoldoutRule, metric: str, perceptual: bool, degree: int | str
+) -> Callable[[LightStack], None]:
+    """Return what refuses, before a photograph is read, a stack of which that cannot be asked."""
+
+    def look(stack: LightStack) -> None:
+        check_metric(metric, stack.image_shape[2])
+        if perceptual:
+            check_perception(stack.image_shape[2])
+        size.check_least(stack, rule.split(stack.directions_i3)[0], degree)
+
+    return look
+
+
 @contextmanager
 def _photographs(
     source: StackLike,
@@ -151,6 +163,7 @@ def _photographs(
     keep_stack: str | os.PathLike[str] | None,
     memory: int,
     options: dict[str, Any],
+    look: Callable[[LightStack], object],
     report: Report,
     progress: Progress | None,
 ) -> Iterator[LightStack]:
@@ -161,15 +174,18 @@ def _photographs(
             named = ", ".join([*given, *(["keep_stack"] if keep_stack is not None else [])])
             raise InputError(f"{named}: for a folder of photographs, not for a stack")
         with lend_stack(source, report) as stack:
+            look(stack)
             yield stack
         return
     if keep_stack is None:
         folder = Path(os.fsdecode(out)).parent
-        with lend_photographs(source, folder, memory, report, progress, options, out) as stack:
+        with lend_photographs(source, folder, memory, report, progress, options, out, look) as stack:
             yield stack
         return
     reading = Report(tell=report.note)
-    check_output(out, read_folder(source, memory_bytes=memory, **given_options(source, options)).inputs)
+    found = read_folder(source, memory_bytes=memory, **given_options(source, options))
+    check_output(out, found.inputs)
+    look(found.stack)
     ingest(source, keep_stack, memory=memory, progress=progress, report=reading, **options)
     report.seconds |= reading.seconds
     with lend_stack(keep_stack, report) as stack:

@@ -10,12 +10,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clrelight.codec import Encoded, array_source, codec_class, decode_regions, encode_stream
+from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Source
 from clrelight.codec.transforms.principal import STEP_RANGE
 from clrelight.codec.views import Regions
-from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.errors import InputError
 from clrelight.fit import PreparedFit
 from clrelight.fit.run import collect_fit
@@ -71,13 +73,22 @@ class Size:
         """Whether it is a quality that is asked for."""
         return self.target_psnr is not None or self.loss is not None
 
-    def options(self, overhead: int, n_pixel: int) -> dict[str, Any]:
+    def check_least(self, stack: LightStack, fitted: NDArray[np.intp], degree: int | str) -> None:
+        """Raise InputError if bytes are asked for that are too few for any fit; no image is read."""
+        if self.byte_count is not None:
+            least = degree if isinstance(degree, int) else 0
+            directions_i3 = stack.directions_i3[fitted]
+            record = FitRecord(least, "", stack.peak, stack.transfer, directions_i3, {}, stack.name)
+            shape = (coefficient_count(least), *stack.image_shape)
+            payload_budget(self.byte_count, container_bytes(record, shape), shape)
+
+    def options(self, overhead: int, n_pixel: int, shape: Shape) -> dict[str, Any]:
         """Return what klt is told where no quality is asked for; a file of so many bytes holds `overhead` too."""
         if self.rate is not None:
             return {"rate": self.rate}
         if self.byte_count is None:
             return {"byte_budget": max(int(DEFAULT_BYTES * n_pixel) - overhead, _LEAST_BYTES)}
-        return {"byte_budget": payload_budget(self.byte_count, overhead)}
+        return {"byte_budget": payload_budget(self.byte_count, overhead, shape)}
 
 
 @dataclass(frozen=True)
@@ -124,7 +135,7 @@ class Pack:
         with self._source() as source:
             if not self.size.is_quality:
                 overhead = container_bytes(self.prepared.record, source.shape)
-                encoded = self._code(source, self.size.options(overhead, n_pixel))
+                encoded = self._code(source, self.size.options(overhead, n_pixel, source.shape))
             else:
                 encoded = self._reach(source, sampled)
         self.report.facts |= {**size_facts(encoded), "config": dict(encoded.config)}

@@ -95,11 +95,15 @@ def unpack(
         encoded, record, regions = packed.encoded, packed.record, packed.regions()
         if regions is None:
             raise InputError(f"only files of codec klt hold parts that can be decoded alone, this is {encoded.codec}")
+        _check_channels(kind, encoded.shape[3])
         directions_i3 = record.directions_i3 if lights is None else read_directions(lights, kept)
         since = kept.add("read", since)
         shape = (len(directions_i3), *encoded.shape[1:])
         dtype = np.dtype(np.float32 if f".{kind}" in FLOAT_FORMATS else np.uint8)
-        with replacing_folder(out) as folder, closing(ScratchImages(folder.parent, shape, dtype)) as images:
+        with (
+            replacing_folder(out) as folder,
+            closing(ScratchImages(Path(os.fsdecode(out)).parent, shape, dtype)) as images,
+        ):
             with stage(progress, "relighting") as tell:
                 parts = list_tiles(*shape[1:3], 4 * shape[0] * shape[3], budget // 4)
                 for number, part in enumerate(parts):
@@ -111,6 +115,15 @@ def unpack(
             kept.add("write", since)
     kept.facts |= {"folder": os.fsdecode(out), "files": [os.path.join(os.fsdecode(out), name) for name in names]}
     return kept
+
+
+def _check_channels(kind: str, channel: int) -> None:
+    """Raise InputError, before anything is relit, where images of so many channels do not go into such files."""
+    if kind == "exr" or channel == 3 or (channel == 1 and kind != "hdr"):
+        return
+    held = "3 channels" if kind == "hdr" else "1 or 3 channels"
+    fitting = "exr" if channel != 1 else "jpg, png, tif and exr"
+    raise InputError(f"{kind} holds {held}, the images have {channel}: {fitting} can hold them")
 
 
 def _relight(

@@ -55,7 +55,8 @@ class OpenFitted:
     def parts(self, *, compared: bool = True) -> tuple[Encoded, FitRecord]:
         """Return the same of a payload that is read as it is sliced, and not summed up; `compared` as of `body_of`."""
         with refusing(self._opened.path):
-            return encoded_of(self._opened, body_of(self._opened, compared=compared), summed=False)
+            body = body_of(self._opened, compared=compared)
+            return encoded_of(self._opened, body, compared=compared, summed=False)
 
 
 @contextmanager

@@ -64,9 +64,20 @@ def _checked(opened: Opened) -> dict[str, Any]:
         case "fit":
             fit_of(opened, opened.arrays.get)
         case "encoded":
-            encoded, _ = encoded_of(opened, body_of(opened), summed=opened.place.remote is None)
+            encoded, record = encoded_of(opened, body_of(opened), summed=opened.place.remote is None)
             info = {key: value if math.isfinite(value) else None for key, value in encoded.info.items()}
-            return {"shape": list(encoded.shape), "info": info}
+            facts = {
+                **{name: getattr(record, name) for name in ("method", "degree", "peak", "transfer", "name")},
+                **{"fit_config": dict(record.config), "codec": encoded.codec, "config": dict(encoded.config)},
+                "encoded_bytes": encoded.encoded_bytes,
+                "bits_per_coefficient": encoded.bits_per_coefficient,
+            }
+            return {
+                "attributes": facts,
+                "shape": list(encoded.shape),
+                "info": info,
+                "lights": len(record.directions_i3),
+            }
         case "light":
             light_of(opened)
         case "results":
