@@ -15,6 +15,8 @@ _HORIZON_DEGREES = 0.15
 _SAME_DIRECTION = 1e-9
 _OCTAHEDRON = (1 << 19) - 1
 """Steps from the middle of the octahedron's map to its corners."""
+MOST_PACKED = 4096
+"""Lights whose directions an encoded file packs."""
 _PACKED_BYTES = 5
 
 
@@ -122,6 +124,11 @@ def _off_unit(vectors: NDArray[np.float64]) -> NDArray[np.bool_]:
 def vector_text(values: NDArray[np.float64]) -> str:
     """Return numbers as messages show them."""
     return " ".join(f"{v:g}" for v in values)
+
+
+def kept_directions(directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return directions as an encoded file gives them back: of up to 4096 lights, rounded."""
+    return directions_i3 if len(directions_i3) > MOST_PACKED else unpack_directions(pack_directions(directions_i3))
 
 
 def pack_directions(directions_i3: NDArray[np.float64]) -> bytes:

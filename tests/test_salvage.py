@@ -9,12 +9,14 @@ import pytest
 
 import clrelight as cr
 from clrelight.codec import Encoded
+from clrelight.codec.encoded import header_size
 from clrelight.codec.entropy.units import list_units
 from clrelight.codec.formats.klt_salvage import fill_smoothly
 from clrelight.codec.formats.klt_units import HEAD_SIZE, pack_index, parse_body
 from clrelight.dataset import FitRecord
 from clrelight.errors import InputError
 from clrelight.images import read_image
+from clrelight.store.seal import SEAL_ATTRIBUTE
 from tests.commands import call, succeed
 from tests.hdf5 import unseal
 
@@ -57,18 +59,20 @@ def find_unit(level, row, column):
 def streams_of(path):
     """Return where streams lie in the payload, and where its blocks lie in the file."""
     with h5py.File(path) as file:
-        body, blocks = file["payload"][...].tobytes(), []
+        payload, blocks = file["payload"][...].tobytes(), []
         file["payload"].id.chunk_iter(lambda info: blocks.append((info.chunk_offset[0], info.byte_offset)))
-    return parse_body(body, (4, HEIGHT, WIDTH, 1)), sorted(blocks)
+    first = header_size(payload)
+    parsed = parse_body(payload[first:], (4, HEIGHT, WIDTH, 1))
+    return first + parsed.start_t, sorted(blocks)
 
 
 def damage(path, target, *numbers):
     """Copy a file, with a bit flipped in the middle of streams."""
     shutil.copy(path, target)
-    parsed, blocks = streams_of(path)
+    start_t, blocks = streams_of(path)
     content = bytearray(target.read_bytes())
     for number in numbers:
-        at = int(parsed.start_t[number] + parsed.start_t[number + 1]) // 2
+        at = int(start_t[number] + start_t[number + 1]) // 2
         first, place = max(block for block in blocks if block[0] <= at)
         content[place + at - first] ^= 0x10
     target.write_bytes(content)
@@ -227,8 +231,9 @@ def test_attributes_and_checksums_that_were_changed(sound, tmp_path):
     changed = tmp_path / "changed.h5"
     shutil.copy(path, changed)
     with h5py.File(changed, "r+") as file:
-        file.attrs["name"] = "renamed"
-        file["header"][-1] ^= 1  # the checksum of the payload
+        seal = file.attrs[SEAL_ATTRIBUTE]
+        file.attrs[SEAL_ATTRIBUTE] = ("1" if seal[0] == "0" else "0") + seal[1:]
+        file["payload"][header_size(file["payload"][:300].tobytes()) - 1] ^= 1  # the checksum of the payload
     refused = call("decode", changed, tmp_path / "o.h5")
     assert (refused.code, refused.err.count("\n")) == (2, 1)
     ended = call("decode", changed, tmp_path / "o.h5", "--salvage")
@@ -241,7 +246,7 @@ def test_a_copy_with_checksums_of_hdf5(sound, tmp_path):
     """Of a block of another program, whose checksum HDF5 finds wrong, all units but one are got at."""
     path, whole_khwc = sound
     number, rows, columns = find_unit(1, 300, 600)
-    parsed, _ = streams_of(path)
+    start_t, _ = streams_of(path)
     copied = tmp_path / "copied.h5"
     shutil.copy(path, copied)
     with h5py.File(copied, "r+") as file:
@@ -252,7 +257,7 @@ def test_a_copy_with_checksums_of_hdf5(sound, tmp_path):
         made.attrs.update(attributes)
         blocks = []
         made.id.chunk_iter(lambda info: blocks.append((info.chunk_offset[0], info.byte_offset)))
-    at = int(parsed.start_t[number]) + 20
+    at = int(start_t[number]) + 20
     first, place = max(block for block in blocks if block[0] <= at)
     stored = bytearray(copied.read_bytes())
     stored[place + at - first] ^= 4
@@ -267,10 +272,10 @@ def test_a_copy_with_checksums_of_hdf5(sound, tmp_path):
 
 def test_what_cannot_be_salvaged(sound, tmp_path):
     path, _ = sound
-    _, blocks = streams_of(path)
+    start_t, blocks = streams_of(path)
     tables = tmp_path / "tables.h5"
     content = bytearray(path.read_bytes())
-    content[blocks[0][1] + HEAD_SIZE + 2] ^= 1
+    content[blocks[0][1] + int(start_t[0]) - 5] ^= 1
     tables.write_bytes(content)
     cr.encode(make_fit(40, 50), "half", out=tmp_path / "half.h5")
     cr.write_fit(tmp_path / "fit.h5", make_fit(40, 50))
@@ -285,7 +290,7 @@ def test_what_cannot_be_salvaged(sound, tmp_path):
         (("relight", tmp_path / "half.h5", tmp_path / "o.exr", "--light", "0,0,1"), "an encoding by half holds no"),
         (("unpack", tmp_path / "half.h5", tmp_path / "o"), "an encoding by half holds no units that stand alone"),
         (("decode", small, tmp_path / "o.h5"), "all of its units are one stream: none can be salvaged"),
-        (("decode", tmp_path / "fit.h5", tmp_path / "o.h5"), "it is a fit/1 file, expected encoded/1"),
+        (("decode", tmp_path / "fit.h5", tmp_path / "o.h5"), "it is a fit/1 file, expected encoded/2"),
     ):
         ended = call(*words, "--salvage")
         assert (ended.code, ended.out, ended.err.count("clrelight:")) == (2, "", 1), ended.err

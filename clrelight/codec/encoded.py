@@ -13,6 +13,7 @@ import numpy as np
 
 from clrelight.codec.bodies import Body
 from clrelight.dataset import FitRecord
+from clrelight.directions import kept_directions
 from clrelight.errors import PayloadError
 from clrelight.harmonics.index import degree_of
 
@@ -43,7 +44,8 @@ class Encoded:
     info : mapping
         What else the codec measured, such as ``entropy_bits`` (an estimate, bits per coefficient).
     record : FitRecord, optional
-        What becomes a fit again with the coefficients; arrays alone have none, and no two encodings differ by it.
+        What becomes a fit again with the coefficients; arrays alone have none, and no two encodings differ by it. Its
+        directions are rounded as those of a file are.
     due_sum : int, optional
         The checksum that header and body should have, where they were not compared with it yet: `summed` does that.
     """
@@ -55,6 +57,11 @@ class Encoded:
     info: Mapping[str, float] = field(default_factory=dict)
     record: FitRecord | None = field(default=None, repr=False, compare=False)
     due_sum: int | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.record is not None:
+            kept_i3 = kept_directions(self.record.directions_i3)
+            object.__setattr__(self, "record", replace(self.record, directions_i3=kept_i3))
 
     @property
     def encoded_bytes(self) -> int:

@@ -18,7 +18,7 @@ from clrelight.codec.bodies import Body
 from clrelight.codec.encoded import MAX_HEADER_BYTES, Encoded, header_size
 from clrelight.codec.rooms import Shape
 from clrelight.dataset import CoefficientMap, FitRecord
-from clrelight.directions import pack_directions, unpack_directions
+from clrelight.directions import MOST_PACKED, pack_directions, unpack_directions
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store.attributes import MAX_TEXT_BYTES
 from clrelight.store.fits import read_record
@@ -41,8 +41,6 @@ _SETTING = "8f1c3be97a52"
 """For other settings than klt has: what cannot be compressed."""
 _MARGIN = 48
 """Bytes that HDF5's own records, and packed settings, may take more than in an example."""
-_MOST_PACKED = 4096
-"""Lights; more are as in a fit."""
 _MAX_RECORD_BYTES = 1 << 20
 _RECORD_TYPES: dict[str, type | tuple[type, ...]] = {
     "method": str,
@@ -85,7 +83,7 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
 
 
 def _fill(draft: Draft, encoded: Encoded, record: FitRecord) -> None:
-    many = len(record.directions_i3) > _MOST_PACKED
+    many = len(record.directions_i3) > MOST_PACKED
     blob = _pack_record(encoded, record) + (b"" if many else pack_directions(record.directions_i3))
     if len(blob) > MAX_TEXT_BYTES:
         raise InputError(f"the options and names of a fit must take at most {MAX_TEXT_BYTES} bytes, got {len(blob)}")
