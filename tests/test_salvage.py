@@ -232,7 +232,7 @@ def test_attributes_and_checksums_that_were_changed(sound, tmp_path):
     shutil.copy(path, changed)
     with h5py.File(changed, "r+") as file:
         seal = file.attrs[SEAL_ATTRIBUTE]
-        file.attrs[SEAL_ATTRIBUTE] = ("1" if seal[0] == "0" else "0") + seal[1:]
+        file.attrs.modify(SEAL_ATTRIBUTE, np.bytes_(bytes([seal[0] ^ 1]) + bytes(seal[1:])))
         file["payload"][header_size(file["payload"][:300].tobytes()) - 1] ^= 1  # the checksum of the payload
     refused = call("decode", changed, tmp_path / "o.h5")
     assert (refused.code, refused.err.count("\n")) == (2, 1)
