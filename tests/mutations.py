@@ -58,7 +58,7 @@ UNITS_CASES = [
     ((1, 600, 450, 3), {"rate": 0.02, "metric": "perceptual"}),
 ]
 """Shapes and settings: degrees 0 to 8, 1 to 4 channels; the last three have streams for each of many units."""
-WEIGHTS = {"wavelet": 2.5, "klt": 4.0, "whitened/wavelet": 1.5}
+WEIGHTS = {"wavelet": 2.5, "klt": 4.0, UNITS: 2.0, "whitened/wavelet": 1.5}
 """How often a family is taken beside the others, which count 1."""
 FREE_BYTES, BYTES_EACH = 1 << 28, 32
 """Address space that decoding may take, and for each coefficient claimed: eight float32 arrays."""
