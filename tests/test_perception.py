@@ -134,7 +134,7 @@ def test_encoded_files_are_relit_part_by_part_and_pack_measures_alike(tmp_path, 
     packed = succeed("pack", tmp_path / "s.h5", tmp_path / "p.h5", *asked, "--perceptual", "--json").json["psnr"]
     whole = cr.measure(tmp_path / "p.h5", stack, perceptual=True)
     assert packed["flip_holdout"] == pytest.approx(whole["flip_holdout"], rel=0.02)  # in code values, and of radiance
-    monkeypatch.setattr("clrelight.jobs.measure._WHOLE_BYTES", 0)
+    monkeypatch.setattr("clrelight.jobs.measure.DEFAULT_MEMORY", 0)
     assert cr.measure(tmp_path / "p.h5", stack, perceptual=True)["flip_holdout"] == pytest.approx(
         packed["flip_holdout"], rel=1e-4
     )

@@ -264,6 +264,8 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
         learn_due(work, due, 0);
     }
     note_low(work, rows, columns);
+    if (d->fault)
+        return; /* rows that were not reached hold anything */
     for (int y = 0; y < rows; ++y)
         for (int x = 0; x < columns; ++x)
             if (low[y * UNIT + x])

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clrelight.codec import codec_class, encode
 from clrelight.codec.entropy.subband_kernel import _TABLES, SubbandEncoder, _describe_place, _largest_batch
 from clrelight.codec.entropy.subbands import Statistics, code_indices
 from clrelight.codec.entropy.unit_streams import _WORK_BYTES, default_tables, encode_streams
-from clrelight.codec.entropy.units import LEVELS, PRECINCT, Layout, Window, lay_out, list_units
+from clrelight.codec.entropy.units import LEVELS, PRECINCT, Layout, Window, lay_out, list_units, low_side, place_units
 from clrelight.codec.formats.klt_regions import _cover
 from clrelight.codec.transforms.lifting import list_subbands, padded_width
 
@@ -37,21 +39,49 @@ MAPS = [(1, 1, 1, 1), (2, 2, 3, 1), (1, 1, 33, 5), (3, 9, 7, 2), (2, 16, 16, 3),
 """Channels, height, width and levels of maps of `wavelet` and `principal`."""
 
 
+@dataclass(frozen=True)
+class Planes:
+    """How streams lie in planes: for an encoder, for a decoder, and where the decoder's values go."""
+
+    coded: Layout
+    decoded: Layout
+    place_uvf: NDArray[np.int32]
+    coded_shape: tuple[int, int]
+    value_shape: tuple[int, int]
+    known_shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, units, height, width, cover, window, together, level=0):
+        pitch, known = padded_width(cover.shape[1]), [low_side(side, 1) for side in cover.shape]
+        rows, columns = (
+            low_side(b, level) - (a >> level) for a, b in ((window.top, window.bottom), (window.left, window.right))
+        )
+        return cls(
+            lay_out(units, height, width, cover, pitch, together),
+            lay_out(units, height, width, cover, known[1], together),
+            place_units(units, height, width, window, level),
+            (cover.shape[0], pitch),
+            (rows, padded_width(columns)),
+            tuple(known),
+        )
+
+
 @cache
-def unit_layouts() -> list[tuple[Layout, int, int]]:
-    """Return layouts, with the rows and the pitch of their planes."""
+def unit_layouts() -> list[Planes]:
+    """Return how streams of whole images lie in planes, and those that regions at levels need."""
     layouts = []
-    for height, width in SMALL:
-        window, pitch = Window(0, 0, height, width), padded_width(width)
-        for together in (True, False):
-            layouts.append((lay_out(list_units(height, width), height, width, window, pitch, together), height, pitch))
+    for sides in SMALL:
+        whole = Window(0, 0, *sides)
+        layouts += [Planes.of(list_units(*sides), *sides, whole, whole, together) for together in (True, False)]
     for height, width in LARGE:
         units = list_units(height, width)
         top, left = (height - 1) // PRECINCT * PRECINCT, (width - 1) // PRECINCT * PRECINCT
         chosen = [u for u in units if u.row << (u.level or LEVELS) >= top and u.column << (u.level or LEVELS) >= left]
-        window = _cover(chosen, height, width)
-        pitch = padded_width(window.shape[1])
-        layouts.append((lay_out(chosen, height, width, window, pitch, False), window.shape[0], pitch))
+        cover = _cover(chosen, height, width)
+        layouts.append(Planes.of(chosen, height, width, cover, cover, False))
+        # Values of a part: what of the units reaches over it is dropped.
+        part = Window(cover.top, cover.left, min(cover.top + 33, height), min(cover.left + 64, width))
+        layouts += [Planes.of(chosen, height, width, cover, part, False, level) for level in (0, 1, 5)]
     return layouts
 
 
@@ -70,18 +100,23 @@ def _numbers(values: object) -> str:
 
 def _units_header() -> str:
     tables, lines, entries = default_tables(), [], []
-    for number, (layout, rows, pitch) in enumerate(unit_layouts()):
+    for number, planes in enumerate(unit_layouts()):
+        layout = planes.decoded
         n_unit, n_stream = len(layout.unit_uf), len(layout.first_t2)
         lines.append(f"static const int unit_{number}[] = {_numbers(layout.unit_uf)};")
+        lines.append(f"static const int place_{number}[] = {_numbers(planes.place_uvf)};")
         lines.append(f"static const int first_{number}[] = {_numbers(layout.first_t2)};")
-        most_planes = max(min(12, (1 << 15) // (rows * pitch)), 1)
-        entries.append(f"{{{n_unit},{n_stream},{rows},{pitch},{most_planes},unit_{number},first_{number}}}")
+        sides = [*planes.value_shape, *planes.known_shape]
+        most_planes = max(min(12, (1 << 15) // (planes.coded_shape[0] * planes.coded_shape[1])), 1)
+        numbers = ",".join(map(str, [n_unit, n_stream, *sides, most_planes]))
+        entries.append(f"{{{numbers},unit_{number},place_{number},first_{number}}}")
     return "\n".join(
         [
-            "typedef struct { int units, streams, rows, pitch, most_planes; const int *unit, *first; } layout_t;",
+            "typedef struct { int units, streams, rows, pitch, known_rows, known_pitch, most_planes; "
+            "const int *unit, *place, *first; } layout_t;",
             *lines,
             f"static const layout_t layouts[] = {{{','.join(entries)}}};",
-            f"enum {{ LAYOUTS = {len(entries)}, UNIT_FIELDS = 19, WORK_SIZE = {_WORK_BYTES} }};",
+            f"enum {{ LAYOUTS = {len(entries)}, UNIT_FIELDS = 19, PLACE_FIELDS = 18, WORK_SIZE = {_WORK_BYTES} }};",
             f"static const uint16_t start_counts[] = {_numbers(tables.count_ms)};",
             f"static const uint16_t start_flags[] = {_numbers(tables.flag_f2)};\n",
         ]
@@ -130,7 +165,8 @@ def seeds(name: str, device) -> list[bytes]:
 
 def _unit_seeds(device) -> list[bytes]:
     found = []
-    for number, (layout, rows, pitch) in enumerate(unit_layouts()):
+    for number, lies in enumerate(unit_layouts()):
+        layout, (rows, pitch) = lies.coded, lies.coded_shape
         for scale, planes in [(0.3, 3), (2.0, 1), (300.0, 2), (1e7, 1)]:
             if rows * pitch * planes > 1 << 15:
                 continue
