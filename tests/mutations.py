@@ -20,7 +20,8 @@ import click
 import numpy as np
 
 from clrelight.codec import codec_class, codec_ids, decode, decode_view, encode
-from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, pack_index
+from clrelight.codec.entropy.unit_index import pack_index
+from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION
 from clrelight.device import open_device
 from clrelight.errors import PayloadError
 from tests import campaign

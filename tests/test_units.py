@@ -13,7 +13,7 @@ from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_decode import UnitView, decode_region
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_regions import UnitReader
-from clrelight.codec.formats.klt_units import parse_body, read_stream
+from clrelight.codec.formats.klt_units import parse_body
 from clrelight.codec.streams import ArraySource
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.views import Region
@@ -26,12 +26,13 @@ def code(device, values, *, together=True, price=0.0, tables=None):
     """Encode wavelet coefficients in steps, and return the streams with what they decode to and what was chosen."""
     tables = tables or default_tables()
     count, height, width = values.shape
-    layout = lay_out(list_units(height, width), height, width, Window(0, 0, height, width), width, together)
+    window, groups = Window(0, 0, height, width), [(0, count)]
+    layout = lay_out(list_units(height, width), (height, width), window, width, together, groups)
     taken = device.empty(values.shape, np.float32, np.ascontiguousarray(values, np.float32))
     index = device.empty(values.shape, np.int32)
     coded = encode_streams(device, layout, taken, index, tables, price)
     found = device.empty(values.shape, np.int32, np.zeros(values.shape, np.int32))
-    fault = decode_streams(device, layout, coded.streams, tables, found, count)
+    fault = decode_streams(device, layout, coded.streams, tables, found)
     assert not fault.any()
     return coded, layout, device.download(found).copy(), device.download(index).copy()
 
@@ -108,7 +109,7 @@ def test_damage_ends_in_a_fault_or_in_numbers(device, seed):
         else:
             stream[:] = rng.integers(0, 256, len(stream), np.uint8).tobytes()
         found = device.empty(index.shape, np.int32, np.zeros(index.shape, np.int32))
-        fault = decode_streams(device, layout, [bytes(s) for s in streams], default_tables(), found, len(index))
+        fault = decode_streams(device, layout, [bytes(s) for s in streams], default_tables(), found)
         assert set(np.unique(fault)) <= {0, 1}
         assert fault.any() or kind == 0
         assert np.abs(device.download(found)).max() <= 1 << 29
@@ -186,7 +187,7 @@ def test_a_region_reads_few_units(device, large):
 @pytest.mark.parametrize("level", [1, 2, 5])
 def test_a_level_is_the_low_subband(device, large, level):
     coeffs, body, parsed = large
-    reader = UnitReader(body, parsed, coeffs.shape, device)
+    reader = UnitReader(body, parsed.stored, coeffs.shape, device)
     size = [-(-side >> level) for side in coeffs.shape[1:3]]
     planes = reader.planes(Region(0, 0, *size, level))
     transformed, _ = reader._decode(Region(0, 0, 1100, 1300), None)
@@ -246,14 +247,14 @@ def test_no_budget_is_passed_by_a_byte(device):
 def read_all(body, shape):
     """Look at every byte of a body."""
     parsed = parse_body(body, shape)
-    for stream in range(len(parsed.sum_t)):
-        read_stream(body, parsed, stream)
+    for stream in range(len(parsed.stored.sum_t)):
+        parsed.stored.read(body, stream)
 
 
 def test_every_byte_is_guarded(device, large):
     coeffs, body, parsed = large
     rng = np.random.default_rng(0)
-    first = int(parsed.start_t[0])
+    first = int(parsed.stored.start_t[0])
     for at in [*range(0, first, 7), *rng.integers(first, len(body), 40)]:
         damaged = bytearray(body)
         damaged[at] ^= int(rng.integers(1, 256))

@@ -8,6 +8,7 @@ typedef struct {
     uint at, end;  /* of words, and of what is left for them */
     ulong bits;    /* from the back */
     int held;
+    int coarse; /* bits of every magnitude that contexts do not look at */
     int fault;
 } decoder_t;
 
@@ -138,7 +139,7 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
     }
     __global const int *parent = unit[PARENT + band] < 0 ? 0 : parents + unit[PARENT + band];
     make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch,
-               plane_size);
+               plane_size, d->coarse);
     clear_sizes(work, band, rows);
     const int any = decode_flag(d, work, band_flag(plane, sum_hints(work, rows, columns)));
     if (any) {
@@ -194,11 +195,11 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
             for (i = 0; i < samples; ++i) {
                 work->context[found] = work->context[i];
                 work->place[found] = work->place[i];
-                found += work->context[i] != 0;
+                found += work->context[i] != 0 || d->coarse;
             }
             for (i = 0; i < found && !d->fault; ++i) {
-                const int symbol = work->context[i] & 0xfff, shift = work->context[i] >> 12;
-                int magnitude = symbol == LAST ? LAST + take_large(d, ORDER(shift)) : symbol;
+                const int symbol = work->context[i] & 0xfff, above = work->context[i] >> 12, shift = above + d->coarse;
+                int magnitude = symbol == LAST ? LAST + take_large(d, ORDER(above)) : symbol;
                 if (magnitude > MAX_MAGNITUDE >> shift) {
                     d->fault = 1;
                     break;
@@ -209,7 +210,7 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
                     continue;
                 const int negative = (int)take_bits(d, 1), y = work->place[i] >> 6, x = work->place[i] & 63;
                 put(sink, (size_t)unit[OFFSET + band] + (size_t)y * pitch + x, magnitude, negative);
-                work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude, MAX_SIZE);
+                work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude >> d->coarse, MAX_SIZE);
             }
         }
     }
@@ -260,9 +261,9 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
 
 /* Streams of units, one after another. Indices of level 1 are not kept where only sums are wanted. */
 __kernel void decode_units(__global int *index_jyx, __global float *sum_cyx, __global const float *weight_jc,
-                           __global const uchar *stream_b, __global const uint *place_t2, __global const int *first_t2,
+                           __global const uchar *stream_b, __global const uint *place_t2, __global const int *part_t4,
                            __global const int *unit_uf, __global const ushort *count_ms, __global const ushort *flag_q2,
-                           __global uchar *work_wd, __global int *fault_t, const int begin, const int planes, const int sums,
+                           __global uchar *work_wd, __global int *fault_t, __global const int *coarse_jl, const int begin, const int sums,
                            const int size_c, const int size_y, const int size_x)
 {
     const int t = begin + get_global_id(0);
@@ -271,19 +272,20 @@ __kernel void decode_units(__global int *index_jyx, __global float *sum_cyx, __g
     decoder_t d;
     begin_stream(&d, stream_b + place_t2[2 * t], place_t2[2 * t + 1]);
     begin_tables(work, count_ms, flag_q2, 0);
-    for (int u = first_t2[2 * t]; u < first_t2[2 * t + 1] && !d.fault; ++u) {
+    for (int u = part_t4[4 * t]; u < part_t4[4 * t + 1] && !d.fault; ++u) {
         __global const int *unit = unit_uf + u * UNIT_FIELDS;
         if (unit[LEVEL] == 0)
             begin_low(work);
-        for (int j = 0; j < planes && !d.fault; ++j) {
+        for (int j = part_t4[4 * t + 2], first = j; j < part_t4[4 * t + 3] && !d.fault; ++j) {
+            d.coarse = coarse_jl[j * COARSE + unit[LEVEL]];
             __global int *index = index_jyx + j * plane_size;
             const sink_t sink = {sums && unit[LEVEL] == 1 ? 0 : index, sum_cyx, weight_jc + (size_t)j * size_c, plane_size,
                                  sums};
             if (unit[LEVEL] == 0)
-                decode_low(&d, work, unit, &sink, j, size_x);
+                decode_low(&d, work, unit, &sink, j - first, size_x);
             else
                 for (int band = 0; band < 3; ++band)
-                    decode_band(&d, work, unit, &sink, band, j, index, size_x, plane_size);
+                    decode_band(&d, work, unit, &sink, band, j - first, index, size_x, plane_size);
         }
     }
     fault_t[t] = d.fault || !is_spent(&d);

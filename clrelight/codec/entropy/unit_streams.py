@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.units import Layout
+from clrelight.codec.entropy.units import LEVELS, Layout
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 
@@ -87,7 +87,8 @@ def encode_streams(
     index: DeviceArray,
     tables: Tables,
     price: float,
-    scale: float = 1.0,
+    scale: float | NDArray[np.float32] = 1.0,
+    coarse_jl: NDArray[np.int32] | None = None,
     count: bool = False,
 ) -> Coded:
     """Encode planes of wavelet coefficients in steps.
@@ -105,8 +106,10 @@ def encode_streams(
         What streams start from.
     price : float
         Squared steps of error that a bit must save.
-    scale : float
-        Steps of a unit of the values.
+    scale : float, or ndarray of shape (n_plane,), float32
+        Steps of a unit of the values, of all planes or of each.
+    coarse_jl : ndarray, shape (n_plane, LEVELS + 1), int32, optional
+        Bits of each plane's indices, by level with LL first, that are written as they are; none by default.
     count : bool
         Whether symbols and flags are counted too.
 
@@ -120,13 +123,16 @@ def encode_streams(
     ValuesLostError
         If streams take more than a byte a sample, and indices were put in the place of values.
     """
-    n_plane, n_stream = values.shape[0], len(layout.first_t2)
-    samples = _samples(layout) * n_plane
-    workers = min(4 * device.info.compute_units, max(end - begin for begin, end in layout.batches))
+    batches = layout.batches()
+    n_plane, n_stream = values.shape[0], len(layout.part_t4)
+    samples = _samples(layout)
+    workers = min(4 * device.info.compute_units, max(end - begin for begin, end in batches))
     items = int(samples.max()) * 5 // 4 + (1 << 12)  # samples, and flags of cells and bands
     place_t2, seen_wn = np.zeros((n_stream, 2), np.uint32), np.zeros((workers, _SEEN if count else 1), np.uint32)
     error_tj, bits_tj = np.zeros((n_stream, n_plane), np.float32), np.zeros((n_stream, n_plane), np.float32)
-    given = [device.upload(a) for a in (layout.first_t2, layout.unit_uf, tables.count_ms, tables.flag_f2)]
+    given = [device.upload(a) for a in (layout.part_t4, layout.unit_uf, tables.count_ms, tables.flag_f2)]
+    scales = device.upload(np.full(n_plane, scale, np.float32) if np.ndim(scale) == 0 else scale)
+    coarse = device.upload(_coarse(coarse_jl, n_plane))
     work, item = device.empty((workers, _WORK_BYTES), np.uint8), device.empty((workers, items), np.uint32)
     raw = device.empty((workers, _RAW_BYTES * items), np.uint8)
     room = max(1 << 20, int(samples.sum()))
@@ -134,13 +140,13 @@ def encode_streams(
         taken, stream = np.zeros(1, np.uint32), device.empty((room,), np.uint8)
         held = [device.hold(a) for a in (taken, place_t2, error_tj, bits_tj)]
         seen = device.hold(seen_wn)
-        for begin, end in layout.batches:
+        for begin, end in batches:
             device.launch(
                 "codec/units_encode.cl",
                 "encode_units",
                 (min(workers, end - begin),),
-                *(index, values, stream, *held, *given, work, item, raw, seen),
-                *(price, scale, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
+                *(index, values, stream, *held, *given, work, item, raw, seen, scales, coarse),
+                *(price, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
             )
         taken, place_t2, error_tj, bits_tj = (device.download(a) for a in held)
         if int(taken[0]) <= room:
@@ -164,11 +170,16 @@ def encode_streams(
 
 
 def _samples(layout: Layout) -> NDArray[np.int64]:
-    """Return the samples of a plane that each stream holds."""
+    """Return the samples that each stream holds."""
     fields = np.maximum(layout.unit_uf, 0).astype(np.int64)
     of_unit = (fields[:, 4:7] * fields[:, 7:10]).sum(axis=1)
     ends = np.concatenate([[0], np.cumsum(of_unit)])
-    return ends[layout.first_t2[:, 1]] - ends[layout.first_t2[:, 0]]
+    units, planes = layout.part_t4[:, :2], layout.part_t4[:, 2:]
+    return (ends[units[:, 1]] - ends[units[:, 0]]) * (planes[:, 1] - planes[:, 0])
+
+
+def _coarse(coarse_jl: NDArray[np.int32] | None, n_plane: int) -> NDArray[np.int32]:
+    return np.zeros((n_plane, LEVELS + 1), np.int32) if coarse_jl is None else coarse_jl
 
 
 def decode_streams(
@@ -177,9 +188,9 @@ def decode_streams(
     streams: list[bytes],
     tables: Tables,
     index: DeviceArray,
-    planes: int,
     sums: DeviceArray | None = None,
     weight_jc: NDArray[np.float32] | None = None,
+    coarse_jl: NDArray[np.int32] | None = None,
 ) -> NDArray[np.int32]:
     """Decode streams into zeroed planes of indices, or into sums of their values times weights.
 
@@ -192,9 +203,12 @@ def decode_streams(
     size_t = np.array([len(s) for s in streams], np.uint32)
     place_t2 = np.stack([np.cumsum(size_t, dtype=np.uint32) - size_t, size_t], axis=1)
     stream = device.upload(np.frombuffer(b"".join(streams) or b"\0", np.uint8))
-    first, unit = device.upload(layout.first_t2), device.upload(layout.unit_uf)
+    part, unit = device.upload(layout.part_t4), device.upload(layout.unit_uf)
+    coarse = device.upload(_coarse(coarse_jl, index.shape[0]))
     counts, flags = device.upload(tables.count_ms), device.upload(tables.flag_f2)
-    most = max(end - begin for begin, end in layout.batches)
+    # Streams of one place must not add to the same sums at once.
+    batches = layout.batches(apart=weight_jc is not None)
+    most = max(end - begin for begin, end in batches)
     most = min(most, max(_DECODED_AT_ONCE * device.info.compute_units, 256))
     work = device.empty((most, _WORK_BYTES), np.uint8)
     fault_t = np.zeros(n_stream, np.int32)
@@ -203,13 +217,13 @@ def decode_streams(
     if sums is None or weight_jc is None:  # no kernel takes nothing: memory that is never touched
         sums, weight_jc = device.empty((1, *index.shape[1:]), np.float32), np.zeros((index.shape[0], 1), np.float32)
     weight = device.upload(weight_jc)
-    for batch, end in layout.batches:
+    for batch, end in batches:
         for begin in range(batch, end, most):
             device.launch(
                 "codec/units_decode.cl",
                 "decode_units",
                 (min(most, end - begin),),
-                *(index, sums, weight, stream, place, first, unit, counts, flags, work, fault),
-                *(begin, planes, n_sum, *sums.shape),
+                *(index, sums, weight, stream, place, part, unit, counts, flags, work, fault, coarse),
+                *(begin, n_sum, *sums.shape),
             )
     return device.download(fault)

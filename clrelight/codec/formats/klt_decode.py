@@ -29,14 +29,14 @@ _KEPT_BYTES = 1 << 26
 def decode_rows(body: Body, parsed: Parsed, target: Target, device: Device, memory: int) -> None:
     """Put the coefficients of a body, strip by strip where planes of all of it pass a number of bytes."""
     maker = _Maker(parsed, target.shape, device)
-    strips = _Strips(UnitReader(body, parsed, target.shape, device), target.shape, parsed.head.n_plane, memory)
+    strips = _Strips(UnitReader(body, parsed.stored, target.shape, device), target.shape, parsed.head.n_plane, memory)
     for part in target.row_parts():
         target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
 
 
 def decode_region(body: Body, parsed: Parsed, shape: Shape, region: Region, device: Device) -> NDArray[np.float32]:
     """Return the coefficients of a part of an image, at a level; only units that it hangs on are read."""
-    reader = UnitReader(body, parsed, shape, device)
+    reader = UnitReader(body, parsed.stored, shape, device)
     return _Maker(parsed, shape, device).coefficients(_planes_of(reader, region, parsed.head.n_plane))
 
 
@@ -148,7 +148,7 @@ class UnitView:
         count = self._parsed.head.n_plane
         sums = np.zeros((len(operator_mj), *region.shape), np.float32)
         if count:
-            reader = UnitReader(self._body, self._parsed, self._shape, device)
+            reader = UnitReader(self._body, self._parsed.stored, self._shape, device)
             sums = self._sums(reader, region, operator_mj[:, :count], device)
         with np.errstate(over="ignore"):  # what no encoder wrote: it is refused below
             sums += operator_mj[:, count, None, None].astype(np.float32)

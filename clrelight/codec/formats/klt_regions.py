@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
+from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
 from clrelight.codec.entropy.units import LEVELS, MARGIN, PRECINCT, Unit, Window, lay_out, list_units, low_side
-from clrelight.codec.formats.klt_units import Parsed, is_together, read_stream
 from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import list_subbands, padded_width, transform_planes
 from clrelight.codec.transforms.whitening import with_type
@@ -29,14 +29,15 @@ class UnitReader:
     ----------
     body : Body
         Bytes, or what is read when sliced: only units of the region are.
-    parsed : Parsed
+    stored : Stored
+        Where its streams lie.
     shape : tuple of int
         (n_coeff, height, width, channel).
     device : Device
     """
 
-    def __init__(self, body: Body, parsed: Parsed, shape: Shape, device: Device) -> None:
-        self._body, self._parsed, self._shape, self._device = body, parsed, shape, device
+    def __init__(self, body: Body, stored: Stored, shape: Shape, device: Device) -> None:
+        self._body, self._stored, self._shape, self._device = body, stored, shape, device
         self._units = list_units(shape[1], shape[2])
 
     @property
@@ -79,9 +80,9 @@ class UnitReader:
         top, left, bottom, right = region.top, region.left, region.bottom, region.right
         level, least = region.level, PRECINCT >> region.level
         sides = [(side << level) + 2 * PRECINCT for side in region.shape]
-        count = max(self._parsed.head.n_plane, 1)
+        count = max(self._stored.n_plane, 1)
         fits = 4 * count * sides[0] * sides[1] <= min(_AT_ONCE, self._device.info.memory_bytes // 4)
-        if fits or is_together(self._shape) or max(region.shape) <= least:
+        if fits or self._stored.together or max(region.shape) <= least:
             return None
         if region.shape[0] >= region.shape[1]:
             middle = (top + bottom) // 2 // least * least
@@ -94,22 +95,25 @@ class UnitReader:
     def _decode(self, region: Region, weight_jc: NDArray[np.float32] | None) -> tuple[NDArray, Window]:
         """Return indices, or sums, in a window of whole units; what the region needs is in them."""
         _, height, width, _ = self._shape
-        count = self._parsed.head.n_plane
-        together = is_together(self._shape)
+        count = self._stored.n_plane
+        together = self._stored.together
         chosen = list(range(len(self._units))) if together else self._needed(region)
         units = [self._units[t] for t in chosen]
         window = Window(0, 0, height, width) if together else _cover(units, height, width)
         pitch = padded_width(window.shape[1])
-        layout = lay_out(units, height, width, window, pitch, together)
-        streams = [read_stream(self._body, self._parsed, t) for t in ([0] if together else chosen)]
+        layout = lay_out(units, (height, width), window, pitch, together, self._stored.groups)
+        numbers = self._stored.numbers(self._units, chosen)
+        streams = [self._stored.read(self._body, t) for t in numbers]
         # Memory that is not there before something is written to it.
         index = self._device.hold(np.zeros((count, window.shape[0], pitch), np.int32))
         sums = None
         if weight_jc is not None:
             sums = self._device.hold(np.zeros((weight_jc.shape[1], window.shape[0], pitch), np.float32))
-        fault_t = decode_streams(self._device, layout, streams, default_tables(), index, count, sums, weight_jc)
+        coarse_jl = self._stored.coarse_jl
+        fault_t = decode_streams(self._device, layout, streams, default_tables(), index, sums, weight_jc, coarse_jl)
         if fault_t.any():
-            raise PayloadError(f"unit {chosen[int(np.argmax(fault_t))]} of the klt body cannot be decoded")
+            number = numbers[int(np.argmax(fault_t))]
+            raise PayloadError(f"unit {number} of the {self._stored.name} body cannot be decoded")
         return self._device.download(index if sums is None else sums), window
 
     def _needed(self, region: Region) -> list[int]:
