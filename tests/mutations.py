@@ -22,6 +22,7 @@ import numpy as np
 from clrelight.codec import codec_class, codec_ids, decode, decode_view, encode
 from clrelight.codec.entropy.unit_index import pack_index
 from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION
+from clrelight.codec.formats.wavelet_units import VERSION as WAVELET_VERSION
 from clrelight.device import open_device
 from clrelight.errors import PayloadError
 from tests import campaign
@@ -29,7 +30,7 @@ from tests.campaign import Tally, bounded
 
 SHAPES = [(4, 5, 9, 3), (4, 6, 7, 1), (1, 6, 7, 1), (4, 1, 13, 2)]
 OPTIONS = {
-    "wavelet": [{"rate": 8.0}, {"rate": 14.0, "allocation": "global", "levels": 5}],
+    "wavelet": [{"rate": 8.0}, {"rate": 14.0, "allocation": "global"}, {"rate": 40.0}],
     "klt": [{"step": 0.05}, {"step": 0.002}, {"step": 0.03, "transfer": "srgb"}],
     "uniform": [{"bits": 7}, {"bits": 8}],
     "jpeg2000": [{"rate": 60.0}],
@@ -62,15 +63,16 @@ def seal(payload):
 
 
 def seal_units(payload):
-    """Return `payload` with the checksums that a klt body of version 4 has inside, so that its units are decoded."""
+    """Return `payload` with the checksums that bodies in units have inside, so that its units are decoded."""
     at = 6 + payload[5] + 28 if len(payload) > 5 else len(payload)
-    body = payload[at:]
-    if payload[6 : at - 28] != b"klt" or len(body) < HEAD_SIZE or body[0] != VERSION:
+    body, name = payload[at:], payload[6 : at - 28]
+    if len(body) < HEAD_SIZE:
         return payload
     shape = struct.unpack_from("<4I", payload, at - 28)
-    count, tables = struct.unpack_from("<HxI", body, 8)
-    front = HEAD_SIZE + tables
-    if count == 0 or not 0 < shape[1] * shape[2] <= 1 << 18 or len(body) < front:
+    front = (
+        _front_of_klt(body, shape) if name == b"klt" else _front_of_wavelet(body, shape) if name == b"wavelet" else 0
+    )
+    if front == 0 or not 0 < shape[1] * shape[2] <= 1 << 18 or len(body) < front:
         return payload
     place = front
     while place < len(body) - 1 and body[place] >= 128:
@@ -78,6 +80,24 @@ def seal_units(payload):
     stream = body[place + 5 :]  # behind the last byte of the length and two checksums
     index = pack_index([stream])
     return payload[:at] + body[:front] + index + _crc(body[:front] + index) + stream
+
+
+def _front_of_klt(body, shape):
+    """Return what stands before the index of a klt body of version 4 with one stream, else 0."""
+    count, tables = struct.unpack_from("<HxI", body, 8)
+    return HEAD_SIZE + tables if body[0] == VERSION and count else 0
+
+
+def _front_of_wavelet(body, shape):
+    """Return what stands before the index of a wavelet body of version 6 with one stream, else 0."""
+    n_coeff, channel = shape[0], shape[3]
+    version, _, flags, group = struct.unpack_from("<BBBH", body)
+    if version != WAVELET_VERSION or not flags & 1 or len(body) < 5 + 2 * n_coeff or n_coeff > group:
+        return 0
+    count = sum(body[5 + 2 * k : 7 + 2 * k] != b"\xff\xff" for k in range(n_coeff))
+    rotations = (count if flags & 8 else 1) if flags & 4 else 0
+    angles = rotations * (channel * (channel - 1) // 2) * (2 if flags & 16 else 1)
+    return 5 + 2 * n_coeff + angles + (5 * channel * count if flags & 2 else 0) if count else 0
 
 
 def _crc(content):

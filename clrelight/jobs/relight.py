@@ -125,7 +125,7 @@ def relight(
     region : four whole numbers, optional
         Column and row of the first pixel, width and height: this part alone, in pixels of the whole image.
     level : int
-        Width and height are halved so often, without decoding what is not shown (files of codec klt).
+        Width and height are halved so often, without decoding what is not shown (files of codec klt or wavelet).
     device : Device or str, optional
         As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
     progress : callable, optional

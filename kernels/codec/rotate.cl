@@ -4,11 +4,10 @@
  * transpose of it. A scale is given as two factors, each within float32's range where their product need not be.
  * Error bound: size_c + 2 roundings of the sum of magnitudes.
  */
-#include "common/inline.clh"
 
 /* Global size (height, n_coeff). Rows of planes go on with zeros to size_x. */
 __kernel void rotate_channels(__global float *plane_jyx, __global const float *coeffs_khwc,
-                              __global const float *rotation_kdc, __global const float *scale_k2,
+                              __global const float *rotation_ro, __global const float *scale_k2,
                               __global const int *place_kd, const int rotated, const int size_h, const int size_w,
                               const int size_c, const int size_y, const int size_x)
 {
@@ -20,7 +19,7 @@ __kernel void rotate_channels(__global float *plane_jyx, __global const float *c
         if (j < 0)
             continue;
         __global float *to = plane_jyx + ((size_t)j * size_y + y) * size_x;
-        __global const float *row = rotation_kdc + ((size_t)k * size_c + d) * size_c;
+        __global const float *row = rotation_ro + ((size_t)k * size_c + d) * size_c;
         if (!rotated) {
             for (int x = 0; x < size_w; ++x)
                 to[x] = from[x * size_c + d] * first * second;
@@ -46,7 +45,7 @@ __kernel void rotate_channels(__global float *plane_jyx, __global const float *c
 
 /* Global size (height, n_coeff). Maps without planes become 0; what passes float32 its largest number. */
 __kernel void unrotate_channels(__global float *coeffs_khwc, __global const float *plane_jyx,
-                                __global const float *rotation_kdc, __global const float *scale_k2,
+                                __global const float *rotation_ro, __global const float *scale_k2,
                                 __global const int *place_kd, const int rotated, const int size_h, const int size_w,
                                 const int size_c, const int size_y, const int size_x)
 {
@@ -54,7 +53,7 @@ __kernel void unrotate_channels(__global float *coeffs_khwc, __global const floa
     __global float *to = coeffs_khwc + ((size_t)k * size_h + y) * size_w * size_c;
     const float first = scale_k2[2 * k], second = scale_k2[2 * k + 1];
     __global const int *place = place_kd + (size_t)k * size_c;
-    __global const float *rotation = rotation_kdc + (size_t)k * size_c * size_c;
+    __global const float *rotation = rotation_ro + (size_t)k * size_c * size_c;
     const size_t plane = (size_t)size_y * size_x, row = (size_t)y * size_x;
     if (place[0] < 0) {
         for (int i = 0; i < size_w * size_c; ++i)

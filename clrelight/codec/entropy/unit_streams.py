@@ -131,7 +131,7 @@ def encode_streams(
     place_t2, seen_wn = np.zeros((n_stream, 2), np.uint32), np.zeros((workers, _SEEN if count else 1), np.uint32)
     error_tj, bits_tj = np.zeros((n_stream, n_plane), np.float32), np.zeros((n_stream, n_plane), np.float32)
     given = [device.upload(a) for a in (layout.part_t4, layout.unit_uf, tables.count_ms, tables.flag_f2)]
-    scales = device.upload(np.full(n_plane, scale, np.float32) if np.ndim(scale) == 0 else scale)
+    scales = device.upload(np.broadcast_to(np.asarray(scale, np.float32), n_plane).copy())
     coarse = device.upload(_coarse(coarse_jl, n_plane))
     work, item = device.empty((workers, _WORK_BYTES), np.uint8), device.empty((workers, items), np.uint32)
     raw = device.empty((workers, _RAW_BYTES * items), np.uint8)

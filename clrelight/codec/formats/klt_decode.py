@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
+from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.units import MARGIN, PRECINCT, tile_sides
 from clrelight.codec.factored import finite_images
 from clrelight.codec.formats.klt_regions import UnitReader
@@ -29,7 +30,7 @@ _KEPT_BYTES = 1 << 26
 def decode_rows(body: Body, parsed: Parsed, target: Target, device: Device, memory: int) -> None:
     """Put the coefficients of a body, strip by strip where planes of all of it pass a number of bytes."""
     maker = _Maker(parsed, target.shape, device)
-    strips = _Strips(UnitReader(body, parsed.stored, target.shape, device), target.shape, parsed.head.n_plane, memory)
+    strips = Strips(UnitReader(body, parsed.stored, target.shape, device), target.shape, parsed.head.n_plane, memory)
     for part in target.row_parts():
         target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
 
@@ -37,10 +38,11 @@ def decode_rows(body: Body, parsed: Parsed, target: Target, device: Device, memo
 def decode_region(body: Body, parsed: Parsed, shape: Shape, region: Region, device: Device) -> NDArray[np.float32]:
     """Return the coefficients of a part of an image, at a level; only units that it hangs on are read."""
     reader = UnitReader(body, parsed.stored, shape, device)
-    return _Maker(parsed, shape, device).coefficients(_planes_of(reader, region, parsed.head.n_plane))
+    return _Maker(parsed, shape, device).coefficients(planes_of(reader, region, parsed.head.n_plane))
 
 
-def _planes_of(reader: UnitReader, region: Region, count: int) -> NDArray[np.float32]:
+def planes_of(reader: UnitReader, region: Region, count: int) -> NDArray[np.float32]:
+    """Return the planes of a region, (count, height, width)."""
     return reader.planes(region) if count else np.zeros((0, *region.shape), np.float32)
 
 
@@ -76,7 +78,7 @@ class _Maker:
         return coeffs_khwc
 
 
-class _Strips:
+class Strips:
     """Planes of rows, decoded strip by strip."""
 
     def __init__(self, reader: UnitReader, shape: Shape, count: int, memory: int) -> None:
@@ -102,11 +104,11 @@ class _Strips:
 
     def _decode(self, top: int, bottom: int) -> NDArray[np.float32]:
         if self._columns >= self._width:
-            return _planes_of(self._reader, Region(top, 0, bottom, self._width), self._count)
+            return planes_of(self._reader, Region(top, 0, bottom, self._width), self._count)
         planes_jyx = np.empty((self._count, bottom - top, self._width), np.float32)
         for left in range(0, self._width, self._columns):
             right = min(left + self._columns, self._width)
-            planes_jyx[:, :, left:right] = _planes_of(self._reader, Region(top, left, bottom, right), self._count)
+            planes_jyx[:, :, left:right] = planes_of(self._reader, Region(top, left, bottom, right), self._count)
         return planes_jyx
 
 
@@ -126,7 +128,7 @@ class UnitView:
 
     def __init__(self, body: Body, parsed: Parsed, shape: Shape) -> None:
         self._body, self._parsed, self._shape = body, parsed, shape
-        self._planes_jyx: NDArray[np.float32] | None = None  # of a small image, once they are asked for
+        self._sums = PlaneSums(body, parsed.stored, shape)
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
@@ -148,8 +150,7 @@ class UnitView:
         count = self._parsed.head.n_plane
         sums = np.zeros((len(operator_mj), *region.shape), np.float32)
         if count:
-            reader = UnitReader(self._body, self._parsed.stored, self._shape, device)
-            sums = self._sums(reader, region, operator_mj[:, :count], device)
+            sums = self._sums.of(region, operator_mj[:, :count], device)
         with np.errstate(over="ignore"):  # what no encoder wrote: it is refused below
             sums += operator_mj[:, count, None, None].astype(np.float32)
         images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
@@ -157,11 +158,18 @@ class UnitView:
             images = bent(images, device, decode=True)
         return np.ascontiguousarray(finite_images(images))
 
-    def _sums(
-        self, reader: UnitReader, region: Region, operator_mj: NDArray[np.float64], device: Device
-    ) -> NDArray[np.float32]:
-        """Return sums of planes, by whichever is less work: sums of wavelet coefficients, or planes first."""
+
+class PlaneSums:
+    """Sums of a body's planes times weights, of parts of the image."""
+
+    def __init__(self, body: Body, stored: Stored, shape: Shape) -> None:
+        self._body, self._stored, self._shape = body, stored, shape
+        self._planes_jyx: NDArray[np.float32] | None = None  # of a small image, once they are asked for
+
+    def of(self, region: Region, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
+        """Return (n_sum, height, width), by whichever is less work: sums of wavelet coefficients, or planes first."""
         n_sum, count = operator_mj.shape
+        reader = UnitReader(self._body, self._stored, self._shape, device)
         if region == reader.whole and 4 * count * region.shape[0] * region.shape[1] <= _KEPT_BYTES:
             if self._planes_jyx is None:
                 self._planes_jyx = reader.planes(region)

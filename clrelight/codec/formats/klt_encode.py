@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
-from clrelight.codec.entropy.unit_streams import Coded, ValuesLostError, default_tables, encode_streams
 from clrelight.codec.entropy.unit_index import index_bytes
+from clrelight.codec.entropy.unit_streams import Coded, ValuesLostError, default_tables, encode_streams
 from clrelight.codec.entropy.units import LEVELS, Tile, Window, lay_out, list_tiles, list_units, whole_tile
 from clrelight.codec.formats.klt_trials import (
     PRICE_POWER,
