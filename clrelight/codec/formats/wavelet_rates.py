@@ -9,6 +9,8 @@ from clrelight.codec.formats.wavelet_units import STEPS_PER_OCTAVE, code_of
 
 _FINEST, _COARSEST = -21.0, 12.0
 """Logarithms of steps, in units of a map's power of two: no index of the finest passes what units hold."""
+_ENOUGH = 2000.0
+"""Bits of a map from which on two trials tell how they hang on the step."""
 _BISECTIONS, _SAMPLES = 24, 1024
 _PROXY = 36.0
 """A magnitude of a steps is taken to cost about ``log2(1 + _PROXY a^2) / 2`` bits where sets of them are compared."""
@@ -93,7 +95,7 @@ class Steps:
         slope_m = -1.0 / (rate_m + 0.7)
         if self._before is not None:
             moved_m, grown_m = log_m - self._before[0], np.log2(found_m / self._before[1])
-            known_m = np.abs(moved_m) > 0.02
+            known_m = (np.abs(moved_m) > 0.02) & (found_m > _ENOUGH)
             secant_m = np.divide(grown_m, moved_m, out=slope_m.copy(), where=known_m)
             slope_m = np.clip(secant_m, 2.5 * slope_m, 0.4 * slope_m)
         off_m = np.log2(wanted_m / found_m)
