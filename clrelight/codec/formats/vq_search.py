@@ -17,8 +17,8 @@ SPLIT_PASSES, FINAL_PASSES = 4, 32
 LEAST_GAIN = 5e-4
 """Relative gain of a pass below which no more are made."""
 
-LEFT_OUT = 0.03
-"""Part of the vectors' variance that the design does not look at."""
+LEFT_OUT, FEW = 0.03, 1024
+"""Part of the vectors' variance that the design does not look at, where there are not few of them."""
 
 ROWS = 4
 
@@ -38,6 +38,8 @@ def design_codebook(vectors_dp: NDArray[np.float32], bits: int, device: Device) 
 
 def _principal_axes(sample_dp: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the axes (r, d) that hold all but a little of what vectors differ by: distances are those along them."""
+    if sample_dp.shape[1] < FEW:
+        return np.eye(len(sample_dp), dtype=np.float32)
     with on_one_thread():
         deviation_dp = sample_dp - sample_dp.mean(axis=1, dtype=np.float64)[:, None].astype(np.float32)
         energy_r, axes_dr = np.linalg.eigh((deviation_dp @ deviation_dp.T).astype(np.float64))
