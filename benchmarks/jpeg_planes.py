@@ -27,7 +27,7 @@ def compress_planes(
     if quality is None:
         return sum(int(mask_hw.sum()) * plane.shape[2] * plane.itemsize for plane in planes), planes
     try:
-        from PIL import Image
+        from PIL import Image, ImageFile
     except ImportError:
         raise InputError("JPEG planes need Pillow: pip install 'clrelight[codecs]'") from None
     size, decoded = 0, []
@@ -41,6 +41,8 @@ def compress_planes(
         codes_hwc = np.clip(np.rint((plane_hwc - low_c) / step_c), 0, 255).astype(np.uint8)
         codes_hwc[~mask_hw] = 0
         file = io.BytesIO()
+        # Where the best code is asked for, the whole file must fit a buffer, and noise takes more than the usual one.
+        ImageFile.MAXBLOCK = max(ImageFile.MAXBLOCK, 4 * codes_hwc.size)
         single = codes_hwc.shape[2] == 1
         image = Image.fromarray(codes_hwc[:, :, 0] if single else codes_hwc)
         image.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)

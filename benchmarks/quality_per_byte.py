@@ -116,11 +116,11 @@ def _rows(stack: LightStack, picture: str | None) -> list[list[str]]:
         )
     rows.append([stack.name, f"{ours.method} degree {ours.degree}, float32", "", f"{best:.2f}", "", ""])
     if picture is not None:
-        _draw(picture, stack, int(held[len(held) // 2]), [mine[1], others[1], others[len(BUDGETS)]])
+        draw_ways(picture, stack, int(held[len(held) // 2]), [mine[1], others[1], others[len(BUDGETS)]])
     return rows
 
 
-def _draw(path: str, stack: LightStack, light: int, ways: list[Found]) -> None:
+def draw_ways(path: str, stack: LightStack, light: int, ways: list[Found]) -> None:
     """Draw one held-out photograph beside its relit images."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

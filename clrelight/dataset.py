@@ -24,9 +24,7 @@ from clrelight.arrays import (
 )
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
-
-_WIDENED_BYTES = 1 << 24
-"""Halves that are held at a time while they become float32."""
+from clrelight.memory import PIECE_BYTES
 
 
 @dataclass(frozen=True)
@@ -210,7 +208,7 @@ class CoefficientMap:
         if out_khwc.dtype != np.float32:
             raise TypeError(f"expected an array of {held} or float32, got {out_khwc.dtype}")
         n_coeff, _, width, channel = out_khwc.shape
-        step = max(1, _WIDENED_BYTES // (n_coeff * width * channel * held.itemsize))
+        step = max(1, PIECE_BYTES // (n_coeff * width * channel * held.itemsize))
         for row in range(first, end, step):
             stop = min(row + step, end)
             rows_khwc = np.empty((n_coeff, stop - row, width, channel), held)

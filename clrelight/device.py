@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clrelight.errors import KernelBuildError
-from clrelight.kernel_source import read_kernel_source
+from clrelight.kernel_source import kernel_for, read_kernel_source
 from clrelight.opencl.arguments import DeviceArray, check_arguments
 from clrelight.opencl.devices import DeviceInfo, check_process, choose_device, interrupts_wait, loaded_devices
 from clrelight.opencl.kernel_cache import KernelCache
@@ -148,6 +148,12 @@ class Device:
         self._cl.enqueue_copy(self._queue, values, array.buffer)
         return values
 
+    def fetch(self, array: DeviceArray, out: NDArray) -> None:
+        """Wait for the queue and have the array's values in `out`, where they are if that is its memory on a CPU."""
+        values = self.download(array)
+        if not np.may_share_memory(values, out):
+            out[...] = values
+
     def finish(self) -> None:
         """Wait until everything launched has ended."""
         check_process()
@@ -175,7 +181,8 @@ class Device:
         Parameters
         ----------
         file, kernel : str
-            Kernel file relative to the kernel folder, and the kernel's name in it.
+            Kernel file relative to the kernel folder, and the kernel's name in it. Of a file with a twin for this
+            device's style (``fit/cls.gpu.cl`` beside ``fit/cls.cl``), the twin is taken.
         global_size : tuple of int
             Work-items along each axis.
         *arguments : DeviceArray or number
@@ -193,7 +200,7 @@ class Device:
             If the program does not build.
         """
         check_process()
-        defines = dict(defines or {})
+        file, defines = kernel_for(file, self.style), dict(defines or {})
         compiled, parameters = self._kernel(file, kernel, defines)
         values = check_arguments(f"{file}:{kernel}", parameters, arguments)
         for index, value in enumerate(values):

@@ -13,6 +13,10 @@ class StoreFormatError(InputError):
     """A file is not one of ours, is damaged, or comes from a newer version."""
 
 
+class RemoteError(InputError):
+    """A file on another machine cannot be fetched; nothing is said of what it holds."""
+
+
 class PayloadError(InputError):
     """Encoded bytes are damaged, cut short, or not ours."""
 

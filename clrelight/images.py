@@ -240,6 +240,7 @@ def _encode(name: str, extension: str, values: NDArray, stored: Any) -> None:
     if writer is None:
         raise RuntimeError(oiio.geterror())
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], stored)
+    spec.attribute("DateTime", "0000:00:00 00:00:00")  # else EXR and TIFF get today's: never the same bytes twice
     if values.shape[2] not in (1, 3):
         # Otherwise the fourth is alpha.
         spec.channelnames = tuple(f"band{i:03}" for i in range(values.shape[2]))

@@ -21,6 +21,21 @@ def kernel_folder() -> Path:
 
 
 @functools.cache
+def kernel_for(file: str, style: str) -> str:
+    """Return the file of a style's kernels: ``"fit/cls.gpu.cl"`` for ``"fit/cls.cl"``, if there is one, on a GPU.
+
+    Parameters
+    ----------
+    file : str
+        Path relative to the kernel folder, such as ``"fit/cls.cl"``.
+    style : str
+        One of `clrelight.opencl.devices.STYLES`.
+    """
+    twin = f"{file.removesuffix('.cl')}.{style}.cl"
+    return twin if (kernel_folder() / twin).is_file() else file
+
+
+@functools.cache
 def read_kernel_source(file: str) -> str:
     """Return the text of a kernel file with its ``#include "..."`` lines replaced by what they name.
 

@@ -57,7 +57,7 @@ def choose_tiling(n_out: int) -> Tiling:
 
 
 def pack_rows(operator_mi: NDArray) -> NDArray:
-    """Return the matrix, of any float type, as ``few_rows.cl`` or ``matmul.cl`` for GPUs reads it, one axis."""
+    """Return the matrix, of any float type, as ``few_rows.gpu.cl`` or ``matmul.gpu.cl`` reads it, one axis."""
     n_out, n_in = operator_mi.shape
     if n_out <= FEW_ROWS:
         packed = np.zeros((_round_up(n_in, _RUN_ROWS), _round_up(n_out, 4)), operator_mi.dtype)
@@ -83,7 +83,7 @@ def launch_matmul(
     n_out, columns = shape_mq
     if n_out <= FEW_ROWS:
         device.launch(
-            "gpu/few_rows.cl",
+            "few_rows.cl",
             "apply_few_rows_mq",
             (-(-columns // _FEW_WIDTH) * _FEW_GROUP,),
             *arrays,
@@ -97,7 +97,7 @@ def launch_matmul(
     tiling = choose_tiling(n_out)
     group = _THREADS_X * tiling.threads_y
     device.launch(
-        "gpu/matmul.cl",
+        "matmul.cl",
         "apply_operator_mq",
         (-(-columns // _TILE_WIDTH) * tiling.blocks * group,),
         *arrays,

@@ -214,7 +214,7 @@ def sum_errors(
     n_light, columns = relit_ip.shape
     error_it = device.empty((n_light, -(-columns // _SEGMENT)), np.float32)
     device.launch(
-        "gpu/metrics/squared_error.cl",
+        "metrics/squared_error.cl",
         "sum_squared_error_mt",
         (math.prod(error_it.shape) * _GROUP,),
         error_it,

@@ -70,14 +70,15 @@ def make_pattern(pattern: str, count: int, seed: int = 0, *, sphere: bool = Fals
     return _make_patches(count, seed)
 
 
-def _from_height(z_i: NDArray, azimuth_i: NDArray) -> NDArray[np.float64]:
+def from_height(z_i: NDArray, azimuth_i: NDArray) -> NDArray[np.float64]:
+    """Return unit vectors (n, 3) of their heights and azimuths in radians."""
     radius_i = np.sqrt(np.maximum(1.0 - z_i * z_i, 0.0))
     return np.stack([radius_i * np.cos(azimuth_i), radius_i * np.sin(azimuth_i), z_i], axis=1)
 
 
 def _make_spiral(count: int, depth: float) -> NDArray[np.float64]:
     step_i = np.arange(count)
-    return _from_height(1.0 - depth * (step_i + 0.5) / count, step_i * GOLDEN_ANGLE)
+    return from_height(1.0 - depth * (step_i + 0.5) / count, step_i * GOLDEN_ANGLE)
 
 
 def _grid_rows(count: int) -> int | None:
@@ -97,18 +98,18 @@ def _make_grid(count: int) -> NDArray[np.float64]:
     columns = count // rows
     elevation_i = np.repeat((np.arange(rows) + 0.5) * (0.5 * math.pi / rows), columns)
     azimuth_i = np.tile((np.arange(columns) + 0.5) * (2.0 * math.pi / columns), rows)
-    return _from_height(np.sin(elevation_i), azimuth_i)
+    return from_height(np.sin(elevation_i), azimuth_i)
 
 
 def _make_patches(count: int, seed: int) -> NDArray[np.float64]:
     # Only Generator.random is drawn: the one stream that NumPy versions have in common.
     rng = np.random.default_rng(seed)
     u = rng.random((_PATCHES, 2))
-    centres_j3 = _from_height(1.0 - (1.0 - _PATCH_LOWEST_Z) * u[:, 0], 2.0 * math.pi * u[:, 1])
+    centres_j3 = from_height(1.0 - (1.0 - _PATCH_LOWEST_Z) * u[:, 0], 2.0 * math.pi * u[:, 1])
     chosen_i3 = np.empty((0, 3))
     while len(chosen_i3) < count:
         u = rng.random((2 * count + 64, 2))
-        tried_i3 = _from_height(1.0 - u[:, 0], 2.0 * math.pi * u[:, 1])
+        tried_i3 = from_height(1.0 - u[:, 0], 2.0 * math.pi * u[:, 1])
         inside_i = np.any(tried_i3 @ centres_j3.T >= math.cos(_PATCH_RADIUS), axis=1)
         chosen_i3 = np.concatenate([chosen_i3, tried_i3[inside_i]])
     return chosen_i3[:count]

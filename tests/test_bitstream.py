@@ -128,7 +128,7 @@ def taken(monkeypatch):
 
         monkeypatch.setattr(module, name, run)
 
-    spy(klt_regions, "decode_streams", lambda a, _: found["indices"].append(a[0].download(a[4]).copy()))
+    spy(klt_regions, "decode_streams", lambda a, _: found["indices"].append(a[0].download(a[5]).copy()))
     spy(klt_units, "code_vectors", lambda _, result: found["vectors"].append(result))
     return found
 

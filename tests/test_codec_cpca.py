@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from clrelight.codec import decode, encode
+from clrelight.codec import decode, encode, slabs
 from clrelight.codec.entropy.bitpack import STRETCH, pack_codes, packed_size, unpack_codes
 from clrelight.codec.formats import cpca_search
 from clrelight.codec.formats.cpca import Cpca
@@ -123,7 +123,7 @@ def test_same_input_same_bytes(device):
 def test_batches_change_nothing(device, monkeypatch):
     encoded = encode(mixture((4, 31, 37, 3), 4, 2, 0.1), Cpca(), device)
     values = decode(encoded, device)
-    monkeypatch.setattr(cpca_search, "BATCH_VALUES", 1000)
+    monkeypatch.setattr(slabs, "SLAB_BYTES", 4000)
     np.testing.assert_allclose(decode(encoded, device), values, rtol=0, atol=1e-5)
 
 

@@ -192,7 +192,7 @@ def test_a_damaged_unit_is_named(device):
     encoded = encode(make_maps((4, 40, 41, 3)), Wavelet(rate=3.0), device)
     body = bytearray(encoded.body)
     body[-20] ^= 4
-    with pytest.raises(PayloadError, match="unit 0 of the wavelet body is damaged"):
+    with pytest.raises(PayloadError, match="the wavelet body is damaged, and all of its units are one stream"):
         decode_body(bytes(body), encoded.shape, device)
 
 

@@ -86,8 +86,8 @@ def test_a_half_fit_holds_what_codec_half_makes_of_the_other(made):
     for dtype in ("float32", "float16"):
         succeed("encode", folder / f"{dtype}.h5", folder / f"{dtype}.enc.h5", "--codec", "half")
     payload = narrow["coefficients"].tobytes()
-    assert arrays(folder / "float32.enc.h5")["payload"].tobytes() == payload
-    assert arrays(folder / "float16.enc.h5")["payload"].tobytes() == payload
+    for dtype in ("float32", "float16"):
+        assert arrays(folder / f"{dtype}.enc.h5")["payload"].tobytes().endswith(payload)
     np.testing.assert_array_equal(narrow["lambda"], wide["lambda"], strict=True)
     for name in ("method", "degree", "config", "peak", "transfer", "name", "clrelight_schema"):
         assert attributes(folder / "float16.h5")[name] == attributes(folder / "float32.h5")[name]
@@ -148,7 +148,7 @@ def test_python_writes_and_reads_either_type(device, tmp_path, monkeypatch, stre
         store.write_fit(tmp_path / "again.h5", lazy)
         wide = lazy.to_float32()
         store.write_fit(tmp_path / "wide.h5", lazy, dtype=np.float32)
-        monkeypatch.setattr("clrelight.dataset._WIDENED_BYTES", 2 * 9 * 11 * 3 * 5)  # five rows at a time
+        monkeypatch.setattr("clrelight.dataset.PIECE_BYTES", 2 * 9 * 11 * 3 * 5)  # five rows at a time
         np.testing.assert_array_equal(lazy.to_float32().coeffs_khwc, wide.coeffs_khwc)
         rows_khwc = np.empty((9, 12, 11, 3), np.float32)
         np.testing.assert_array_equal(lazy.read_rows(4, 16, rows_khwc), wide.coeffs_khwc[:, 4:16])

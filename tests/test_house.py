@@ -11,15 +11,18 @@ import clrelight
 
 ROOT = Path(clrelight.__file__).parent
 FLOORS = [
-    {"arrays", "errors", "conventions", "configurable", "text_rows", "interrupts", "streaming", "statements"},
-    {"harmonics", "durable", "threads"},
+    {
+        *("arrays", "errors", "conventions", "configurable", "text_rows", "interrupts"),
+        *("memory", "search", "streaming", "statements"),
+    },
+    {"harmonics", "durable", "remote", "threads"},
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {
         *("dataset", "directions", "holdout", "lights", "light_columns", "light_files", "masks", "negatives"),
         *("plan_lights", "sampling", "image_bands", "image_header", "image_names", "image_parts", "image_set"),
         *("image_sink", "images", "radiance_header"),
     },
-    {"fit", "codec", "lighting", "metrics", "relight"},
+    {"fit", "codec", "lighting", "metrics", "perception", "relight"},
     {"store", "export", "ingest", "results", "selftest", "selftest_packing", "selftest_photographs", "truth"},
     {"jobs"},
     {"experiment"},

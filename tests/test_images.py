@@ -422,3 +422,11 @@ def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
         write_image(tmp_path / "a.png", RGB8 // 2)
     assert os.listdir(tmp_path) == ["a.png"]
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), RGB8)
+
+
+@pytest.mark.parametrize("extension", [".exr", ".tif"])
+def test_pictures_say_no_date(tmp_path, extension):
+    """Nobody knows it, and equal pictures are equal files."""
+    write_image(tmp_path / f"p{extension}", RNG.random((3, 4, 3)).astype(np.float32))
+    header = oiio.ImageInput.open(str(tmp_path / f"p{extension}")).spec()
+    assert header.get_string_attribute("DateTime") == "0000:00:00 00:00:00"

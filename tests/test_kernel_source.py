@@ -1,9 +1,11 @@
+import re
+
 import pytest
 
 from clrelight import kernel_source
 from clrelight.device import open_device
 from clrelight.errors import KernelBuildError
-from clrelight.kernel_source import kernel_folder, read_kernel_source
+from clrelight.kernel_source import kernel_folder, kernel_for, read_kernel_source
 
 
 @pytest.fixture
@@ -38,6 +40,17 @@ def test_an_installed_package_comes_first(tmp_path, monkeypatch):
         assert kernel_folder() == installed
     finally:
         kernel_folder.cache_clear()
+
+
+def test_a_gpu_gets_the_twin_where_there_is_one():
+    assert kernel_for("fit/cls.cl", "gpu") == "fit/cls.gpu.cl"
+    assert kernel_for("fit/cls.cl", "cpu") == "fit/cls.cl"
+    assert kernel_for("fit/cls_columns.cl", "gpu") == "fit/cls_columns.cl"
+    # A twin stands beside what it is the twin of, and has kernels of the same names.
+    for twin in kernel_folder().rglob("*.gpu.cl"):
+        texts = [path.read_text("ascii") for path in (twin, twin.with_name(twin.name.replace(".gpu", "")))]
+        of_gpu, of_cpu = (set(re.findall(r"void\s+(\w+)\(", text)) for text in texts)
+        assert of_gpu & of_cpu, twin
 
 
 def test_every_include_of_every_kernel_resolves():

@@ -179,7 +179,7 @@ def test_other_lights_and_radiance(folder, tmp_path):
     [
         (["STACK", "OUT", "--rate", 1, "--bytes", "9k"], "give one of --rate, --bytes, --target-psnr and --loss"),
         (["STACK", "OUT", "--rate", -1], "must be a positive number, got -1.0"),
-        (["STACK", "OUT", "--bytes", "500"], "a file of these lights takes .* bytes without any image"),
+        (["STACK", "OUT", "--bytes", "500"], "a file of these lights and this size takes at least .* bytes, got 500"),
         (["STACK", "OUT", "--transfer", "srgb"], "transfer: for a folder of photographs, not for a stack"),
         (["STACK", "OUT", "--keep-stack", "OTHER"], "keep_stack: for a folder of photographs, not for a stack"),
         (["STACK", "STACK"], "that is the input"),
@@ -321,3 +321,59 @@ def test_a_sample_that_is_no_radiance_is_named(tmp_path):
     ended = call("pack", tmp_path / "s.h5", tmp_path / "p.h5", "--method", "spline", "--degree", 2, "--memory", "200k")
     assert ended.code == 2
     assert "image 7 is nan at row 21, column 33, channel 1" in ended.err
+
+
+def refuse_reading(monkeypatch):
+    """Let no photograph be read."""
+
+    def read(*arguments, **options):
+        raise AssertionError("a photograph was read")
+
+    monkeypatch.setattr("clrelight.images.read_rows", read)
+    monkeypatch.setattr(LightStack, "load_rows", read)
+
+
+@pytest.mark.parametrize("way", ["folder", "stack", "keep"])
+@pytest.mark.parametrize("degree", [(), ("--degree", 3, "--method", "cls")])
+def test_too_few_bytes_are_refused_before_a_photograph_is_read(folder, stack, tmp_path, monkeypatch, way, degree):
+    refuse_reading(monkeypatch)
+    source = stack if way == "stack" else folder
+    kept = ("--keep-stack", tmp_path / "kept.h5") if way == "keep" else ()
+    ended = call("pack", source, tmp_path / "o.h5", "--bytes", 800, *degree, *kept)
+    assert ended.code == 2
+    said = re.search(r"takes at least (\d+) bytes, got 800\n$", ended.err)
+    assert said, ended.err
+    assert 850 < int(said[1]) < 1200
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_full_disk_is_said_of_a_folder(folder, tmp_path, monkeypatch):
+    def full(descriptor, at, count):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("clrelight.durable.os.posix_fallocate", full)
+    ended = call("pack", folder, tmp_path / "o.h5", "--degree", 1, "--method", "cls")
+    said = f"clrelight: cannot write temporary files in {tmp_path}: the disk is full"
+    assert (ended.code, ended.err.splitlines()[-1]) == (2, said)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_full_disk_of_unpack_too(stack, tmp_path, monkeypatch):
+    call("pack", stack, tmp_path / "p.h5", "--degree", 1, "--method", "cls", "--measure", "none")
+    monkeypatch.setattr(
+        "clrelight.durable.os.posix_fallocate", lambda *arguments: (_ for _ in ()).throw(OSError(28, ""))
+    )
+    ended = call("unpack", tmp_path / "p.h5", tmp_path / "again")
+    said = f"clrelight: cannot write temporary files in {tmp_path}: the disk is full"
+    assert (ended.code, ended.err.splitlines()[-1]) == (2, said)
+    assert os.listdir(tmp_path) == ["p.h5"]
+
+
+def test_grey_pictures_do_not_go_to_hdr(tmp_path, monkeypatch):
+    grey = LightStack(codes()[..., :1], make_pattern("uniform", LIGHTS), 255.0)
+    cr.pack(grey, tmp_path / "p.h5", method="cls", degree=1, rate=1.0, measure="none")
+    monkeypatch.setattr("clrelight.jobs.unpack._relight", lambda *arguments: pytest.fail("it was relit"))
+    ended = call("unpack", tmp_path / "p.h5", tmp_path / "again", "--format", "hdr")
+    said = "clrelight: hdr holds 3 channels, the images have 1: jpg, png, tif and exr can hold them\n"
+    assert (ended.code, ended.err) == (2, said)
+    assert os.listdir(tmp_path) == ["p.h5"]

@@ -21,7 +21,7 @@ from benchmarks import growth as growth_page
 from benchmarks import startup
 from benchmarks.pages import check_markdown
 from clrelight.errors import InputError
-from clrelight.fit.run import DEFAULT_MEMORY
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.sampling import make_pattern
 from clrelight.speed import growth_tables, peer_stages, run, scene
 from clrelight.speed.job import NUMPY, OURS, STAGES, TOTAL

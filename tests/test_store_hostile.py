@@ -1,5 +1,6 @@
 """Files that others made, damaged, or made to do harm: each is refused in one line, or reads as it should."""
 
+import json
 import math
 import os
 import struct
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import zlib
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -117,7 +119,7 @@ def test_other_schemas_are_named(tmp_path):
     for kind, path in paths.items():
         for other in paths:
             if other != kind:
-                with pytest.raises(StoreFormatError, match=rf"is an? {kind}/1 file, expected {other}/1"):
+                with pytest.raises(StoreFormatError, match=rf"is an? {kind}/[12] file, expected {other}/[12]"):
                     content(other, path)
 
     def rename(text):
@@ -219,6 +221,26 @@ def test_wrong_values_of_a_fit(tmp_path):
         refused(path, name, kind="fit")
 
 
+BEFORE = Path(__file__).parent / "frozen" / "encoded.1.hdf"
+
+
+def packed(text):
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return np.frombuffer(packer.compress(text) + packer.flush(), "u1")
+
+
+def change_record(behind=b"", **facts):
+    """Change facts in the record of an encoding, and put bytes behind its directions."""
+
+    def change(file):
+        unpacker = zlib.decompressobj(-15)
+        held = json.loads(unpacker.decompress(file.attrs["record"].tobytes()))
+        text = packed(json.dumps({**held, **facts}).encode()).tobytes()
+        file.attrs["record"] = np.frombuffer(text + unpacker.unused_data + behind, "u1")
+
+    return change
+
+
 def test_wrong_values_of_encoded_and_results(tmp_path):
     path = tmp_path / "e.h5"
     for change, phrase in (
@@ -230,6 +252,25 @@ def test_wrong_values_of_encoded_and_results(tmp_path):
         (replace_data("payload", np.zeros(10, "u1")), "payload should have"),
         (replace_data("header", np.zeros(10, "u1")), "not a clrelight payload"),
         (replace_data("header", np.zeros((2, 5), "u1")), "with 1 axes"),
+    ):
+        path.write_bytes(BEFORE.read_bytes())
+        edit(path, change)
+        refused(path, phrase, kind="encoded")
+    for change, phrase in (
+        (replace_data("payload", np.zeros(10, "u1")), "not a clrelight payload"),
+        (replace_data("payload", np.zeros((2, 5), "u1")), "with 1 axes"),
+        (set_attribute("record", np.zeros(0, "u1")), "record must be bytes"),
+        (set_attribute("record", np.bytes_("x")), "record must be bytes"),
+        (set_attribute("record", np.zeros(40, "u1")), "damaged or not ours"),
+        (set_attribute("record", packed(b"[1]")), "must be a JSON object"),
+        (set_attribute("record", packed(b"{}")), "record must have method"),
+        (change_record(degree=3), "degree 3"),
+        (change_record(degree=True), "record must have degree"),
+        (change_record(degree=2.0), "record must have degree"),
+        (change_record(peak="1"), "record must have peak"),
+        (change_record(info={"step": "x"}), "could not convert"),
+        (change_record(behind=b"1234"), "directions take 5 bytes each"),
+        (set_attribute("record", packed(b" " * (2 << 20))), "inflates to more than"),
     ):
         store.write_encoded(path, make_encoded(make_fit()), make_fit())
         edit(path, change)

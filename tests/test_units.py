@@ -7,19 +7,24 @@ import pytest
 
 from clrelight.codec import encode
 from clrelight.codec.entropy.unit_streams import FLAGS, Tables, decode_streams, default_tables, encode_streams
-from clrelight.codec.entropy.units import LEVELS, Window, lay_out, list_tiles, list_units, low_side
+from clrelight.codec.entropy.units import LEVELS, Window, lay_out, list_tiles, list_units, low_side, place_units
 from clrelight.codec.formats import klt_regions
 from clrelight.codec.formats.klt import Klt
-from clrelight.codec.formats.klt_decode import UnitView, decode_region
+from clrelight.codec.formats.klt_decode import UnitView
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_units import parse_body
 from clrelight.codec.streams import ArraySource
+from clrelight.codec.transforms.lifting import padded_width
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.views import Region
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
 from tests.reference.entropy import join_plane
+
+
+def decode_region(body, parsed, shape, region, device):
+    return UnitView(body, parsed, shape).coefficients(region, device)
 
 
 def code(device, values, *, together=True, price=0.0, tables=None):
@@ -31,10 +36,19 @@ def code(device, values, *, together=True, price=0.0, tables=None):
     taken = device.empty(values.shape, np.float32, np.ascontiguousarray(values, np.float32))
     index = device.empty(values.shape, np.int32)
     coded = encode_streams(device, layout, taken, index, tables, price)
-    found = device.empty(values.shape, np.int32, np.zeros(values.shape, np.int32))
-    fault = decode_streams(device, layout, coded.streams, tables, found)
+    found = device.hold(np.zeros(values.shape, np.float32))
+    fault = decode(device, coded.streams, tables, found, together)
     assert not fault.any()
     return coded, layout, device.download(found).copy(), device.download(index).copy()
+
+
+def decode(device, streams, tables, found, together):
+    """Decode streams of a whole image into planes."""
+    count, *sides = found.shape
+    units, window = list_units(*sides), Window(0, 0, *sides)
+    known = tuple(low_side(side, 1) for side in sides)
+    layout = lay_out(units, sides, window, known[1], together, [(0, count)])
+    return decode_streams(device, layout, place_units(units, *sides, window), streams, tables, found, (count, *known))
 
 
 def random_values(shape, scale, seed=0):
@@ -97,7 +111,7 @@ def test_damage_ends_in_a_fault_or_in_numbers(device, seed):
     """The kernel alone, without the checksums that stand before it."""
     rng = np.random.default_rng(seed)
     values = random_values((5, 70, 90), 2.0, seed)
-    coded, layout, index, _ = code(device, values, together=bool(seed % 2))
+    coded, _, index, _ = code(device, values, together=bool(seed % 2))
     for trial in range(30):
         streams = [bytearray(stream) for stream in coded.streams]
         stream = streams[int(rng.integers(len(streams)))]
@@ -108,8 +122,8 @@ def test_damage_ends_in_a_fault_or_in_numbers(device, seed):
             del stream[int(rng.integers(len(stream))) :]
         else:
             stream[:] = rng.integers(0, 256, len(stream), np.uint8).tobytes()
-        found = device.empty(index.shape, np.int32, np.zeros(index.shape, np.int32))
-        fault = decode_streams(device, layout, [bytes(s) for s in streams], default_tables(), found)
+        found = device.hold(np.zeros(index.shape, np.float32))
+        fault = decode(device, [bytes(s) for s in streams], default_tables(), found, bool(seed % 2))
         assert set(np.unique(fault)) <= {0, 1}
         assert fault.any() or kind == 0
         assert np.abs(device.download(found)).max() <= 1 << 29
@@ -190,7 +204,7 @@ def test_a_level_is_the_low_subband(device, large, level):
     reader = UnitReader(body, parsed.stored, coeffs.shape, device)
     size = [-(-side >> level) for side in coeffs.shape[1:3]]
     planes = reader.planes(Region(0, 0, *size, level))
-    transformed, _ = reader._decode(Region(0, 0, 1100, 1300), None)
+    transformed = device.download(reader._decode(Region(0, 0, 1100, 1300), Window(0, 0, 1100, 1300), None))
     # An independent synthesis of what stands in the low subband of the level.
     for plane, coded in zip(planes, transformed[:, : size[0], : size[1]], strict=True):
         expected = join_plane(coded.astype(np.float64), LEVELS - level) * 0.5**level
@@ -260,3 +274,33 @@ def test_every_byte_is_guarded(device, large):
         damaged[at] ^= int(rng.integers(1, 256))
         with pytest.raises(PayloadError):
             read_all(bytes(damaged), coeffs.shape)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_units_lie_in_their_planes(seed):
+    """What the kernel takes for granted: units and their parents lie in the planes that a launcher allocates."""
+    rng = np.random.default_rng(seed)
+    height, width = (int(side) for side in np.exp(rng.uniform(0, np.log(4000), 2)).astype(int))
+    level = int(rng.integers(0, LEVELS + 1))
+    sides = [low_side(side, level) for side in (height, width)]
+    top, left = (int(rng.integers(0, side)) for side in sides)
+    bottom, right = (int(rng.integers(first, side)) + 1 for first, side in zip((top, left), sides, strict=True))
+    reader = UnitReader(b"", None, (1, height, width, 1), None)
+    chosen = [reader._units[t] for t in reader._needed(Region(top, left, bottom, right, level))]
+    window = klt_regions._cover(chosen, height, width)
+    pitch = padded_width(window.shape[1])
+    fields = lay_out(chosen, (height, width), window, pitch, seed % 2 == 0, [(0, 1)]).unit_uf
+    for unit in fields:
+        most = 16 if unit[0] == 0 else 64
+        for band in range(1 if unit[0] == 0 else 3):
+            offset, rows, columns, parent, parent_rows, parent_columns = unit[(1 + band) :: 3][:6]
+            places = [(offset, rows, columns)] if rows > 0 < columns else []
+            assert rows <= most
+            assert columns <= most
+            if places and parent >= 0:
+                assert parent_rows > 0 < parent_columns
+                places.append((parent, min(parent_rows, (rows + 1) // 2), min(parent_columns, (columns + 1) // 2)))
+            for at, high, wide in places:
+                assert at >= 0
+                assert at % pitch + wide <= window.shape[1]
+                assert at // pitch + high <= window.shape[0]

@@ -16,6 +16,7 @@ from clrelight.cli.options import (
     level_option,
     memory_option,
     region_option,
+    salvage_option,
 )
 from clrelight.cli.output import decibel, make_report, print_report
 from clrelight.cli.progress import progress_bar
@@ -113,6 +114,7 @@ def encode(
 @click.argument("out", type=click.Path())
 @region_option
 @level_option
+@salvage_option
 @memory_option("256MiB", "parts of the map")
 @device_option
 @json_option
@@ -123,16 +125,18 @@ def decode(
     out: str,
     region: tuple[int, int, int, int] | None,
     level: int,
+    salvage: bool,
     memory: int,
     device: str | None,
     as_json: bool,
 ) -> None:
-    """Turn an encoded file back into a fit, or a part of one.
+    """Turn an encoded file, here or behind a URL, back into a fit, or a part of one.
 
     \b
     Example:
       clrelight decode enc.h5 decoded.h5
       clrelight decode enc.h5 small.h5 --level 2
+      clrelight decode https://host/enc.h5 part.h5 --region 0,0,512,512
     """
     from clrelight.jobs.decode import decode as run_decode
 
@@ -144,6 +148,7 @@ def decode(
             out=out,
             region=region,
             level=level,
+            salvage=salvage,
             memory=given,
             device=device,
             progress=bar,

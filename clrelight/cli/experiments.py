@@ -105,7 +105,7 @@ def bench(
     of_speed = given(sizes=sizes, threads=threads, rounds=rounds, quick=quick or None, memory=memory, report=report_to)
     _check_kind(speed, what, of_experiments, of_speed)
     if speed:
-        from clrelight.fit.run import DEFAULT_MEMORY
+        from clrelight.memory import DEFAULT_MEMORY
         from clrelight.speed.plan import choose_growth
 
         numbers = None if degrees is None else tuple(degree for degree in degrees if not isinstance(degree, str))

@@ -36,6 +36,12 @@ _READING = (
     click.option(
         "--mask", type=click.Path(), help="Image that is not zero where pixels count, or its alpha where flat."
     ),
+    click.option(
+        "--downscale", type=whole_number(2), metavar="N", help="Average N×N pixels in radiance: 2 is half the size."
+    ),
+    click.option(
+        "--max-side", type=whole_number(1), metavar="PX", help="Average so that the longer side has so many pixels."
+    ),
     layer_option,
     click.option(
         "--upright", is_flag=True, help="Turn images as their EXIF orientation says; default: as they are stored."

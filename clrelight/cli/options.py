@@ -101,6 +101,11 @@ level_option = click.option(
     show_default=True,
     help="Halve width and height so often (klt, wavelet).",
 )
+salvage_option = click.option(
+    "--salvage",
+    is_flag=True,
+    help="Take a damaged file (klt): what is damaged is named, and filled from what is left.",
+)
 
 
 class Degrees(Numbers):
@@ -168,6 +173,11 @@ device_option = click.option(
     metavar="DEVICE",
     help="OpenCL device: gpu, cpu, pocl, an index or part of a name, @4, @8 or @16 behind it for so many lanes "
     "(clrelight devices); default: $CLRELIGHT_DEVICE, else the first sound one: GPUs, the packaged PoCL, others.",
+)
+perceptual_option = click.option(
+    "--perceptual",
+    is_flag=True,
+    help="Measure FLIP and colour differences too, at a sample of lights with standard errors (extra flip).",
 )
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on standard output."

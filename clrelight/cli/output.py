@@ -79,7 +79,14 @@ def print_report(report: Report, as_json: bool, lines: Mapping[str, Any]) -> Non
         return
     if report.tell is None:
         print_notes(report.notes)
-    print_facts({**lines, "time": seconds_line(report.seconds)})
+    print_facts({**lines, **_fetched_line(report.facts), "time": seconds_line(report.seconds)})
+
+
+def _fetched_line(facts: Mapping[str, Any]) -> dict[str, str]:
+    if "fetched" not in facts:
+        return {}
+    fetched = facts["fetched"]
+    return {"fetched": f"{fetched['bytes']} of {fetched['of']} bytes, in {fetched['requests']} requests"}
 
 
 def decibel(value: float) -> str:

@@ -15,6 +15,8 @@ from clrelight.cli.options import (
     holdout_option,
     json_option,
     memory_option,
+    perceptual_option,
+    salvage_option,
     within_option,
 )
 from clrelight.cli.output import make_report, print_report
@@ -59,6 +61,7 @@ from clrelight.cli.psnr import psnr_lines
     show_default=True,
     help="PSNR at all pixels, or at a sample with its standard error; auto: a sample from a megapixel on.",
 )
+@perceptual_option
 @click.option(
     "--keep-stack",
     type=click.Path(),
@@ -130,6 +133,7 @@ def pack(
     help="8-bit images, or linear radiance in floats.",
 )
 @click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
+@salvage_option
 @memory_option("1GiB", "images and planes")
 @device_option
 @json_option

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from clrelight.cli.options import device_option, json_option
+from clrelight.cli.options import device_option, json_option, perceptual_option
 from clrelight.cli.output import decibel, print_report
 from clrelight.cli.progress import progress_bar
 
@@ -14,9 +14,10 @@ from clrelight.cli.progress import progress_bar
 @click.command()
 @click.argument("fitted", metavar="FIT_OR_ENC", type=click.Path())
 @click.argument("stack", type=click.Path())
+@perceptual_option
 @device_option
 @json_option
-def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
+def psnr(fitted: str, stack: str, perceptual: bool, device: str | None, as_json: bool) -> None:
     """Measure PSNR of a fit or an encoded file against a stack.
 
     Lights that the fit has not seen are measured apart.
@@ -24,13 +25,14 @@ def psnr(fitted: str, stack: str, device: str | None, as_json: bool) -> None:
     \b
     Example:
       clrelight psnr enc.h5 stack.h5
+      clrelight psnr enc.h5 stack.h5 --perceptual
     """
     from clrelight.jobs.measure import measure
     from clrelight.jobs.report import Report
 
     report = Report(facts={"file": fitted})
     with progress_bar("measuring") as bar:
-        measure(fitted, stack, device=device, progress=bar, report=report)
+        measure(fitted, stack, perceptual=perceptual, device=device, progress=bar, report=report)
     print_report(report, as_json, psnr_lines(report.psnr))
 
 
@@ -47,6 +49,13 @@ def psnr_lines(quality: dict[str, Any] | None) -> dict[str, str]:
                 over = f"the lights whose images are not identical ({quality[f'identical_{name}']} are)"
             error = f" ± {quality[f'error_{name}']:.2f}" if f"error_{name}" in quality else ""
             lines[title] = f"{decibel(mean)} mean over {over}, {decibel(pooled)}{error} pooled"
+    for name, title in (("fitted", "seen"), ("holdout", "seen, held out")):
+        if quality and f"flip_{name}" in quality:
+            flip, colour = (
+                f"{quality[f'{figure}_{name}']:.{digits}f} ± {quality[f'{figure}_error_{name}']:.{digits}f}"
+                for figure, digits in (("flip", 4), ("colour", 2))
+            )
+            lines[title] = f"FLIP {flip}, CIEDE2000 {colour}, at {quality[f'perceived_{name}']} lights"
     if quality and "sampled" in quality:
         lines["measured at"] = f"{quality['sampled']:.1%} of the pixels"
     if quality and "distance_median_holdout" in quality:

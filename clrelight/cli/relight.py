@@ -15,6 +15,7 @@ from clrelight.cli.options import (
     json_option,
     level_option,
     region_option,
+    salvage_option,
     whole_number,
 )
 from clrelight.cli.output import print_report
@@ -64,6 +65,7 @@ class LightOrDirection(Numbers):
 @click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
 @region_option
 @level_option
+@salvage_option
 @device_option
 @json_option
 def relight(
@@ -79,6 +81,7 @@ def relight(
     transfer: str | None,
     region: tuple[int, int, int, int] | None,
     level: int,
+    salvage: bool,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -92,6 +95,7 @@ def relight(
       clrelight relight fit.h5 relit.png --light 0.5,0.2,0.8
       clrelight relight enc.h5 frame%03d.exr --lights turntable.lp
       clrelight relight enc.h5 detail.png --light 0,0,1 --region 1200,800,512,512
+      clrelight relight https://host/enc.h5 small.png --light 0,0,1 --level 3
       clrelight relight fit.h5 grace.png --light grace.h5 --rotate 90 --exposure auto
     """
     from clrelight.jobs.relight import relight as run_relight
@@ -117,6 +121,7 @@ def relight(
             transfer=transfer,
             region=region,
             level=level,
+            salvage=salvage,
             device=device,
             progress=bar,
             report=report,

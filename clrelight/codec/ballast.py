@@ -20,12 +20,12 @@ _COUNT = struct.Struct("<I")
 
 def ballast_overhead(shape: Shape) -> int:
     """Return the bytes that every body of this shape (n_coeff, height, width, channel) has behind what is coded."""
-    return _COUNT.size if _least_bytes(shape) else 0
+    return _COUNT.size if ballast_bytes(shape) else 0
 
 
 def add_ballast(body: bytes, shape: Shape, budget: int | None = None) -> bytes:
     """Return the body with zeros as far as it needs them, and their number; InputError if that passes the budget."""
-    least = _least_bytes(shape)
+    least = ballast_bytes(shape)
     if not least:
         return body
     if budget is not None and least > budget:
@@ -36,7 +36,7 @@ def add_ballast(body: bytes, shape: Shape, budget: int | None = None) -> bytes:
 
 def drop_ballast(body: Body, shape: Shape) -> Body:
     """Return what was coded; PayloadError if so few bytes cannot be of this shape."""
-    least = _least_bytes(shape)
+    least = ballast_bytes(shape)
     if not least:
         return body
     if len(body) < least:
@@ -49,6 +49,7 @@ def drop_ballast(body: Body, shape: Shape) -> Body:
     return front_of(body, end)
 
 
-def _least_bytes(shape: Shape) -> int:
+def ballast_bytes(shape: Shape) -> int:
+    """Return the least bytes that a body of this shape may have; 0 for those that are small."""
     beyond = math.prod(shape) - _FREE_COEFFICIENTS
     return max(_COUNT.size, -(-beyond // _COEFFICIENTS_PER_BYTE)) if beyond > 0 else 0

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,21 @@ def columns_of(body: Body, count: int, first: int, end: int) -> NDArray[np.uint8
     for i, part in enumerate(parts_nb):
         part[:] = np.frombuffer(body[i * size + first : i * size + end], np.uint8)
     return parts_nb
+
+
+@runtime_checkable
+class FarBody(Body, Protocol):
+    """A body that is not at hand: parts that are asked for next are better fetched together."""
+
+    def prefetch(self, parts: Sequence[tuple[int, int]]) -> None:
+        """Fetch what lies between the first byte and the end of each part."""
+        ...
+
+
+def expect_parts(body: Body, parts: Sequence[tuple[int, int]]) -> None:
+    """Say which parts of a body are asked for next."""
+    if isinstance(body, FarBody):
+        body.prefetch(parts)
 
 
 class _Rest:
@@ -54,6 +70,10 @@ class _Front:
     def __getitem__(self, part: slice) -> bytes:
         start, stop, _ = part.indices(self._end)
         return self._body[start:stop]
+
+    def prefetch(self, parts: Sequence[tuple[int, int]]) -> None:
+        """See `FarBody`."""
+        expect_parts(self._body, parts)
 
 
 def front_of(body: Body, end: int) -> Body:

@@ -6,13 +6,14 @@ import math
 import struct
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
 
 from clrelight.codec.bodies import Body
 from clrelight.dataset import FitRecord
+from clrelight.directions import kept_directions
 from clrelight.errors import PayloadError
 from clrelight.harmonics.index import degree_of
 
@@ -21,6 +22,7 @@ WRAPPER_VERSION = 1
 MAX_EXTENT = 1 << 20
 MAX_CHANNELS = 1 << 10
 MAX_COEFFICIENTS = 1 << 32
+MAX_HEADER_BYTES = 6 + 255 + 28
 _PIECE_BYTES = 1 << 22
 """Of a body that are summed up at a time."""
 
@@ -42,7 +44,10 @@ class Encoded:
     info : mapping
         What else the codec measured, such as ``entropy_bits`` (an estimate, bits per coefficient).
     record : FitRecord, optional
-        What becomes a fit again with the coefficients; arrays alone have none, and no two encodings differ by it.
+        What becomes a fit again with the coefficients; arrays alone have none, and no two encodings differ by it. Its
+        directions are rounded as those of a file are.
+    due_sum : int, optional
+        The checksum that header and body should have, where they were not compared with it yet: `summed` does that.
     """
 
     codec: str
@@ -51,6 +56,12 @@ class Encoded:
     body: Body
     info: Mapping[str, float] = field(default_factory=dict)
     record: FitRecord | None = field(default=None, repr=False, compare=False)
+    due_sum: int | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.record is not None:
+            kept_i3 = kept_directions(self.record.directions_i3)
+            object.__setattr__(self, "record", replace(self.record, directions_i3=kept_i3))
 
     @property
     def encoded_bytes(self) -> int:
@@ -64,10 +75,21 @@ class Encoded:
 
     def header(self) -> bytes:
         """Return the few fixed bytes in front of the body: magic, version, codec, shape, length, checksum."""
+        return self._front() + struct.pack("<I", _checksum(self._front(), self.body))
+
+    def _front(self) -> bytes:
         name = self.codec.encode("ascii")
         head = MAGIC + struct.pack("<BB", WRAPPER_VERSION, len(name)) + name
-        head += struct.pack("<4IQ", *self.shape, len(self.body))
-        return head + struct.pack("<I", _checksum(head, self.body))
+        return head + struct.pack("<4IQ", *self.shape, len(self.body))
+
+    def summed(self) -> Self:
+        """Return the encoding with its body in memory where its checksum is due; PayloadError if that does not fit."""
+        if self.due_sum is None:
+            return self
+        body = bytes(self.body[:])
+        if _checksum(self._front(), body) != self.due_sum:
+            raise PayloadError("the payload's checksum does not fit: it is damaged")
+        return replace(self, body=body, due_sum=None)
 
     def to_bytes(self) -> bytes:
         """Return header and body: these bytes alone decode."""
@@ -80,8 +102,11 @@ class Encoded:
         return cls.from_parts(payload[: header_size(payload)], payload[header_size(payload) :])
 
     @classmethod
-    def from_parts(cls, payload: bytes, body: Body) -> Self:
-        """Return what a header and its body are; PayloadError if they are damaged, cut, or not ours."""
+    def from_parts(cls, payload: bytes, body: Body, *, summed: bool = True) -> Self:
+        """Return what a header and its body are; PayloadError if they are damaged, cut, or not ours.
+
+        The whole body is read for its checksum, unless that is not to be `summed` now.
+        """
         if payload[:4] != MAGIC:
             raise PayloadError(f"not a clrelight payload: it starts with {payload[:4]!r}, expected {MAGIC!r}")
         if len(payload) < 6 or len(payload) < 6 + payload[5] + 28:
@@ -95,7 +120,7 @@ class Encoded:
         (checksum,) = struct.unpack_from("<I", payload, at + 24)
         if len(body) != length:
             raise PayloadError(f"the payload should have {length} bytes behind its header, it has {len(body)}")
-        if _checksum(payload[: at + 24], body) != checksum:
+        if summed and _checksum(payload[: at + 24], body) != checksum:
             raise PayloadError("the payload's checksum does not fit: it is damaged")
         # Checked although the sum fits: a foreign writer may compute checksums too.
         try:
@@ -103,7 +128,7 @@ class Encoded:
             codec = payload[6:at].decode("ascii")
         except ValueError as error:
             raise PayloadError(f"the payload's header is not valid: {error}") from None
-        return cls(codec, {}, tuple(shape), body)
+        return cls(codec, {}, tuple(shape), body, due_sum=None if summed else checksum)
 
 
 def header_size(payload: bytes) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body, BodyWriter, MemoryBody
+from clrelight.codec.damage import Damage
 from clrelight.codec.encoded import Encoded, check_shape
 from clrelight.codec.finite import all_finite
 from clrelight.codec.rate.noise import Noise, second_moments
@@ -86,8 +87,8 @@ class Codec(Configurable, ABC):
         return None
 
     @classmethod
-    def decode_regions(cls, body: Body, shape: tuple[int, int, int, int]) -> Regions | None:
-        """Return what decodes parts alone; None where a map is decoded as a whole."""
+    def decode_regions(cls, body: Body, shape: tuple[int, int, int, int], damage: Damage | None) -> Regions | None:
+        """Return what decodes parts alone, damaged ones too where `damage` is there to be told; None if none does."""
         return None
 
 
@@ -241,7 +242,7 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
     PayloadError
         If the bytes are damaged, cut short, not ours, or of a codec that is not known here.
     """
-    encoded, codec = _open(payload)
+    encoded, codec = _open(payload, summed=True)
     coeffs = codec.decode_body(encoded.body[:], encoded.shape, device)
     if coeffs.shape != encoded.shape or coeffs.dtype != np.float32:
         raise PayloadError(f"codec {encoded.codec} gave {coeffs.dtype} {coeffs.shape} for {encoded.shape}")
@@ -251,7 +252,7 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
 
 def decode_stream(encoded: Encoded, target: Target, device: Device) -> None:
     """Decode to where the coefficients shall go; PayloadError as `decode` raises it."""
-    found, codec = _open(encoded)
+    found, codec = _open(encoded, summed=True)
     codec.decode_parts(found.body, target, device)
 
 
@@ -272,22 +273,24 @@ def decode_view(payload: Encoded | bytes, device: Device) -> View | None:
 
     PayloadError as `decode` raises it.
     """
-    encoded, codec = _open(payload)
+    encoded, codec = _open(payload, summed=True)
     return codec.decode_view(encoded.body, encoded.shape, device)
 
 
-def decode_regions(payload: Encoded | bytes) -> Regions | None:
+def decode_regions(payload: Encoded | bytes, damage: Damage | None = None) -> Regions | None:
     """Return what decodes parts of an encoded map alone; None where there is no such thing.
 
-    PayloadError as `decode` raises it.
+    Parts have their own checksums, so that of an encoding may be due still. With `damage`, what is damaged is filled
+    and told there; without, and where nothing is left, it is a PayloadError, as of `decode`.
     """
     encoded, codec = _open(payload)
-    return codec.decode_regions(encoded.body, encoded.shape)
+    return codec.decode_regions(encoded.body, encoded.shape, damage)
 
 
-def _open(payload: Encoded | bytes) -> tuple[Encoded, type[Codec]]:
-    """Return an encoding and its codec, or PayloadError."""
+def _open(payload: Encoded | bytes, *, summed: bool = False) -> tuple[Encoded, type[Codec]]:
+    """Return an encoding, whose checksum was compared where that is asked for, and its codec, or PayloadError."""
     encoded = payload if isinstance(payload, Encoded) else Encoded.from_bytes(payload)
+    encoded = encoded.summed() if summed else encoded
     try:
         check_shape(encoded.shape)
         return encoded, codec_class(encoded.codec)

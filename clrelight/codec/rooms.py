@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
+from clrelight.memory import ARRAY_MEMORY
 
 Shape = tuple[int, int, int, int]
 """(n_coeff, height, width, channel)."""
@@ -81,7 +82,7 @@ class ArrayPlanes:
 class Room:
     """Where intermediate maps lie, and how much memory parts may take: here all that they need."""
 
-    memory_bytes = 1 << 30
+    memory_bytes = ARRAY_MEMORY
     """Bytes that a codec which chooses the size of its parts may take for them."""
 
     def make_planes(self, shape: tuple[int, ...]) -> Planes:

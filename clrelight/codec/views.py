@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.streams import Target
 from clrelight.device import Device
 
 
@@ -47,6 +48,10 @@ class Regions(View, Protocol):
 
     def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
         """Return those of a part, (n_coeff, height, width, channel); PayloadError where it is damaged."""
+        ...
+
+    def put_rows(self, target: Target, device: Device) -> None:
+        """Put all of them, from top to bottom, in as little memory as the target's room has."""
         ...
 
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:

@@ -23,6 +23,7 @@ from clrelight.fit.precision import MIXED, check_precision, differing_precisions
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.decomposition import decompose
 from clrelight.harmonics.index import coefficient_count
+from clrelight.memory import IMAGE_MEMORY
 from clrelight.store import write_results
 
 REPEATS = 3
@@ -38,8 +39,6 @@ _LOST = 3.0
 """Decibels by which something no larger is better where a codec's rate is not lowered further."""
 _THINNED, _CODED, _RECKONED = 4, 2, 1
 """Of the models near the front, how many are fitted to fewer lights, coded, fitted in each precision."""
-_MEMORY = 1 << 30
-"""Bytes of images up to which a stack is held in memory, so that no time is one of reading."""
 REFERENCE_DEGREE = 6
 
 
@@ -264,7 +263,8 @@ class _Sweep:
 
 def _in_memory(stack: LightStack) -> LightStack:
     size = math.prod(stack.images_ihwc.shape) * stack.images_ihwc.dtype.itemsize
-    return replace(stack, images_ihwc=stack.read_rows(0, stack.image_shape[0])) if size <= _MEMORY else stack
+    # So that no time is one of reading.
+    return replace(stack, images_ihwc=stack.read_rows(0, stack.image_shape[0])) if size <= IMAGE_MEMORY else stack
 
 
 def find_reference(trials: Sequence[Trial]) -> Trial:

@@ -26,8 +26,7 @@ def launch_columns(
     """Queue a kernel of ``fit/`` over all columns of `z_rq`, its first argument; its size and type are defined here."""
     columns = z_rq.shape[1]
     defines = {"REAL_BITS": 8 * z_rq.dtype.itemsize, **defines}
+    items, group = columns // LANES, 1
     if device.style == "gpu":
-        across = -(-columns // _GROUP) * _GROUP
-        device.launch(f"gpu/{file}", kernel, (across,), z_rq, *arguments, defines=defines, local_size=(_GROUP,))
-    else:
-        device.launch(file, kernel, (columns // LANES,), z_rq, *arguments, defines=defines)
+        items, group = -(-columns // _GROUP) * _GROUP, _GROUP
+    device.launch(file, kernel, (items,), z_rq, *arguments, defines=defines, local_size=(group,))

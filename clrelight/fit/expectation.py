@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -224,17 +225,12 @@ def least_degree(model: ZonalModel, trials: Trials, error: float, within: float)
     radiance_ip = trials.samples.radiance_ip
     whole_tp = trials.show(model.weights_at(targets_t3) @ radiance_ip)
 
+    @cache
     def cost(degree: int) -> float:
         cut_ti = evaluate_basis(targets_t3, degree) @ model.map_samples(degree)
         lost_t = np.mean((trials.show(cut_ti @ radiance_ip) - whole_tp) ** 2, axis=1)
         return float(_DB * np.mean(np.log1p(lost_t / max(error, LEAST_ERROR))))
 
-    low, high, spent = 0, LARGEST_DEGREE, 0.0  # the cost falls with the degree
-    while low < high:
-        middle = (low + high) // 2
-        tried = cost(middle)
-        if tried <= within:
-            high, spent = middle, tried
-        else:
-            low = middle + 1
-    return high, spent
+    # The cost falls with the degree.
+    degree = bisect_left(range(LARGEST_DEGREE), True, key=lambda degree: cost(degree) <= within)
+    return degree, cost(degree) if degree < LARGEST_DEGREE else 0.0

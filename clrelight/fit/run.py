@@ -18,10 +18,8 @@ from clrelight.fit.prepare import PreparedFit
 from clrelight.fit.scaling import ScaledTile, TileScaling
 from clrelight.fit.tile import FittedTile, TileFit
 from clrelight.harmonics.index import coefficient_count
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.streaming import Buffer, reading_ahead
-
-DEFAULT_MEMORY = 1 << 28
-"""Bytes that the tiles of a fit may take: that being read, that being fitted, and those that the caller still holds."""
 
 
 def collect_fit(

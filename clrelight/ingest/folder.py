@@ -18,7 +18,9 @@ from clrelight.errors import InputError
 from clrelight.image_set import check_covers, describe_headers, read_headers
 from clrelight.ingest.filling import fill_stack, plan_memory
 from clrelight.ingest.photographs import Extremes, Photographs, Values, choose_values, keep_mask, place_crop
+from clrelight.ingest.shrinking import plan_shrink, shrink_mask, shrink_notes
 from clrelight.lights import INTENSITIES_FILE, MASK_FILE, NAMES_FILE, LightTable, find_lights, parse_subset
+from clrelight.memory import IMAGE_MEMORY
 from clrelight.negatives import Negatives
 
 
@@ -90,7 +92,7 @@ def ingest_folder(
     folder: str | os.PathLike[str],
     out_path: str | os.PathLike[str],
     *,
-    memory_bytes: int = 1 << 30,
+    memory_bytes: int = IMAGE_MEMORY,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> IngestSummary:
@@ -140,13 +142,15 @@ def read_folder(
     peak: float | None = None,
     crop: tuple[int, int, int, int] | None = None,
     mask: str | os.PathLike[str] | None = None,
+    downscale: int | None = None,
+    max_side: int | None = None,
     subset: str | None = None,
     allow_below: bool = False,
     divide_intensities: bool = True,
     layer: str | None = None,
     upright: bool = False,
     clip_negative: bool = False,
-    memory_bytes: int = 1 << 30,
+    memory_bytes: int = IMAGE_MEMORY,
     name: str | None = None,
 ) -> Folder:
     """Return the photographs of a folder and their lights, as headers and light files tell of them.
@@ -166,6 +170,11 @@ def read_folder(
     mask : path, optional
         An image of the size of the others; pixels where it is zero in all colours do not count. By default
         that of a DiLiGenT folder.
+    downscale : int, optional
+        Average blocks of so many pixels squared, in linear radiance; those at the right and lower edge hold what is
+        left. Pixels of the mask count then where at least half of their area does.
+    max_side : int, optional
+        Average so that the longer side of what is kept has so many pixels; images that have no more stay as they are.
     subset : str, optional
         Which lights to take, such as ``"0:200:2"`` or ``"1,5,9"``, counted from 0 in the order of the light file.
     allow_below : bool
@@ -212,18 +221,22 @@ def read_folder(
     values = choose_values(table, headers[0], chosen, transfer, peak, divide_intensities)
     mask_path = Path(os.fsdecode(mask)) if mask is not None else table.mask
     mask_hw, mask_notes = keep_mask(mask_path, headers[0], window, memory_bytes)
+    shrink = plan_shrink(window.height, window.width, downscale, max_side)
     tables = [table.source, *(table.source.parent / name for name in (NAMES_FILE, INTENSITIES_FILE))]
     extremes = [Extremes(values.code_peak) for _ in headers]
-    source = Photographs(headers, window, values, Negatives(clip_negative), mask_hw, extremes)
+    source = Photographs(headers, window, values, Negatives(clip_negative), mask_hw, extremes, shrink, transfer)
     blank_ihwc = np.broadcast_to(np.zeros((), values.dtype), source.shape_ihwc)
     title = folder.resolve().name if name is None else name
-    stack = LightStack(blank_ihwc, directions_i3, values.peak, transfer, None, mask_hw, title)
+    stack = LightStack(
+        blank_ihwc, directions_i3, values.peak, transfer, None, shrink_mask(shrink, mask_hw, mask_path), title
+    )
     notes = (
         *table.notes,
         *length_note(written_i3),
         *horizon_note(written_i3, label, allow_below),
         *_notes(table, folder, mask_path, values),
         *mask_notes,
+        *shrink_notes(shrink, window.height, window.width, max_side),
         *describe_headers(headers),
     )
     inputs = [*table.images, *tables, *([mask_path] if mask_path is not None else [])]

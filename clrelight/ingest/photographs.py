@@ -13,6 +13,7 @@ from clrelight.conventions import default_peak
 from clrelight.errors import InputError
 from clrelight.image_header import ImageHeader
 from clrelight.images import BAND_BYTES, read_bands
+from clrelight.ingest.shrinking import Shrink
 from clrelight.lights import LightTable, subset_text
 from clrelight.masks import read_mask
 from clrelight.negatives import Negatives
@@ -89,14 +90,23 @@ class Photographs:
     negatives: Negatives = field(default_factory=Negatives)
     mask_hw: NDArray[np.bool_] | None = None
     extremes: Sequence[Extremes] = ()
+    shrink: Shrink | None = None
+    transfer: str = "linear"
 
     @property
     def shape_ihwc(self) -> tuple[int, int, int, int]:
         """Shape of the stack."""
-        return len(self.headers), self.window.height, self.window.width, self.headers[0].channels
+        shape = (self.window.height, self.window.width) if self.shrink is None else self.shrink.shape
+        return len(self.headers), *shape, self.headers[0].channels
 
     def bands(self, light: int, band_bytes: int) -> Iterator[tuple[int, NDArray]]:
         """Yield the stack's values of an image from top to bottom, with the first row of each band in the stack."""
+        bands = self._whole_bands(light, band_bytes)
+        if self.shrink is not None:
+            bands = self.shrink.bands(bands, self.values.dtype, self.transfer, self.values.peak)
+        return bands
+
+    def _whole_bands(self, light: int, band_bytes: int) -> Iterator[tuple[int, NDArray]]:
         header = self.headers[light]
         for row, band_hwc in read_bands(header, self.window.rows, band_bytes):
             kept_hwc = _columns(band_hwc, self.window)

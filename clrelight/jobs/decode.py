@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from clrelight.codec import Encoded, bytes_to_decode, decode_stream
 from clrelight.codec import decode as decode_payload
 from clrelight.codec.rooms import Room
-from clrelight.dataset import CoefficientMap, FitRecord
+from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
-from clrelight.jobs.inputs import opened_on, paths_among, take_encoded
+from clrelight.jobs.inputs import Packed, lend_encoded, opened_on, paths_among
 from clrelight.jobs.outputs import claimed
-from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, fits
+from clrelight.jobs.parts import check_memory, fits
 from clrelight.jobs.region import Part, decode_part, take_part
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.sizes import size_facts
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import create_fit, write_fit
 from clrelight.store.coding import RowTarget
-from clrelight.store.encodings import stage_encoded
 from clrelight.store.scratch import ScratchRoom, scratch_room
 from clrelight.streaming import writing_behind
 
@@ -37,6 +37,7 @@ def decode(
     out: None = None,
     region: Sequence[int] | None = None,
     level: int = 0,
+    salvage: bool = False,
     memory: int | str | None = None,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -51,6 +52,7 @@ def decode(
     out: str | os.PathLike[str],
     region: Sequence[int] | None = None,
     level: int = 0,
+    salvage: bool = False,
     memory: int | str | None = None,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -64,6 +66,7 @@ def decode(
     out: str | os.PathLike[str] | None = None,
     region: Sequence[int] | None = None,
     level: int = 0,
+    salvage: bool = False,
     memory: int | str | None = None,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -73,13 +76,16 @@ def decode(
 
     Parameters
     ----------
-    source : path or Encoded
+    source : path, URL or Encoded
     out : path, optional
         A fit file to write, piece by piece; without it the map is returned.
     region : four whole numbers, optional
         Column and row of the first pixel, width and height: this part alone, in pixels of the whole image.
     level : int
         Width and height are halved so often, without decoding what is not needed (files of codec klt or wavelet).
+    salvage : bool
+        Decode what is left of a damaged file of codec klt or wavelet: notes, and ``damaged`` in the report, say what is
+        filled.
     memory : int or str, optional
         Bytes for parts of the map, such as ``"1GiB"``: a codec that needs more is refused. Without it parts take
         256 MiB, and a codec that needs more says so in a note.
@@ -103,22 +109,24 @@ def decode(
     part, kept = take_part(region, level), report_for(report)
     limit = None if memory is None else count_bytes(memory)
     with claimed([out], paths_among(source), kept), opened_on(device, kept) as opened:
+        if not part.is_all or (salvage and out is None):
+            return _take_part(source, part, salvage, out, opened, kept)
         since = time.perf_counter()
-        if not part.is_all:
-            return _take_part(source, part, out, opened, kept)
         if out is None:
-            encoded, record = take_encoded(source)
-            since = kept.add("read", since)
-            _tell(encoded, limit, kept)
-            with stage(progress, f"decoding {encoded.codec}"):
-                coefficients = record.to_map(decode_payload(encoded, opened))
+            with lend_encoded(source, kept) as packed:
+                since = kept.add("read", since)
+                _tell(packed.encoded, limit, kept)
+                with stage(progress, f"decoding {packed.encoded.codec}"):
+                    coefficients = packed.record.to_map(decode_payload(packed.encoded, opened))
             kept.add("decode", since)
             return coefficients
-        with scratch_room(Path(os.fsdecode(out)).parent, limit or DEFAULT_MEMORY) as room:
-            encoded, record = take_encoded(source) if isinstance(source, Encoded) else stage_encoded(source, room)
+        with (
+            scratch_room(Path(os.fsdecode(out)).parent, limit or DEFAULT_MEMORY) as room,
+            lend_encoded(source, kept, salvage=salvage, room=room) as packed,
+        ):
             kept.add("read", since)
-            _tell(encoded, limit, kept)
-            _write(out, encoded, record, opened, room, kept, progress)
+            _tell(packed.encoded, limit, kept)
+            _write(out, packed, opened, room, kept, progress)
     kept.facts = {"file": os.fsdecode(out), **kept.facts}
     return kept
 
@@ -126,16 +134,17 @@ def decode(
 def _take_part(
     source: str | os.PathLike[str] | Encoded,
     part: Part,
+    salvage: bool,
     out: str | os.PathLike[str] | None,
     device: Device,
     report: Report,
 ) -> CoefficientMap | Report:
     """Decode a part of an image, which is held in memory."""
     since = time.perf_counter()
-    encoded, record = take_encoded(source)  # type: ignore[arg-type]
-    report.facts |= size_facts(encoded)
-    since = report.add("read", since)
-    coefficients = decode_part(encoded, record, part, device)
+    with lend_encoded(source, report, parts=True, salvage=salvage) as packed:
+        report.facts |= size_facts(packed.encoded)
+        since = report.add("read", since)
+        coefficients = decode_part(packed, part, device)
     since = report.add("decode", since)
     if out is None:
         return coefficients
@@ -152,15 +161,16 @@ def _tell(encoded: Encoded, memory: int | None, report: Report) -> None:
 
 def _write(
     out: str | os.PathLike[str],
-    encoded: Encoded,
-    record: FitRecord,
+    packed: Packed,
     device: Device,
     room: ScratchRoom,
     report: Report,
     progress: Progress | None,
 ) -> None:
     """Decode to a file, which stands once it is whole."""
-    with create_fit(out, record, encoded.shape[1:]) as sink:
+    encoded = packed.encoded
+    regions = None if packed.damage is None else packed.regions()
+    with create_fit(out, packed.record, encoded.shape[1:]) as sink:
 
         def write(rows: tuple[int, NDArray[np.float32]]) -> None:
             sink.write_rows(*rows, None, None)
@@ -179,6 +189,9 @@ def _write(
                 codec_id=encoded.codec,
                 row_step=sink.coeffs_khwc.chunks[1],
             )
-            decode_stream(encoded, target, device)
+            if regions is None:
+                decode_stream(encoded, target, device)
+            else:
+                regions.put_rows(target, device)
             since = report.add("decode", since)
     report.add("write", since)

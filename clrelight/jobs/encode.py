@@ -24,11 +24,12 @@ from clrelight.jobs.coding_noise import coding_psnr, predicted_psnr
 from clrelight.jobs.inputs import FitLike, StackLike, lend_fit, lend_stack, opened_on, paths_among
 from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
-from clrelight.jobs.parts import DEFAULT_MEMORY, check_memory, decode_again, encode_source, take_source
+from clrelight.jobs.parts import check_memory, decode_again, encode_source, take_source
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.sizes import payload_budget, size_facts
 from clrelight.jobs.target import encode_to_quality
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import write_encoded
 from clrelight.store.encodings import container_bytes
 from clrelight.store.scratch import ScratchRoom, scratch_room
@@ -147,8 +148,9 @@ def encode(
         scratch_room(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, held) as room,
     ):
         if out is not None and wanted.byte_budget is not None:
-            overhead = container_bytes(FitRecord.of(coefficients), tuple(coefficients.coeffs_khwc.shape))
-            wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead))
+            shape = tuple(coefficients.coeffs_khwc.shape)
+            overhead = container_bytes(FitRecord.of(coefficients), shape)
+            wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead, shape))
         encoded = _Encode(coefficients, wanted, opened, room, limit, kept, progress).run(stack)
         if out is None:
             return replace(encoded, body=encoded.body[:], record=FitRecord.of(coefficients))

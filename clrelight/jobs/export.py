@@ -10,12 +10,12 @@ from clrelight.device import Device
 from clrelight.export import check_export, export_textures
 from clrelight.jobs.inputs import (
     FittedLike,
-    is_encoded,
-    lend_coefficients,
+    Packed,
+    decoded_of,
+    lend_fitted,
     opened_on,
     path_text,
     paths_among,
-    take_encoded,
 )
 from clrelight.jobs.report import Progress, Report, report_for, stage
 
@@ -60,14 +60,17 @@ def export(
     check_export(path_text(out, "a folder or file to write"), str(format), paths_among(source))
     kept = report_for(report)
     with opened_on(device, kept) as opened:
-        blocks: Encoded | None = None
-        if format == "dds" and is_encoded(source):
-            encoded = take_encoded(source)[0]  # type: ignore[arg-type]
-            blocks = encoded if encoded.codec == "bc6h" else None
-        with lend_coefficients(source, opened, kept, progress) as held, stage(progress, "exporting") as tell:
-            since = time.perf_counter()
-            files = export_textures(held, out, format, blocks=blocks, device=opened, progress=tell)
-            kept.add("export", since)
+        since = time.perf_counter()
+        with lend_fitted(source, kept) as packed:
+            kept.add("read", since)
+            blocks: Encoded | None = None
+            if format == "dds" and isinstance(packed, Packed) and packed.encoded.codec == "bc6h":
+                blocks = packed.encoded
+            held = decoded_of(packed, source, opened, kept, progress)
+            with stage(progress, "exporting") as tell:
+                since = time.perf_counter()
+                files = export_textures(held, out, format, blocks=blocks, device=opened, progress=tell)
+                kept.add("export", since)
     size = sum(file.stat().st_size for file in files)
     kept.facts = {"files": [str(file) for file in files], "format": format, "bytes": size}
     return kept

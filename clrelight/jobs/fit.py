@@ -15,7 +15,7 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.fit import FitMethod, FittedTile, PreparedFit, fit_tiles, prepare_fit
 from clrelight.fit.precision import MIXED
-from clrelight.fit.run import DEFAULT_MEMORY, collect_tiles
+from clrelight.fit.run import collect_tiles
 from clrelight.fit.selection import AUTO, WITHIN
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
@@ -26,6 +26,7 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.split_quality import Split
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import FitSink, create_fit
 from clrelight.store.fits import coefficient_dtype
 from clrelight.streaming import writing_behind

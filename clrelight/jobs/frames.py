@@ -13,12 +13,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec import decode_regions, decode_view
+from clrelight.codec import decode_view
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.rotation import rotation_matrix
-from clrelight.jobs.inputs import FittedLike, is_encoded, lend_coefficients, take_encoded
+from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, refuse_salvage
 from clrelight.jobs.region import Part, crop, decode_part, refuse_level
 from clrelight.jobs.report import Progress, Report
 from clrelight.lighting.light import Light, share_below
@@ -54,8 +54,11 @@ class Frames(Protocol):
 class DirectedFrames:
     """Images under one distant light each."""
 
-    def __init__(self, directions_i3: NDArray[np.float64], exposure: float, part: Part | None = None) -> None:
+    def __init__(
+        self, directions_i3: NDArray[np.float64], exposure: float, part: Part | None = None, salvage: bool = False
+    ) -> None:
         self._directions_i3, self._exposure, self._part = directions_i3, exposure, part or Part()
+        self._salvage = salvage
 
     @property
     def count(self) -> int:
@@ -67,7 +70,7 @@ class DirectedFrames:
         """See `Frames`."""
         below = np.flatnonzero(self._directions_i3[:, 2] < 0)
         report.note(*(f"light {i} is below the horizon, where a hemispherical fit knows nothing" for i in below))
-        with _lend_view(source, self._part, device, report, progress) as view:
+        with _lend_view(source, self._part, self._salvage, device, report, progress) as view:
             yield self._images(view, report), view.transfer
 
     def _images(self, view: _View, report: Report) -> Iterator[NDArray[np.float32]]:
@@ -84,17 +87,27 @@ class LightFrames:
     """Images under light from everywhere, one for each step of a turntable."""
 
     def __init__(
-        self, light: Light, exposure: float | None, steps: int, axis: Sequence[float], part: Part | None = None
+        self,
+        light: Light,
+        exposure: float | None,
+        steps: int,
+        axis: Sequence[float],
+        part: Part | None = None,
+        salvage: bool = False,
     ) -> None:
         if not 1 <= steps <= MAX_STEPS:
             raise InputError(f"turntable must be 1 to {MAX_STEPS}, got {steps}")
         self.count = steps
         self._light, self._exposure, self._axis, self._part = light, exposure, axis, part or Part()
+        self._salvage = salvage
 
     @contextmanager
     def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
         """See `Frames`."""
-        with lend_part(source, self._part, device, report, progress) as coefficients:
+        since, salvage = time.perf_counter(), self._salvage
+        with lend_fitted(source, report, parts=not self._part.is_all, salvage=salvage) as held:
+            report.add("read", since)
+            coefficients = _part_of(held, source, self._part, salvage, device, report, progress)
             yield self._images(coefficients, device, report), coefficients.transfer
 
     def _images(self, coefficients: CoefficientMap, device: Device, report: Report) -> Iterator[NDArray[np.float32]]:
@@ -127,25 +140,27 @@ class _View:
 
 @contextmanager
 def _lend_view(
-    source: FittedLike, part: Part, device: Device, report: Report, progress: Progress | None
+    source: FittedLike, part: Part, salvage: bool, device: Device, report: Report, progress: Progress | None
 ) -> Iterator[_View]:
     """Lend a view to relight.
 
     An encoding with a basis of its own relights there: only the light vector is transformed.
     """
-    if is_encoded(source):
-        since = time.perf_counter()
-        encoded, record = take_encoded(source)  # type: ignore[arg-type]
-        region, light = part.of(*encoded.shape[1:3]), None
-        if (regions := decode_regions(encoded)) is not None:
-            light = partial(regions.relight_region, region=region, device=device)
-        elif part.is_all and (view := decode_view(encoded, device)) is not None:
-            light = partial(view.relight, device=device)
-        report.add("decode", since)
-        if light is not None:
-            yield _View(light, 4 * math.prod(region.shape) * encoded.shape[3], record.transfer)
-            return
-    with lend_part(source, part, device, report, progress) as coefficients:
+    since = time.perf_counter()
+    with lend_fitted(source, report, parts=not part.is_all, salvage=salvage) as held:
+        since = report.add("read", since)
+        if isinstance(held, Packed):
+            encoded = held.encoded
+            region, light = part.of(*encoded.shape[1:3]), None
+            if (regions := held.regions()) is not None:
+                light = partial(regions.relight_region, region=region, device=device)
+            elif part.is_all and (view := decode_view(encoded, device)) is not None:
+                light = partial(view.relight, device=device)
+            report.add("decode", since)
+            if light is not None:
+                yield _View(light, 4 * math.prod(region.shape) * encoded.shape[3], held.record.transfer)
+                return
+        coefficients = _part_of(held, source, part, salvage, device, report, progress)
         yield _View(
             lambda directions_i3: relight(coefficients, directions_i3, device=device),
             4 * math.prod(coefficients.image_shape),
@@ -153,24 +168,28 @@ def _lend_view(
         )
 
 
-@contextmanager
-def lend_part(
-    source: FittedLike, part: Part, device: Device, report: Report, progress: Progress | None
-) -> Iterator[CoefficientMap]:
-    """Lend a part of a fit, decoded where it is encoded; InputError where there is no such part."""
-    if part.is_all:
-        with lend_coefficients(source, device, report, progress) as coefficients:
-            yield coefficients
-    elif is_encoded(source):
-        since = time.perf_counter()
-        encoded, record = take_encoded(source)  # type: ignore[arg-type]
-        coefficients = decode_part(encoded, record, part, device)
+def _part_of(
+    held: CoefficientMap | Packed,
+    source: FittedLike,
+    part: Part,
+    salvage: bool,
+    device: Device,
+    report: Report,
+    progress: Progress | None,
+) -> CoefficientMap:
+    """Return a part of a fit, decoded where it is encoded; InputError where there is no such part."""
+    since = time.perf_counter()
+    if isinstance(held, Packed):
+        if part.is_all and not salvage:
+            return decoded_of(held, source, device, report, progress)
+        coefficients = decode_part(held, part, device)
         report.add("decode", since)
-        yield coefficients
-    else:
-        refuse_level(part, "a fit")
-        with lend_coefficients(source, device, report, progress) as coefficients:
-            yield crop(coefficients, part)
+        return coefficients
+    if salvage:
+        refuse_salvage("a fit")
+    refuse_level(part, "a fit")
+    coefficients = decoded_of(held, source, device, report, progress)
+    return coefficients if part.is_all else crop(coefficients, part)
 
 
 def turn_light(light: Light, rotation: Rotation) -> Light:

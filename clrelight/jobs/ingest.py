@@ -6,7 +6,7 @@ import inspect
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -20,11 +20,9 @@ from clrelight.jobs.inputs import path_text
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import IMAGE_MEMORY
 from clrelight.store import check_output, open_stack
 from clrelight.store.scratch_images import ScratchImages
-
-DEFAULT_MEMORY = 1 << 30
-"""Bytes of image data that are held where nothing else is said."""
 
 _OWN = ("folder", "memory_bytes")
 _OPTIONS = [name for name in inspect.signature(read_folder).parameters if name not in _OWN]
@@ -35,7 +33,7 @@ def ingest(
     folder: str | os.PathLike[str],
     out: None = None,
     *,
-    memory: int | str = DEFAULT_MEMORY,
+    memory: int | str = IMAGE_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
     **options: Any,
@@ -47,7 +45,7 @@ def ingest(
     folder: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
-    memory: int | str = DEFAULT_MEMORY,
+    memory: int | str = IMAGE_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
     **options: Any,
@@ -58,7 +56,7 @@ def ingest(
     folder: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
     *,
-    memory: int | str = DEFAULT_MEMORY,
+    memory: int | str = IMAGE_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
     **options: Any,
@@ -77,7 +75,7 @@ def ingest(
     report : Report, optional
         Filled; without one, notes become warnings (`Note`).
     **options
-        Of `clrelight.ingest.read_folder`: ``lights``, ``transfer``, ``peak``, ``crop``, ``mask``, ``subset``,
+        Of `clrelight.ingest.read_folder`: ``lights``, ``transfer``, ``peak``, ``crop``, ``mask``, ``downscale``,
         ``allow_below``, ``name``, ...
 
     Returns
@@ -113,14 +111,17 @@ def lend_photographs(
     progress: Progress | None,
     options: dict[str, Any],
     out: str | os.PathLike[str],
+    look: Callable[[LightStack], object],
 ) -> Iterator[LightStack]:
     """Lend the photographs of a folder, read into a file without a name in the folder `place`; as `ingest`.
 
-    InputError if the file `out`, which is to be made of them, is one of those that are read.
+    InputError if the file `out`, which is to be made of them, is one of those that are read. `look` may refuse
+    what they will be, before any is read.
     """
     since, options = time.perf_counter(), given_options(folder, options)
     found = read_folder(folder, memory_bytes=memory, **options)
     check_output(out, found.inputs)
+    look(found.stack)
     plan = plan_memory(found.source, memory)
     images = ScratchImages(place, found.source.shape_ihwc, found.source.values.dtype)
     with closing(images):

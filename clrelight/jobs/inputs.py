@@ -8,21 +8,24 @@ import pathlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.arrays import read_rows_into
-from clrelight.codec import Encoded, decode
+from clrelight.codec import Encoded, decode, decode_regions
+from clrelight.codec.damage import Damage
+from clrelight.codec.views import Regions
 from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.device import Device, open_device
 from clrelight.directions import unit_directions
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.light_files import read_light_file
-from clrelight.store import file_schema, open_fit, open_stack, read_encoded
+from clrelight.store import open_fit, open_fitted, open_stack
+from clrelight.store.scratch import ScratchRoom
 
 Path = str | os.PathLike[str]
 StackLike = Path | LightStack
@@ -101,13 +104,6 @@ def lend_fit(source: FitLike) -> Iterator[CoefficientMap]:
         yield source  # type: ignore[misc]
 
 
-def take_encoded(source: Path | Encoded) -> tuple[Encoded, FitRecord]:
-    """Return an encoding and the record of its fit; InputError where it has none."""
-    if _is_path(source, Encoded, "the path of an encoded file, or an Encoded"):
-        return read_encoded(source)  # type: ignore[arg-type]
-    return source, record_of(source)  # type: ignore[return-value,arg-type]
-
-
 def record_of(encoded: Encoded) -> FitRecord:
     """Return the record of the fit that was encoded; InputError where the bytes come without one."""
     if encoded.record is None:
@@ -115,13 +111,101 @@ def record_of(encoded: Encoded) -> FitRecord:
     return encoded.record
 
 
-def is_encoded(source: FittedLike) -> bool:
-    """Return whether a fit comes encoded; InputError if it is none."""
-    if _is_path(
-        source, (CoefficientMap, Encoded), "the path of a fit or an encoded file, a CoefficientMap or an Encoded"
-    ):
-        return file_schema(source).startswith("encoded/")  # type: ignore[arg-type]
-    return isinstance(source, Encoded)
+@dataclass(frozen=True)
+class Packed:
+    """An encoding that is lent.
+
+    Attributes
+    ----------
+    encoded : Encoded
+        Its checksum may be due, where only parts were asked for.
+    record : FitRecord
+    damage : Damage, optional
+        Told of damaged parts, where they are let pass.
+    """
+
+    encoded: Encoded
+    record: FitRecord
+    damage: Damage | None = None
+
+    def regions(self) -> Regions | None:
+        """Return what decodes parts alone, None where there is no such thing; InputError if it is to be salvaged."""
+        found = decode_regions(self.encoded, self.damage)
+        if found is None and self.damage is not None:
+            refuse_salvage(f"an encoding by {self.encoded.codec}")
+        return found
+
+
+def refuse_salvage(what: str) -> NoReturn:
+    """Raise InputError: what is no file in units cannot be salvaged."""
+    raise InputError(f"{what} holds no units that stand alone, so none can be salvaged: those by klt or wavelet do")
+
+
+@contextmanager
+def lend_fitted(
+    source: FittedLike,
+    report: Report,
+    *kinds: str,
+    parts: bool = False,
+    salvage: bool = False,
+    room: ScratchRoom | None = None,
+) -> Iterator[CoefficientMap | Packed]:
+    """Lend a fit, or an encoding and its record.
+
+    Parameters
+    ----------
+    source : path, CoefficientMap or Encoded
+    report : Report
+        Gets what is to be said of the file, what is damaged of it, and what was ``fetched`` of one behind a URL.
+    *kinds : str
+        What a file may be: ``"fit"``, ``"encoded"``; by default either.
+    parts : bool
+        Of an encoding parts are wanted, not all of it: it is read as it is sliced.
+    salvage : bool
+        Let parts be damaged.
+    room : ScratchRoom, optional
+        Where a payload goes that is large for its memory.
+    """
+    damage = Damage() if salvage else None
+    if isinstance(source, Encoded):
+        yield Packed(source, record_of(source), damage)
+        _tell_damage(damage, report)
+        return
+    wanted = "the path of a fit or an encoded file, a CoefficientMap or an Encoded"
+    if not _is_path(source, CoefficientMap, wanted):
+        yield source  # type: ignore[misc]
+        return
+    with open_fitted(source, *kinds, salvage=salvage) as opened:  # type: ignore[arg-type]
+        report.note(*opened.notes)
+        if not opened.is_encoded:
+            yield opened.fit()
+        else:
+            held = opened.parts(compared=not salvage) if parts or salvage else opened.whole(room)
+            yield Packed(*held, damage)
+        _tell_damage(damage, report)
+        if traffic := opened.traffic():
+            report.facts["fetched"] = traffic
+
+
+def _tell_damage(damage: Damage | None, report: Report) -> None:
+    if damage is not None:
+        report.note(*damage.notes())
+        report.facts["damaged"] = damage.to_json()
+
+
+@contextmanager
+def lend_encoded(
+    source: Path | Encoded,
+    report: Report,
+    *,
+    parts: bool = False,
+    salvage: bool = False,
+    room: ScratchRoom | None = None,
+) -> Iterator[Packed]:
+    """Lend an encoding alone, as `lend_fitted` does."""
+    _is_path(source, Encoded, "the path of an encoded file, or an Encoded")
+    with lend_fitted(source, report, "encoded", parts=parts, salvage=salvage, room=room) as held:
+        yield held  # type: ignore[misc]
 
 
 @contextmanager
@@ -133,24 +217,26 @@ def lend_coefficients(
     Those of a fit file stay in it until they are read. InputError where one that is read is not finite.
     """
     since = time.perf_counter()
-    name = os.fsdecode(source) if isinstance(source, str | os.PathLike) else "the coefficients"
-    if is_encoded(source):
-        encoded, record = take_encoded(source)  # type: ignore[arg-type]
+    with lend_fitted(source, report) as held:
         since = report.add("read", since)
+        yield decoded_of(held, source, device, report, progress)
+
+
+def decoded_of(
+    held: CoefficientMap | Packed, source: FittedLike, device: Device, report: Report, progress: Progress | None
+) -> CoefficientMap:
+    """Return the coefficients of what is lent, decoded where it is encoded, and looked at before they are used."""
+    name = os.fsdecode(source) if isinstance(source, str | os.PathLike) else "the coefficients"
+    if isinstance(held, Packed):
+        since = time.perf_counter()
         with stage(progress, "decoding"):
-            coefficients = record.to_map(decode(encoded, device))
+            held = held.record.to_map(decode(held.encoded, device))
             report.add("decode", since)
-        _check_finite(name, coefficients.coeffs_khwc)
-        yield coefficients
-        return
-    with lend_fit(source) as stored:  # type: ignore[arg-type]
-        report.add("read", since)
-        held_khwc = stored.coeffs_khwc
-        if isinstance(held_khwc, np.ndarray):
-            _check_finite(name, held_khwc)
-            yield stored
-        else:
-            yield replace(stored, coeffs_khwc=_Finite(name, held_khwc))
+    held_khwc = held.coeffs_khwc
+    if isinstance(held_khwc, np.ndarray):
+        _check_finite(name, held_khwc)
+        return held
+    return replace(held, coeffs_khwc=_Finite(name, held_khwc))
 
 
 class _Finite:

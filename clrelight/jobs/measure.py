@@ -7,32 +7,33 @@ import time
 
 import numpy as np
 
-from clrelight.codec import decode_regions
+from clrelight.codec.views import Regions
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.holdout import split_by_fit
 from clrelight.jobs.inputs import (
     FittedLike,
+    Packed,
     StackLike,
-    is_encoded,
-    lend_coefficients,
+    decoded_of,
+    lend_fitted,
     lend_stack,
     opened_on,
-    take_encoded,
 )
 from clrelight.jobs.measure_parts import measure_parts
+from clrelight.jobs.perceived import measure_perceived, relit_map, relit_regions
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.split_quality import Split, summarize_split
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.metrics import check_view, domain_note, measure_errors
-
-_WHOLE_BYTES = 1 << 28
-"""Coefficients from which an encoding is decoded and measured part by part, where its codec can."""
+from clrelight.perception import check_perception
 
 
 def measure(
     fitted: FittedLike,
     stack: StackLike,
     *,
+    perceptual: bool = False,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -41,9 +42,12 @@ def measure(
 
     Parameters
     ----------
-    fitted : path, CoefficientMap or Encoded
+    fitted : path, URL, CoefficientMap or Encoded
         A fit, or what encodes one.
     stack : path or LightStack
+    perceptual : bool
+        Measure FLIP and colour differences as well, at a sample of the lights: see
+        `clrelight.jobs.perceived.measure_perceived`. Needs the extra ``flip``.
     device : Device or str, optional
         As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
     progress : callable, optional
@@ -56,7 +60,8 @@ def measure(
     dict of str to float
         ``mean_fitted``, the mean over the lights that the fit has seen, and ``pooled_fitted``, of their pooled error;
         ``mean_holdout`` and ``pooled_holdout`` of those that it has not, where there are any, with the angle in degrees
-        from them to the nearest fitted one, ``distance_median_holdout`` and ``distance_largest_holdout``.
+        from them to the nearest fitted one, ``distance_median_holdout`` and ``distance_largest_holdout``. With
+        `perceptual` also ``flip_fitted``, ``flip_error_fitted``, ``colour_fitted``, ...
 
     Raises
     ------
@@ -65,27 +70,46 @@ def measure(
     """
     kept = report_for(report)
     with opened_on(device, kept) as opened, lend_stack(stack, kept) as source:
-        if is_encoded(fitted):
-            since = time.perf_counter()
-            encoded, record = take_encoded(fitted)  # type: ignore[arg-type]
-            regions = decode_regions(encoded)
-            if regions is not None and 4 * math.prod(encoded.shape) > _WHOLE_BYTES:
-                blank = record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # takes no memory
-                check_view(blank, source)
-                kept.note(*filter(None, [domain_note(blank, source)]))
-                since = kept.add("read", since)
-                split = split_by_fit(source, blank)
-                kept.psnr = measure_parts(regions, record, source, split, opened, sampled=False, progress=progress)
-                kept.add("measure", since)
-                return kept.psnr
-            fitted = encoded  # it is read already
-            kept.add("read", since)
-        with lend_coefficients(fitted, opened, kept, progress) as coefficients:
+        if perceptual:
+            check_perception(source.image_shape[2])
+        since = time.perf_counter()
+        with lend_fitted(fitted, kept) as held:
+            since = kept.add("read", since)
+            if isinstance(held, Packed) and 4 * math.prod(held.encoded.shape) > DEFAULT_MEMORY:
+                regions = held.regions()
+                if regions is not None:
+                    kept.psnr = _measure_regions(regions, held, source, perceptual, opened, kept, progress)
+                    kept.add("measure", since)
+                    return kept.psnr
+            coefficients = decoded_of(held, fitted, opened, kept, progress)
             since = time.perf_counter()
             kept.note(*filter(None, [domain_note(coefficients, source)]))
-            kept.psnr = measure_split(coefficients, source, opened, progress=progress)
+            split = split_by_fit(source, coefficients)
+            kept.psnr = measure_split(coefficients, source, opened, split, progress)
+            if perceptual:
+                kept.psnr |= measure_perceived(relit_map(coefficients, opened), source, split, progress)
             kept.add("measure", since)
     return kept.psnr
+
+
+def _measure_regions(
+    regions: Regions,
+    packed: Packed,
+    stack: LightStack,
+    perceptual: bool,
+    device: Device,
+    report: Report,
+    progress: Progress | None,
+) -> dict[str, float]:
+    record = packed.record
+    blank = record.to_map(np.broadcast_to(np.float32(0), packed.encoded.shape))  # takes no memory
+    check_view(blank, stack)
+    report.note(*filter(None, [domain_note(blank, stack)]))
+    split = split_by_fit(stack, blank)
+    found = measure_parts(regions, record, stack, split, device, sampled=False, progress=progress)
+    if perceptual:
+        found |= measure_perceived(relit_regions(regions, device), stack, split, progress)
+    return found
 
 
 def measure_split(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -18,13 +18,15 @@ from clrelight.fit import prepare_fit
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
 from clrelight.ingest import read_folder
-from clrelight.jobs.ingest import DEFAULT_MEMORY, given_options, ingest, lend_photographs
+from clrelight.jobs.ingest import given_options, ingest, lend_photographs
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.memory import peak_memory
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.packing import Pack, Size
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import IMAGE_MEMORY
+from clrelight.perception import check_perception
 from clrelight.store import check_output, write_encoded
 from clrelight.store.scratch import scratch_room
 
@@ -47,8 +49,9 @@ def pack(
     holdout: int | None = None,
     holdout_by: str = "index",
     measure: str = "auto",
+    perceptual: bool = False,
     keep_stack: str | os.PathLike[str] | None = None,
-    memory: int | str = DEFAULT_MEMORY,
+    memory: int | str = IMAGE_MEMORY,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -83,6 +86,8 @@ def pack(
         Lights that are kept out of the fit and measured apart; as of `clrelight.jobs.fit.fit`.
     measure : str
         One of `MEASURES`.
+    perceptual : bool
+        Measure FLIP and colour differences as well; as of `clrelight.jobs.measure.measure`.
     keep_stack : path, optional
         Where the photographs are kept as a stack file; by default they lie in a file without a name beside `out`, which
         goes with the process.
@@ -113,13 +118,13 @@ def pack(
         raise InputError(f"the stack that is kept and the packed file have the same name, {os.fsdecode(out)}")
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
+    look = _looking(size, rule, metric, perceptual, wanted)
     with (
         claimed([out, keep_stack], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
-        _photographs(source, out, keep_stack, budget, options, kept, progress) as stack,
+        _photographs(source, out, keep_stack, budget, options, look, kept, progress) as stack,
         scratch_room(Path(os.fsdecode(out)).parent, budget) as room,
     ):
-        check_metric(metric, stack.image_shape[2])
         split = rule.split(stack.directions_i3)
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         unseen = stack.directions_i3[split[1]] if len(split[1]) else None
@@ -128,13 +133,27 @@ def pack(
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
         job = Pack(stack, split, prepared, size, metric, room, kept, progress)
         job.tell_facts()
-        encoded = job.encode(measure)
+        encoded = job.encode(measure, perceptual)
         since = time.perf_counter()
         write_encoded(out, encoded)
         kept.add("write", since)
     kept.facts = {"file": os.fsdecode(out), **kept.facts, "bytes_on_disk": os.stat(out).st_size}
     kept.facts["peak_memory"] = peak_memory()
     return kept
+
+
+def _looking(
+    size: Size, rule: HoldoutRule, metric: str, perceptual: bool, degree: int | str
+) -> Callable[[LightStack], None]:
+    """Return what refuses, before a photograph is read, a stack of which that cannot be asked."""
+
+    def look(stack: LightStack) -> None:
+        check_metric(metric, stack.image_shape[2])
+        if perceptual:
+            check_perception(stack.image_shape[2])
+        size.check_least(stack, rule.split(stack.directions_i3)[0], degree)
+
+    return look
 
 
 @contextmanager
@@ -144,6 +163,7 @@ def _photographs(
     keep_stack: str | os.PathLike[str] | None,
     memory: int,
     options: dict[str, Any],
+    look: Callable[[LightStack], object],
     report: Report,
     progress: Progress | None,
 ) -> Iterator[LightStack]:
@@ -154,15 +174,18 @@ def _photographs(
             named = ", ".join([*given, *(["keep_stack"] if keep_stack is not None else [])])
             raise InputError(f"{named}: for a folder of photographs, not for a stack")
         with lend_stack(source, report) as stack:
+            look(stack)
             yield stack
         return
     if keep_stack is None:
         folder = Path(os.fsdecode(out)).parent
-        with lend_photographs(source, folder, memory, report, progress, options, out) as stack:
+        with lend_photographs(source, folder, memory, report, progress, options, out, look) as stack:
             yield stack
         return
     reading = Report(tell=report.note)
-    check_output(out, read_folder(source, memory_bytes=memory, **given_options(source, options)).inputs)
+    found = read_folder(source, memory_bytes=memory, **given_options(source, options))
+    check_output(out, found.inputs)
+    look(found.stack)
     ingest(source, keep_stack, memory=memory, progress=progress, report=reading, **options)
     report.seconds |= reading.seconds
     with lend_stack(keep_stack, report) as stack:

@@ -10,11 +10,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clrelight.codec import Encoded, array_source, codec_class, decode_regions, encode_stream
+from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Source
 from clrelight.codec.transforms.principal import STEP_RANGE
-from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.codec.views import Regions
+from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.errors import InputError
 from clrelight.fit import PreparedFit
 from clrelight.fit.run import collect_fit
@@ -23,10 +26,12 @@ from clrelight.holdout import describe_duplicates, note_distance
 from clrelight.jobs.bands import bands_of
 from clrelight.jobs.fitted_source import fitted_source
 from clrelight.jobs.measure_parts import SAMPLED_FROM, measure_parts, sample_windows
+from clrelight.jobs.perceived import measure_perceived, relit_regions
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.sizes import payload_budget, size_facts
 from clrelight.jobs.split_quality import Split
 from clrelight.jobs.target import TOLERANCE, encode_to_quality
+from clrelight.search import search_falling
 from clrelight.store.encodings import container_bytes
 from clrelight.store.scratch import ScratchBody, ScratchRoom
 
@@ -68,13 +73,22 @@ class Size:
         """Whether it is a quality that is asked for."""
         return self.target_psnr is not None or self.loss is not None
 
-    def options(self, overhead: int, n_pixel: int) -> dict[str, Any]:
+    def check_least(self, stack: LightStack, fitted: NDArray[np.intp], degree: int | str) -> None:
+        """Raise InputError if bytes are asked for that are too few for any fit; no image is read."""
+        if self.byte_count is not None:
+            least = degree if isinstance(degree, int) else 0
+            directions_i3 = stack.directions_i3[fitted]
+            record = FitRecord(least, "", stack.peak, stack.transfer, directions_i3, {}, stack.name)
+            shape = (coefficient_count(least), *stack.image_shape)
+            payload_budget(self.byte_count, container_bytes(record, shape), shape)
+
+    def options(self, overhead: int, n_pixel: int, shape: Shape) -> dict[str, Any]:
         """Return what klt is told where no quality is asked for; a file of so many bytes holds `overhead` too."""
         if self.rate is not None:
             return {"rate": self.rate}
         if self.byte_count is None:
             return {"byte_budget": max(int(DEFAULT_BYTES * n_pixel) - overhead, _LEAST_BYTES)}
-        return {"byte_budget": payload_budget(self.byte_count, overhead)}
+        return {"byte_budget": payload_budget(self.byte_count, overhead, shape)}
 
 
 @dataclass(frozen=True)
@@ -112,7 +126,7 @@ class Pack:
         if (near := note_distance(self.stack.directions_i3, *self.split)) is not None:
             self.report.note(near)
 
-    def encode(self, measure: str) -> Encoded:
+    def encode(self, measure: str, perceptual: bool = False) -> Encoded:
         """Return the encoding, measured as is asked for."""
         height, width, _ = self.stack.image_shape
         mask_hw = self.stack.mask_hw
@@ -121,12 +135,14 @@ class Pack:
         with self._source() as source:
             if not self.size.is_quality:
                 overhead = container_bytes(self.prepared.record, source.shape)
-                encoded = self._code(source, self.size.options(overhead, n_pixel))
+                encoded = self._code(source, self.size.options(overhead, n_pixel, source.shape))
             else:
                 encoded = self._reach(source, sampled)
         self.report.facts |= {**size_facts(encoded), "config": dict(encoded.config)}
         if measure != "none" and not self.report.psnr:
             self._measure(encoded, sampled)
+        if perceptual:
+            self._perceive(encoded)
         return encoded
 
     @contextmanager
@@ -151,14 +167,17 @@ class Pack:
         self.report.add("code", since)
         return Encoded(codec.id, codec.to_config(), source.shape, body, info, self.prepared.record)
 
+    def _perceive(self, encoded: Encoded) -> None:
+        """Add what an eye sees of the differences to what was measured."""
+        since, relit = time.perf_counter(), relit_regions(_regions_of(encoded), self.prepared.device)
+        self.report.psnr |= measure_perceived(relit, self.stack, self.split, self.progress)
+        self.report.add("measure", since)
+
     def _measure(self, encoded: Encoded, sampled: bool) -> float:
         """Measure, and return the PSNR that a target is about."""
-        regions = decode_regions(encoded)
-        if regions is None:
-            raise TypeError("klt writes bodies of which parts can be decoded")
         since, report = time.perf_counter(), self.report
         report.psnr = measure_parts(
-            regions,
+            _regions_of(encoded),
             self.prepared.record,
             self.stack,
             self.split,
@@ -192,15 +211,26 @@ class Pack:
     def _correct(self, source: Source, target: float, step: float, transfer: str, sampled: bool) -> Encoded:
         """Return the smallest encoding that reaches a PSNR, of those at this step and a few others."""
         tried: list[tuple[float, float, Encoded]] = []
-        for _ in range(1 + _CORRECTIONS):
-            encoded = self._code(source, {"step": step, "transfer": transfer})
-            found = self._measure(encoded, sampled)
-            tried.append((step, found, encoded))
-            self.report.note(f"tried step {step:.4g}: {encoded.encoded_bytes} bytes, {found:.2f} dB")
-            next_step = _next_step(tried, target + TOLERANCE / 3)
-            if 0.0 <= found - target <= TOLERANCE or next_step == step:
-                break
-            step = next_step
+
+        def measure(place: float) -> float:
+            encoded = self._code(source, {"step": 2.0**place, "transfer": transfer})
+            tried.append((2.0**place, self._measure(encoded, sampled), encoded))
+            self.report.note(f"tried step {2.0**place:.4g}: {encoded.encoded_bytes} bytes, {tried[-1][1]:.2f} dB")
+            return min(tried[-1][1], _NO_ERROR)
+
+        aim = target + TOLERANCE / 3
+        search_falling(
+            measure,
+            math.log2(step),
+            (math.log2(STEP_RANGE[0]), math.log2(STEP_RANGE[1])),
+            aim,
+            limit=target,
+            is_enough=lambda psnr: 0.0 <= psnr - target <= TOLERANCE,
+            expect=lambda place, psnr: place + _STEP_PER_DECIBEL * (psnr - aim),
+            slopes=(-4.0, -0.125),
+            most=1 + _CORRECTIONS,
+            width=1e-3,
+        )
         reached = [each for each in tried if each[1] >= target]
         best = min(reached, key=lambda each: each[2].encoded_bytes) if reached else max(tried, key=lambda each: each[1])
         if not 0.0 <= best[1] - target <= TOLERANCE:
@@ -230,11 +260,8 @@ class Pack:
         return record.to_map(np.ascontiguousarray(np.concatenate(coeffs, axis=2))), mosaic
 
 
-def _next_step(tried: list[tuple[float, float, Encoded]], target: float) -> float:
-    """Return the step at which the PSNR is about the target, by the line through the last two that were tried."""
-    slope = -1.0 / _STEP_PER_DECIBEL
-    if len(tried) > 1 and tried[-1][1] != tried[-2][1] and math.isfinite(tried[-1][1]):
-        measured = (tried[-1][1] - tried[-2][1]) / math.log2(tried[-1][0] / tried[-2][0])
-        slope = min(max(measured, -8.0), -0.25)
-    step = tried[-1][0] * 2.0 ** ((target - min(tried[-1][1], _NO_ERROR)) / slope)
-    return min(max(step, STEP_RANGE[0]), STEP_RANGE[1])
+def _regions_of(encoded: Encoded) -> Regions:
+    regions = decode_regions(encoded)
+    if regions is None:
+        raise TypeError("klt writes bodies of which parts can be decoded")
+    return regions

@@ -14,11 +14,9 @@ from clrelight.codec.streams import ArraySource, Source
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store.coding import PlanesTarget, StoredSource
 from clrelight.store.scratch import ScratchBody, ScratchRoom
-
-DEFAULT_MEMORY = 1 << 28
-"""Bytes that parts of a map take where nothing else is said."""
 
 
 def fits(room: ScratchRoom, shape: Shape) -> bool:

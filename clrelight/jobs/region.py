@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clrelight.codec import Encoded, decode, decode_regions
+from clrelight.codec import decode
 from clrelight.codec.entropy.units import LEVELS, PRECINCT, low_side
 from clrelight.codec.views import Region
 from clrelight.dataset import CoefficientMap, FitRecord, read_rows_into
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.jobs.inputs import whole
+from clrelight.jobs.inputs import Packed, whole
 
 _COLUMNS = 64
 """Columns of tiles are a multiple of this."""
@@ -87,9 +87,10 @@ def crop(coefficients: CoefficientMap, part: Part) -> CoefficientMap:
     return FitRecord.of(coefficients).to_map(np.ascontiguousarray(whole_rows[:, :, columns], np.float32))
 
 
-def decode_part(encoded: Encoded, record: FitRecord, part: Part, device: Device) -> CoefficientMap:
+def decode_part(packed: Packed, part: Part, device: Device) -> CoefficientMap:
     """Return a part of an encoded fit; of files in units, only what it hangs on is decoded."""
-    regions, region = decode_regions(encoded), part.of(*encoded.shape[1:3])
+    encoded, record = packed.encoded, packed.record
+    regions, region = packed.regions(), part.of(*encoded.shape[1:3])
     if regions is not None:
         return record.to_map(regions.coefficients(region, device))
     refuse_level(part, f"an encoding by {encoded.codec}")

@@ -50,6 +50,7 @@ def relight(
     transfer: str | None = None,
     region: Sequence[int] | None = None,
     level: int = 0,
+    salvage: bool = False,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -71,6 +72,7 @@ def relight(
     transfer: str | None = None,
     region: Sequence[int] | None = None,
     level: int = 0,
+    salvage: bool = False,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -91,6 +93,7 @@ def relight(
     transfer: str | None = None,
     region: Sequence[int] | None = None,
     level: int = 0,
+    salvage: bool = False,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -99,7 +102,7 @@ def relight(
 
     Parameters
     ----------
-    source : path, CoefficientMap or Encoded
+    source : path, URL, CoefficientMap or Encoded
     light : array_like, Light or path, optional
         Three numbers, or rows of them: directions from the surface to the light, of any length. Or light from
         everywhere: a `Light`, or the path of a light file.
@@ -126,6 +129,9 @@ def relight(
         Column and row of the first pixel, width and height: this part alone, in pixels of the whole image.
     level : int
         Width and height are halved so often, without decoding what is not shown (files of codec klt or wavelet).
+    salvage : bool
+        Show what is left of a damaged file of codec klt or wavelet: notes, and ``damaged`` in the report, say what is
+        filled.
     device : Device or str, optional
         As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
     progress : callable, optional
@@ -146,7 +152,7 @@ def relight(
         If a direction has no length, a file is damaged or none of ours, or `out` cannot be written.
     """
     target = None if out is None else path_text(out, "an image to write")
-    how = _How(count_stops(exposure), rotate, turntable, about, tonemap, transfer, take_part(region, level))
+    how = _How(count_stops(exposure), rotate, turntable, about, tonemap, transfer, take_part(region, level), salvage)
     how.check(target)
     kept = report_for(report)
     frames: Frames
@@ -158,7 +164,7 @@ def relight(
     else:
         how.refuse_turns()
         directions_i3, flat = _directions(light, lights, kept)
-        frames = DirectedFrames(directions_i3, how.exposure or 0.0, how.part)
+        frames = DirectedFrames(directions_i3, how.exposure or 0.0, how.part, salvage)
     names = _name(target, frames)
     with claimed(names, paths_among(source, light, lights), kept), opened_on(device, kept) as opened:
         images_ihwc = _show(frames, source, names, how, opened, kept, progress)
@@ -179,6 +185,7 @@ class _How:
     tonemap: str | None
     transfer: str | None
     part: Part
+    salvage: bool
 
     def check(self, target: str | None) -> None:
         """Raise InputError if the file that is written, if any, is none for these options, or one is unknown."""
@@ -202,7 +209,7 @@ class _How:
         lit = light if isinstance(light, Light) else read_light(light)
         turned = lit if self.rotate is None else turn_light(lit, self.rotate)
         axis = (0.0, 0.0, 1.0) if self.about is None else tuple(float(v) for v in self.about)
-        return LightFrames(turned, self.exposure, steps, axis, self.part)
+        return LightFrames(turned, self.exposure, steps, axis, self.part, self.salvage)
 
     def refuse_turns(self) -> None:
         """Raise InputError if something is asked for that directions do not have."""

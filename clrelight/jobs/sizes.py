@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from clrelight.codec import Encoded
+from clrelight.codec.ballast import ballast_bytes
+from clrelight.codec.rooms import Shape
 from clrelight.errors import InputError
 
 
@@ -18,8 +20,15 @@ def size_facts(encoded: Encoded) -> dict[str, Any]:
     }
 
 
-def payload_budget(file_bytes: int, overhead: int) -> int:
-    """Return what a file of so many bytes leaves for its payload; InputError where that is nothing."""
-    if file_bytes <= overhead:
-        raise InputError(f"--bytes: a file of these lights takes {overhead} bytes without any image")
+_LEAST_PAYLOAD = 22
+"""Bytes of a black view."""
+
+
+def payload_budget(file_bytes: int, overhead: int, shape: Shape) -> int:
+    """Return what a file of so many bytes leaves for its payload; InputError where no image takes as little."""
+    least = overhead + max(_LEAST_PAYLOAD, ballast_bytes(shape))
+    if file_bytes < least:
+        raise InputError(
+            f"--bytes: a file of these lights and this size takes at least {least} bytes, got {file_bytes}"
+        )
     return file_bytes - overhead

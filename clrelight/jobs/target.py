@@ -13,6 +13,7 @@ from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.holdout import split_by_fit
 from clrelight.metrics import measure_errors, summarize_errors
+from clrelight.search import search_falling
 
 TOLERANCE = 0.3
 """Decibel above the target that are near enough; below it nothing is."""
@@ -20,6 +21,7 @@ BEST = 50.0
 """Decibel above which nobody sees what a fit gets wrong: a loss is counted from here."""
 _TYPICAL_SLOPE = 2.0  # dB for twice the step, to make a second guess from
 _MAX_TRIALS = 24
+_ADVICE = "fit with another method or degree (--method auto --degree auto)"
 
 
 @dataclass(frozen=True)
@@ -102,63 +104,62 @@ def encode_to_quality(
     place = "at unseen lights" if len(held) else "at the fitted lights"
     target_psnr = best - loss if target_psnr is None else target_psnr
     if best < target_psnr:
-        raise InputError(
-            f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: fit with another method "
-            "or degree (--method auto --degree auto)"
-        )
-    make, fine, coarse = _family(codec, coefficients.transfer, metric)
+        raise InputError(f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: {_ADVICE}")
+    make, bounds, start = _family(codec, coefficients.transfer, metric)
     trials: list[Trial] = []
     found: tuple[Encoded, Trial] | None = None
-    low, high = fine, coarse  # log2 of the setting: low reaches the target (or is untried), high does not
-    place_log = (fine + coarse) / 2.0 if codec == "wavelet" else -5.0
-    why = f"the search ended after {_MAX_TRIALS} trials"
-    for _ in range(_MAX_TRIALS):
-        encoded = encode(coefficients.coeffs_khwc, make(2.0**place_log), device)
+
+    def try_place(place: float) -> float:
+        nonlocal found
+        setting, made = make(place)
+        encoded = encode(coefficients.coeffs_khwc, made, device)
         decoded = replace(coefficients, coeffs_khwc=decode(encoded.to_bytes(), device))
-        trial = Trial(2.0**place_log, encoded.encoded_bytes, measure(decoded))
+        trial = Trial(setting, encoded.encoded_bytes, measure(decoded))
         trials.append(trial)
         if progress is not None:
             progress(f"{trial.byte_count} bytes, {trial.psnr:.2f} dB")
-        if trial.psnr >= target_psnr:
-            low = place_log
-            if found is None or trial.byte_count < found[1].byte_count:
-                found = encoded, trial
-            if trial.psnr <= target_psnr + tolerance:
-                why = f"{trial.psnr:.2f} dB is within {tolerance:g} dB of the target"
-                break
-        else:
-            high = place_log
-        if abs(high - low) < 1e-3:
-            why = "no coarser setting reaches the target"
-            break
-        place_log = _next(trials, target_psnr + tolerance / 3, low, high, coarse > fine)
+        if trial.psnr >= target_psnr and (found is None or trial.byte_count < found[1].byte_count):
+            found = encoded, trial
+        return trial.psnr
+
+    aim = target_psnr + tolerance / 3
+    search_falling(
+        try_place,
+        start,
+        bounds,
+        aim,
+        limit=target_psnr,
+        is_enough=lambda psnr: target_psnr <= psnr <= target_psnr + tolerance,
+        expect=lambda place, psnr: place + (psnr - aim) / _TYPICAL_SLOPE,
+        most=_MAX_TRIALS,
+        width=1e-3,
+    )
     if found is None:
         raise InputError(f"codec {codec} does not reach {target_psnr:g} dB {place} at its finest setting")
-    return found[0], trials, why
+    return found[0], trials, _why_ended(trials, target_psnr, tolerance)
 
 
-def _family(codec: str, transfer: str, metric: str) -> tuple[Callable[[float], Codec], float, float]:
-    """Return how to make the codec from one number, and the logarithms of its finest and coarsest values."""
+def _why_ended(trials: list[Trial], target: float, tolerance: float) -> str:
+    if target <= trials[-1].psnr <= target + tolerance:
+        return f"{trials[-1].psnr:.2f} dB is within {tolerance:g} dB of the target"
+    if len(trials) == _MAX_TRIALS:
+        return f"the search ended after {_MAX_TRIALS} trials"
+    return "no coarser setting reaches the target"
+
+
+def _family(
+    codec: str, transfer: str, metric: str
+) -> tuple[Callable[[float], tuple[float, Codec]], tuple[float, float], float]:
+    """Return how to make setting and codec of a place, and the finest, the coarsest and the first place."""
     if codec == "klt":
-        options = {"transfer": transfer, "metric": metric}
-        return (lambda step: codec_class("klt").from_config({"step": step, **options})), -20.0, 2.5
-    if codec == "wavelet":
-        return (lambda rate: codec_class("wavelet").from_config({"rate": rate, "allocation": "global"})), 4.0, -6.0
-    raise InputError(f"a quality can be asked of klt and wavelet, not of {codec}")
-
-
-def _next(trials: list[Trial], target: float, low: float, high: float, coarser_is_larger: bool) -> float:
-    """Return the logarithm to try next: secant of PSNR over it, kept within the bracket."""
-    near = sorted((t for t in trials if np.isfinite(t.psnr)), key=lambda trial: abs(trial.psnr - target))[:2]
-    middle = (low + high) / 2.0
-    if not near:
-        return middle
-    a = np.log2(near[0].setting)
-    if len(near) == 1 or near[0].psnr == near[1].psnr:
-        octaves = (near[0].psnr - target) / _TYPICAL_SLOPE
-        guess = float(a + octaves if coarser_is_larger else a - octaves)
+        sign, bounds, start, name, options = 1.0, (-20.0, 2.5), -5.0, "step", {"transfer": transfer, "metric": metric}
+    elif codec == "wavelet":
+        sign, bounds, start, name, options = -1.0, (-4.0, 6.0), 1.0, "rate", {"allocation": "global"}
     else:
-        b = np.log2(near[1].setting)
-        guess = float(a + (b - a) * (target - near[0].psnr) / (near[1].psnr - near[0].psnr))
-    inside = min(low, high) + 0.02 * abs(high - low) < guess < max(low, high) - 0.02 * abs(high - low)
-    return guess if inside else middle
+        raise InputError(f"a quality can be asked of klt and wavelet, not of {codec}")
+
+    def make(place: float) -> tuple[float, Codec]:
+        setting = 2.0 ** (sign * place)
+        return setting, codec_class(codec).from_config({name: setting, **options})
+
+    return make, bounds, start

@@ -12,19 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.arrays import check_transfer
-from clrelight.codec import Encoded, decode_regions
+from clrelight.codec import Encoded
 from clrelight.codec.views import Region, Regions
 from clrelight.device import Device
 from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.images import write_image
-from clrelight.jobs.ingest import DEFAULT_MEMORY
-from clrelight.jobs.inputs import opened_on, read_directions, take_encoded
+from clrelight.jobs.inputs import lend_encoded, opened_on, read_directions
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import FLOAT_FORMATS
 from clrelight.jobs.region import list_tiles
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
+from clrelight.memory import IMAGE_MEMORY
 from clrelight.relight import to_display
 from clrelight.store.scratch_images import ScratchImages
 
@@ -39,7 +39,8 @@ def unpack(
     lights: str | os.PathLike[str] | None = None,
     kind: str = "jpg",
     transfer: str | None = None,
-    memory: int | str = DEFAULT_MEMORY,
+    salvage: bool = False,
+    memory: int | str = IMAGE_MEMORY,
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -50,7 +51,7 @@ def unpack(
 
     Parameters
     ----------
-    source : path or Encoded
+    source : path, URL or Encoded
         As `clrelight.jobs.pack.pack` or codec ``klt`` writes it.
     out : path
         The folder to make; one that is there must be empty.
@@ -60,6 +61,8 @@ def unpack(
         One of `FORMATS`: ``jpg`` and ``png`` of 8 bits behind the transfer, the others of linear radiance in floats.
     transfer : str, optional
         ``"linear"`` or ``"srgb"``: curve of 8-bit files; by default the stack's.
+    salvage : bool
+        Write what is left of a damaged file: notes, and ``damaged`` in the report, say what is filled.
     memory : int or str
         Bytes of images and planes that are held.
     device, progress, report
@@ -83,17 +86,24 @@ def unpack(
         if f".{kind}" in FLOAT_FORMATS:
             raise InputError(f"--transfer is for 8-bit files, but {kind} holds linear radiance: leave it out")
     given = [] if isinstance(source, Encoded) else [source]
-    with claimed([], given, kept), opened_on(device, kept) as opened:
+    with (
+        claimed([], given, kept),
+        opened_on(device, kept) as opened,
+        lend_encoded(source, kept, salvage=salvage) as packed,
+    ):
         since = time.perf_counter()
-        encoded, record = take_encoded(source)
-        regions = decode_regions(encoded)
+        encoded, record, regions = packed.encoded, packed.record, packed.regions()
         if regions is None:
             raise InputError(f"only files of codec klt hold parts that can be decoded alone, this is {encoded.codec}")
+        _check_channels(kind, encoded.shape[3])
         directions_i3 = record.directions_i3 if lights is None else read_directions(lights, kept)
         since = kept.add("read", since)
         shape = (len(directions_i3), *encoded.shape[1:])
         dtype = np.dtype(np.float32 if f".{kind}" in FLOAT_FORMATS else np.uint8)
-        with replacing_folder(out) as folder, closing(ScratchImages(folder.parent, shape, dtype)) as images:
+        with (
+            replacing_folder(out) as folder,
+            closing(ScratchImages(Path(os.fsdecode(out)).parent, shape, dtype)) as images,
+        ):
             with stage(progress, "relighting") as tell:
                 parts = list_tiles(*shape[1:3], 4 * shape[0] * shape[3], budget // 4)
                 for number, part in enumerate(parts):
@@ -105,6 +115,15 @@ def unpack(
             kept.add("write", since)
     kept.facts |= {"folder": os.fsdecode(out), "files": [os.path.join(os.fsdecode(out), name) for name in names]}
     return kept
+
+
+def _check_channels(kind: str, channel: int) -> None:
+    """Raise InputError, before anything is relit, where images of so many channels do not go into such files."""
+    if kind == "exr" or channel == 3 or (channel == 1 and kind != "hdr"):
+        return
+    held = "3 channels" if kind == "hdr" else "1 or 3 channels"
+    fitting = "exr" if channel != 1 else "jpg, png, tif and exr"
+    raise InputError(f"{kind} holds {held}, the images have {channel}: {fitting} can hold them")
 
 
 def _relight(

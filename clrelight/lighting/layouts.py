@@ -28,10 +28,8 @@ ASPECTS = {
 """Width to height of each layout of one picture."""
 
 LAYOUTS = (*ASPECTS, "cube")
-"""``cube``: six pictures, or a file that holds six, in the order of `FACES`."""
-
-FACES = ("+right", "-right", "+up", "-up", "+forward", "-forward")
-"""Direct3D's order +X -X +Y -Y +Z -Z, whose left-handed axes are right, up and forward."""
+"""``cube``: six pictures, or a file that holds six, in Direct3D's order +X -X +Y -Y +Z -Z, whose left-handed axes are
+right, up and forward."""
 
 OPENEXR_FACES = (0, 1, 2, 3, 5, 4)
 """Where our faces lie in OpenEXR's cubes (ImfEnvmap.h), whose right-handed axes are right, up and back."""

@@ -18,17 +18,17 @@ _CPU_COPIES, _GPU_COPIES = 1 << 14, 4
 def peak_run(device: Device) -> tuple[Callable[[], None], float]:
     """Return a run of the peak kernel, and its floating-point operations."""
     if device.style == "gpu":
-        file, group, each, steps = "gpu/speed/peak.cl", _GPU_GROUP, _GPU_CHAINS, _STEPS // 4
+        group, each, steps = _GPU_GROUP, _GPU_CHAINS, _STEPS // 4
         items, defines = device.info.compute_units * 16 * group, {}
     else:
         vector = device.info.lanes
-        file, group, each, steps = "speed/peak.cl", 1, _CPU_CHAINS * vector, _STEPS
+        group, each, steps = 1, _CPU_CHAINS * vector, _STEPS
         items, defines = device.info.compute_units * 16, {"VECTOR": vector}
     sums_q = device.empty((items,), np.float32)
 
     def run() -> None:
         arguments = (sums_q, 0.999, 0.001, steps, items)
-        device.launch(file, "multiply_add_q", (items,), *arguments, defines=defines, local_size=(group,))
+        device.launch("speed/peak.cl", "multiply_add_q", (items,), *arguments, defines=defines, local_size=(group,))
 
     return run, 2.0 * each * _STEPS * items
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from clrelight.errors import InputError
-from clrelight.fit.run import DEFAULT_MEMORY
 from clrelight.harmonics.basis import MAX_DEGREE
+from clrelight.memory import DEFAULT_MEMORY
 from clrelight.speed.timing import SETTLE_SECONDS
 
 LARGEST_SIZE, MOST_LIGHTS, MOST_THREADS, MOST_ROUNDS = 1 << 14, 1 << 12, 1 << 10, 1000

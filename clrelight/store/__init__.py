@@ -3,6 +3,7 @@
 from clrelight.durable import check_output
 from clrelight.store.encodings import FitRecord, read_encoded, write_encoded
 from clrelight.store.fits import FitSink, create_fit, open_fit, read_fit, write_fit
+from clrelight.store.fitted import open_fitted
 from clrelight.store.lights import read_light, write_light
 from clrelight.store.stacks import create_stack, open_stack, write_stack
 from clrelight.store.stored import StoredArray
@@ -21,6 +22,7 @@ __all__ = [
     "describe",
     "file_schema",
     "open_fit",
+    "open_fitted",
     "open_stack",
     "read_encoded",
     "read_fit",

@@ -13,6 +13,7 @@ from clrelight.arrays import sample_dtype, to_samples
 from clrelight.conventions import default_peak
 from clrelight.dataset import LightStack
 from clrelight.errors import StoreFormatError
+from clrelight.memory import PIECE_BYTES
 from clrelight.store.blocks import box_of
 from clrelight.store.opening import Opened
 from clrelight.store.stored import StoredArray
@@ -22,9 +23,6 @@ LEAST_LENGTH, MOST_LENGTH = 0.99, 1.01
 
 _NOTED_LENGTH = 1e-5
 """Off by less, a direction was rounded, and is made a unit vector without a word."""
-
-_CONVERTED_BYTES = 1 << 24
-"""Samples that are held at a time while they are converted."""
 
 
 class ForeignImages:
@@ -68,7 +66,7 @@ class ForeignImages:
 
     def read_some_into(self, picked_n: NDArray[np.intp], first: int, end: int, out: NDArray) -> None:
         """Read ``[picked_n, first:end]`` into an array of that shape and this dtype."""
-        step = max(1, _CONVERTED_BYTES // (math.prod(self.shape) // self.shape[1] * self.dtype.itemsize))
+        step = max(1, PIECE_BYTES // (math.prod(self.shape) // self.shape[1] * self.dtype.itemsize))
         for start in range(first, end, step):
             stop = min(start + step, end)
             out[:, start - first : stop - first] = self[:, start:stop][picked_n]
@@ -79,7 +77,7 @@ class ForeignImages:
             return
         lights, rows, *others = box
         row_bytes = out[:, 0].size * self._stored.dtype.itemsize
-        step = max(1, _CONVERTED_BYTES // row_bytes)
+        step = max(1, PIECE_BYTES // row_bytes)
         for start in range(rows.start, rows.stop, step):
             stop = min(start + step, rows.stop)
             key: list[slice] = [slice(None)] * len(self._axes)

@@ -6,34 +6,28 @@ import itertools
 import json
 import os
 import re
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
-from clrelight.errors import InputError, StoreFormatError
+from clrelight.errors import InputError, RemoteError, StoreFormatError
+from clrelight.store.attributes import read_bytes, read_scalar
 from clrelight.store.blocks import SUM_DTYPE, Blocks
-from clrelight.store.schemas import SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, STACK, Field, Schema
-from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, seal_of, type_text
+from clrelight.store.places import Place, placed
+from clrelight.store.schemas import OLDER, SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, STACK, Field, Schema
+from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, parse_sums, seal_of, type_text
 from clrelight.store.stored import StoredArray
 from clrelight.store.walk import walk
 
-MAGIC = b"\x89HDF\r\n\x1a\n"
-CACHE_BYTES = 1 << 20
-"""Chunk cache of each dataset of another program: a chunk of several rows, for who reads row by row."""
-
-_USER_BLOCK = 512
-"""HDF5 begins at byte 0, 512, 1024, 2048, ..."""
-
 _UNSEAL = (
     f"so it is damaged, or another program changed it; to trust it as it is, delete its attribute {SEAL_ATTRIBUTE} and "
-    f"its group {TABLE.partition('/')[0]}"
+    f"its group {TABLE.partition('/')[0]}, where it has one"
 )
 
-MAX_ATTRIBUTE_BYTES = 1 << 20
 MAX_ATTRIBUTES = 256
 
 
@@ -49,42 +43,50 @@ class Opened:
     sealed : bool
         Whether this program wrote the file, with checksums of all that is read; then they were compared as far as they
         are not of the arrays' values, which are checked when they are read.
+    place : Place
+        Where it is.
     """
 
-    def __init__(self, path: str, file: h5py.File, kinds: tuple[str, ...]) -> None:
-        self.path = path
+    def __init__(self, place: Place, file: h5py.File, kinds: tuple[str, ...], *, trusting: bool = False) -> None:
+        self.path, self.place, path = place.path, place, place.path
         self._root = h5py.h5g.open(file.id, b"/")
         self.schema = self._check_schema(kinds)
-        self.sealed = self.has(SEAL_ATTRIBUTE)
-        datasets = walk(file, os.stat(path).st_size, self._names())
+        self.sealed = self.has(SEAL_ATTRIBUTE) and not trusting
+        datasets = walk(file, place.size, self._names(trusting))
         table = datasets.pop(TABLE, None)
-        if self.sealed != (table is not None):
+        self._seal, self._sums = parse_sums(self._text(SEAL_ATTRIBUTE)) if self.sealed else ("", None)
+        if self.sealed != (table is not None or self._sums is not None):
             lost = TABLE if self.sealed else SEAL_ATTRIBUTE
             raise StoreFormatError(f"it has lost its checksums ({lost}), {_UNSEAL}")
         self.arrays: dict[str, StoredArray] = {}
-        if table is None:
+        if not self.sealed:
             self.arrays = {name: StoredArray(dataset, path) for name, dataset in datasets.items()}
         else:
-            self._open_sealed(datasets, StoredArray(table, path))
+            self._open_sealed(datasets, self._sums_of(table))
         if self.sealed or self.schema.kind != STACK.kind:  # stacks of other programs are looked at by `foreign`
             self._check_arrays()
             self._check_required()
 
-    def _names(self) -> set[str]:
+    def _names(self, trusting: bool) -> set[str]:
         """Return the names in the root to look at; another program's dataset may have the name of one of our scales."""
-        names = {name.partition("/")[0] for name in (*self.schema.fields, TABLE)}
+        names = {name.partition("/")[0] for name in (*self.schema.fields, *([] if trusting else [TABLE]))}
         return names.union(self.schema.scales) if self.sealed else names
 
-    def _open_sealed(self, datasets: dict[str, h5py.Dataset], table: StoredArray) -> None:
+    def _sums_of(self, dataset: h5py.Dataset | None) -> NDArray[np.uint64]:
+        if dataset is None:
+            return np.empty(0, SUM_DTYPE) if self._sums is None else self._sums
+        table = StoredArray(dataset, self.path)
         if table.dtype != SUM_DTYPE or table.ndim != 1:
             raise StoreFormatError(f"{TABLE} is {table.dtype.str} {table.shape}, expected {SUM_DTYPE.str} with 1 axis")
+        return np.asarray(table[...])
+
+    def _open_sealed(self, datasets: dict[str, h5py.Dataset], table_b: NDArray[np.uint64]) -> None:
         for name in datasets.keys() & self.schema.scales:
             self.arrays[name] = StoredArray(datasets.pop(name), self.path)
         counts = [Blocks.of(datasets[name]).count for name in sorted(datasets)]
         ends = list(itertools.accumulate(counts, initial=0))
-        if ends[-1] != table.size:
-            raise StoreFormatError(f"{TABLE} has {table.size} checksums, its arrays {ends[-1]} blocks, {_UNSEAL}")
-        table_b = table[...]
+        if ends[-1] != table_b.size:
+            raise StoreFormatError(f"it has {table_b.size} checksums, its arrays {ends[-1]} blocks, {_UNSEAL}")
         for name, (start, end) in zip(sorted(datasets), itertools.pairwise(ends), strict=True):
             self.arrays[name] = StoredArray(datasets[name], self.path, table_b[start:end])
         found = {
@@ -92,8 +94,7 @@ class Opened:
             for name, array in self.arrays.items()
             if name in datasets
         }
-        expected = self._text(SEAL_ATTRIBUTE)
-        if seal_of(self.schema.name, self.attributes(), found, table_b) != expected:
+        if seal_of(self.schema.name, self.attributes(), found, table_b) != self._seal:
             raise StoreFormatError(f"its attributes, shapes or checksums are not as they were written, {_UNSEAL}")
 
     def _array_attributes(self, name: str) -> dict[str, Any]:
@@ -103,18 +104,19 @@ class Opened:
         return self.floats(name) if field.attributes == "floats" else {"key": self.attribute("key", str, of=name)}
 
     def attribute(self, name: str, kind: type, of: str | None = None) -> Any:
-        """Return a scalar attribute as int, float or str, of the root or of a dataset."""
+        """Return an attribute as int, float, str or bytes, of the root or of a dataset."""
         holder = self._root if of is None else self.arrays[of].id
         if not h5py.h5a.exists(holder, name.encode()):
             raise StoreFormatError(f"it has no attribute {name}")
-        return _scalar(h5py.h5a.open(holder, name.encode()), name, kind)
+        held = h5py.h5a.open(holder, name.encode())
+        return read_bytes(held, name) if kind is bytes else read_scalar(held, name, kind)
 
     def has(self, name: str) -> bool:
         """Return whether the root has an attribute."""
         return h5py.h5a.exists(self._root, name.encode())
 
     def _text(self, name: str) -> str:
-        return _scalar(h5py.h5a.open(self._root, name.encode()), name, str)
+        return read_scalar(h5py.h5a.open(self._root, name.encode()), name, str)
 
     def attributes(self) -> dict[str, Any]:
         """Return every root attribute of the schema."""
@@ -131,7 +133,7 @@ class Opened:
             attribute = h5py.h5a.open(holder, index=i)
             if attribute.get_type().get_class() == h5py.h5t.FLOAT:
                 name = attribute.name.decode()
-                found[name] = _scalar(attribute, name, float)
+                found[name] = read_scalar(attribute, name, float)
         return found
 
     def optional(self, name: str) -> Any:
@@ -156,7 +158,7 @@ class Opened:
             raise StoreFormatError(f"it is {article} {text} file, expected {wanted}")
         if int(match[2]) > schema.version:
             raise StoreFormatError(f"{text} is newer than this program reads ({schema.name}): upgrade clrelight")
-        return schema
+        return OLDER.get(text, schema)
 
     def _check_arrays(self) -> None:
         lengths: dict[str, int] = {}
@@ -184,25 +186,26 @@ class Opened:
 
 
 @contextmanager
-def opening(path: str | os.PathLike, *kinds: str) -> Iterator[Opened]:
-    """Open a file that is of one of the `kinds` (of any without).
+def opening(path: str | os.PathLike, *kinds: str, trusting: bool = False) -> Iterator[Opened]:
+    """Open a file that is of one of the `kinds` (of any without), here or behind a URL.
+
+    Who is `trusting` takes it as it is, and compares none of its checksums but those that HDF5 has itself.
 
     Raises
     ------
     InputError
-        If there is no such file, or it may not be read.
+        If there is no such file, or it may not be read; RemoteError of a URL.
     StoreFormatError
         If it is not ours, of another kind or a newer version, damaged, or made in a way we do not read.
     """
-    text = os.fsdecode(path)
-    _check_file(text)
-    _forget_plugins()
-    with refusing(text):
-        file = h5py.File(text, "r", locking=False, rdcc_nbytes=CACHE_BYTES)
-    with file:
-        with refusing(text):
-            opened = Opened(text, file, kinds)
-        yield opened
+    with placed(os.fsdecode(path)) as place:
+        _forget_plugins()
+        with refusing(place.path):
+            file = place.open()
+        with file:
+            with refusing(place.path):
+                opened = Opened(place, file, kinds, trusting=trusting)
+            yield opened
 
 
 @contextmanager
@@ -211,6 +214,8 @@ def refusing(path: str) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):  # checks reject absurd numbers, and need not warn of them as well
             yield
+    except RemoteError:
+        raise
     except InputError as error:
         message = str(error)
         raise StoreFormatError(message if message.startswith(path) else f"{path}: {message}") from error
@@ -241,52 +246,7 @@ def _refuse_constant(text: str) -> None:
     raise ValueError(f"{text} is no JSON value")
 
 
-def _check_file(path: str) -> None:
-    if "\0" in path:
-        raise InputError(f"cannot read {path!r}: that is no file name")
-    try:
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise StoreFormatError(f"{path} is no regular file (a folder or a device)")
-        with open(path, "rb") as stream:
-            start = stream.read(len(MAGIC))
-            at, size = _USER_BLOCK, os.fstat(stream.fileno()).st_size
-            while start and start != MAGIC and at < size:  # behind what another program put before
-                stream.seek(at)
-                start = stream.read(len(MAGIC))
-                at *= 2
-    except FileNotFoundError:
-        raise InputError(f"there is no file {path}") from None
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from None
-    if not size:
-        raise StoreFormatError(f"{path} is empty, expected an HDF5 file")
-    if start != MAGIC:
-        raise StoreFormatError(f"{path} is not an HDF5 file")
-
-
 def _forget_plugins() -> None:
     # A file names the filters it wants, and HDF5 loads them from these folders.
     while h5py.h5pl.size():
         h5py.h5pl.remove(0)
-
-
-def _scalar(attribute: h5py.h5a.AttrID, name: str, kind: type) -> Any:
-    """Return the value of an attribute of one element, whatever its shape; texts may have any length."""
-    held, space = attribute.get_type(), attribute.get_space()
-    classes = {str: (h5py.h5t.STRING,), int: (h5py.h5t.INTEGER,), float: (h5py.h5t.FLOAT, h5py.h5t.INTEGER)}[kind]
-    if (
-        space.get_simple_extent_type() not in (h5py.h5s.SCALAR, h5py.h5s.SIMPLE)
-        or space.get_simple_extent_npoints() != 1
-        or held.get_class() not in classes
-        or held.get_size() > (MAX_ATTRIBUTE_BYTES if kind is str else 8)
-    ):
-        raise StoreFormatError(f"attribute {name} must be one {'text' if kind is str else kind.__name__}")
-    value = np.empty(attribute.shape, dtype=attribute.dtype)
-    attribute.read(value)
-    if kind is not str:
-        return kind(value.reshape(-1)[0])
-    if held.is_variable_str():
-        text = value.reshape(-1)[0]
-        return text if isinstance(text, str) else bytes(text).decode("utf-8")
-    padding = b" " if held.get_strpad() == h5py.h5t.STR_SPACEPAD else b"\0"
-    return value.tobytes().rstrip(padding).decode("utf-8")

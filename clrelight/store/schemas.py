@@ -45,9 +45,11 @@ class Schema:
     fields : mapping of str to Field
         Datasets; a name that ends in ``/`` stands for every dataset of that group.
     attributes : mapping of str to type
-        Scalar root attributes: int, float or str.
+        Scalar root attributes: int, float or str; or bytes, an array of uint8.
     is_scaled : bool
         Whether axes get dimension scales, which take 5 kB.
+    has_table : bool
+        Whether checksums of blocks lie in a table also where they are few, which takes 0.4 kB.
     """
 
     kind: str
@@ -55,6 +57,7 @@ class Schema:
     fields: Mapping[str, Field]
     attributes: Mapping[str, type] = field(default_factory=dict)
     is_scaled: bool = True
+    has_table: bool = True
 
     @property
     def name(self) -> str:
@@ -102,7 +105,7 @@ FIT = Schema(
     },
     {**_FIT_ATTRIBUTES, "config": str},
 )
-ENCODED = Schema(
+ENCODED_1 = Schema(
     "encoded",
     1,
     {
@@ -119,6 +122,17 @@ ENCODED = Schema(
         "bits_per_coefficient": float,
     },
     is_scaled=False,
+)
+ENCODED = Schema(
+    "encoded",
+    2,
+    {
+        "payload": Field(("payload_byte",), _dtypes("uint8")),
+        "directions": Field(("light", "xyz"), _dtypes("float64"), required=False),
+    },
+    {"record": bytes},
+    is_scaled=False,
+    has_table=False,
 )
 RESULTS = Schema(
     "results",
@@ -138,3 +152,6 @@ LIGHT = Schema(
 )
 
 SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, ENCODED, RESULTS, LIGHT)}
+
+OLDER = {schema.name: schema for schema in (ENCODED_1,)}
+"""Kinds of files in versions that are read and no longer written."""

@@ -31,7 +31,8 @@ class Scratch:
     """
 
     def __init__(self, folder: str | os.PathLike, n_bytes: int) -> None:
-        self._what = Path(os.fsdecode(folder), "(temporary file)")
+        # What is said of a full disk: the file has no name.
+        self._what = Path(f"temporary files in {os.path.abspath(os.fsdecode(folder))}")
         with naming(self._what), holding():  # it has a name for an instant, where the system cannot do without
             self._file = tempfile.TemporaryFile(prefix=".clrelight.", suffix=".part", dir=os.fsdecode(folder))  # noqa: SIM115
             if n_bytes:

@@ -15,6 +15,8 @@ import xxhash
 from numpy.typing import NDArray
 
 SEAL_ATTRIBUTE = "clrelight_checksums"
+MOST_IN_TEXT = 4
+"""Checksums of blocks that stand behind the seal where a schema needs no table: so its files are small."""
 TABLE = "clrelight/checksums"
 """XXH3-64 of every block, uint64: the blocks of each array in C order, the arrays in the order of their names."""
 
@@ -35,10 +37,23 @@ def seal_of(
     table_b : ndarray, uint64
         Checksums of all blocks.
     """
-    manifest = json.dumps([schema, attributes, arrays], sort_keys=True, separators=(",", ":"))
+    manifest = json.dumps([schema, attributes, arrays], sort_keys=True, separators=(",", ":"), default=bytes.hex)
     summed = xxhash.xxh3_64(manifest.encode("ascii"))
     summed.update(np.ascontiguousarray(table_b, "<u8").view(np.uint8).data)
     return f"xxh3-64 {summed.intdigest():016x}"
+
+
+def sums_text(table_b: NDArray[np.uint64]) -> str:
+    """Return checksums of blocks as text."""
+    return "".join(f" {int(each):016x}" for each in table_b)
+
+
+def parse_sums(text: str) -> tuple[str, NDArray[np.uint64] | None]:
+    """Return the seal, and the checksums behind it; None where there are none. ValueError if they are no numbers."""
+    parts = text.split(" ")
+    if len(parts) == 2:
+        return text, None
+    return " ".join(parts[:2]), np.array([int(part, 16) for part in parts[2:]], "<u8")
 
 
 def type_text(dtype: np.dtype) -> str:

@@ -6,7 +6,7 @@ import math
 import os
 from typing import Any
 
-from clrelight.store.encodings import StoredBody, encoded_of
+from clrelight.store.encodings import body_of, encoded_of
 from clrelight.store.fits import fit_of
 from clrelight.store.lights import light_of
 from clrelight.store.opening import Opened, opening, parse_config, refusing
@@ -29,7 +29,7 @@ def describe(path: str | os.PathLike) -> dict[str, Any]:
     dict
         JSON values: ``file``, ``schema``, ``bytes_on_disk``, ``attributes``, and ``datasets`` with ``shape``,
         ``dtype``, ``axes`` and ``chunks`` of each; of results, numbers of rows and keys instead of each picture; of a
-        stack, ``notes`` on what another program left open.
+        stack, ``notes`` on what another program left open; of a file behind a URL, ``fetched``.
 
     Raises
     ------
@@ -46,11 +46,13 @@ def describe(path: str | os.PathLike) -> dict[str, Any]:
         summary = {
             "file": opened.path,
             "schema": opened.schema.name,
-            "bytes_on_disk": os.stat(opened.path).st_size,
+            "bytes_on_disk": opened.place.size,
             "attributes": attributes,
             "datasets": _datasets(opened),
         }
         summary.update(_checked(opened))
+        if traffic := opened.place.traffic():
+            summary["fetched"] = traffic
         return summary
 
 
@@ -62,9 +64,20 @@ def _checked(opened: Opened) -> dict[str, Any]:
         case "fit":
             fit_of(opened, opened.arrays.get)
         case "encoded":
-            encoded, _ = encoded_of(opened, StoredBody(opened))
+            encoded, record = encoded_of(opened, body_of(opened), summed=opened.place.remote is None)
             info = {key: value if math.isfinite(value) else None for key, value in encoded.info.items()}
-            return {"shape": list(encoded.shape), "info": info}
+            facts = {
+                **{name: getattr(record, name) for name in ("method", "degree", "peak", "transfer", "name")},
+                **{"fit_config": dict(record.config), "codec": encoded.codec, "config": dict(encoded.config)},
+                "encoded_bytes": encoded.encoded_bytes,
+                "bits_per_coefficient": encoded.bits_per_coefficient,
+            }
+            return {
+                "attributes": facts,
+                "shape": list(encoded.shape),
+                "info": info,
+                "lights": len(record.directions_i3),
+            }
         case "light":
             light_of(opened)
         case "results":

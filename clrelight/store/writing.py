@@ -16,10 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from clrelight.durable import Part, naming, replacing, syncing
 from clrelight.errors import InputError
+from clrelight.store.attributes import text_bytes
 from clrelight.store.blocks import SUM_DTYPE, BlockReader, BlockWriter, box_of
 from clrelight.store.creating import create_compact, create_in_memory, create_on_disk
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
-from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, seal_of, type_text
+from clrelight.store.seal import MOST_IN_TEXT, SEAL_ATTRIBUTE, TABLE, seal_of, sums_text, type_text
 
 IN_MEMORY_BYTES = 64 << 20
 """Files of fewer bytes are built in memory, which holds them three times, and where a full disk cannot reach HDF5."""
@@ -34,8 +35,6 @@ RESERVE_SHARE, RESERVE_BYTES = 64, 4 << 20
 
 COMPACT_BYTES = 8 << 10
 _SUPERBLOCK = struct.Struct("<8xB19xQ")  # versions 2 and 3: the version at byte 8, the end of the file at 28
-
-MAX_TEXT_BYTES = 32 << 10  # HDF5 keeps attributes up to 64 KiB within the checksummed object header
 
 
 class Sink:
@@ -99,14 +98,16 @@ class Draft:
         self._sinks: list[Sink] = []
         self._pending: list[tuple[BlockWriter, NDArray]] = []
         self._writers: dict[str, BlockWriter] = {}
-        self._attributes: dict[str, dict[str, int | float | str]] = {}
+        self._attributes: dict[str, dict[str, int | float | str | bytes]] = {}
         self.attributes({SCHEMA_ATTRIBUTE: schema.name})
 
-    def attributes(self, values: Mapping[str, int | float | str], of: str = "/") -> None:
-        """Write scalar attributes of the root or of the object named `of`."""
+    def attributes(self, values: Mapping[str, int | float | str | bytes], of: str = "/") -> None:
+        """Write attributes of the root or of the object named `of`: scalars, and bytes as arrays of uint8."""
         for name, value in values.items():
-            if isinstance(value, str):
-                text = _text_bytes(name, value)
+            if isinstance(value, bytes):
+                data = np.frombuffer(value, np.uint8)
+            elif isinstance(value, str):
+                text = text_bytes(name, value)
                 data = np.array(text, dtype=h5py.string_dtype("utf-8", max(1, len(text))))
             else:
                 data = np.array(value, dtype="<i8" if isinstance(value, int) else "<f8")
@@ -153,8 +154,12 @@ class Draft:
             for name, writer in sealed.items()
         }
         held = {name: self._attributes["/"][name] for name in self._schema.attributes}
-        self.dataset(TABLE, table_b, chunks=(min(len(table_b), _TABLE_CHUNK),))
-        self.attributes({SEAL_ATTRIBUTE: seal_of(self._schema.name, held, arrays, table_b)})
+        seal = seal_of(self._schema.name, held, arrays, table_b)
+        if self._schema.has_table or len(table_b) > MOST_IN_TEXT:
+            self.dataset(TABLE, table_b, chunks=(min(len(table_b), _TABLE_CHUNK),))
+        else:
+            seal += sums_text(table_b)
+        self.attributes({SEAL_ATTRIBUTE: seal})
 
     def _create(
         self,
@@ -202,6 +207,16 @@ def drafting(path: str | os.PathLike, schema: Schema, n_bytes: int) -> Iterator[
     build = _built_in_memory if n_bytes < IN_MEMORY_BYTES else _streamed
     with replacing(path) as part, build(path, part, n_bytes, schema) as draft:
         yield draft
+
+
+def drafted_bytes(schema: Schema, fill: Callable[[Draft], None]) -> int:
+    """Return how large a file is that `fill` writes; nothing is written to a disk."""
+    with create_in_memory(uuid.uuid4().hex, 1 << 16) as file:
+        draft = Draft(file, schema)
+        fill(draft)
+        draft.finish()
+        file.flush()
+        return len(file.id.get_file_image())
 
 
 @contextmanager
@@ -253,8 +268,8 @@ def chunk_shape(shape: tuple[int, ...], itemsize: int, first: int | None = None)
     row_bytes = width * channel * itemsize
     extent = n if first is None else max(1, min(n, first))
     if extent * row_bytes > FAR_OVER_BYTES:
-        extent = min(extent, _even_part(n, CHUNK_BYTES // row_bytes))
-    return extent, _even_part(height, CHUNK_BYTES // (extent * row_bytes)), width, channel
+        extent = min(extent, even_part(n, CHUNK_BYTES // row_bytes))
+    return extent, even_part(height, CHUNK_BYTES // (extent * row_bytes)), width, channel
 
 
 def padded_bytes(shape: tuple[int, ...], chunks: tuple[int, ...], itemsize: int) -> int:
@@ -270,17 +285,7 @@ def config_text(config: Mapping[str, Any]) -> str:
         raise InputError(f"a configuration must be JSON values, got {config!r}: {error}") from None
 
 
-def _even_part(n: int, largest: int) -> int:
+def even_part(n: int, largest: int) -> int:
     """Return the size of equal parts of `n`, none over `largest`: unequal ones waste space in the last chunk."""
     parts = -(-n // max(1, min(n, largest)))
     return -(-n // parts)
-
-
-def _text_bytes(name: str, value: str) -> bytes:
-    try:
-        text = value.encode("utf-8")
-    except UnicodeEncodeError:
-        raise InputError(f"{name} must be text without lone surrogates, got {value!r}") from None
-    if b"\0" in text or len(text) > MAX_TEXT_BYTES:
-        raise InputError(f"{name} must be at most {MAX_TEXT_BYTES} bytes without NUL, got {len(text)} bytes")
-    return text

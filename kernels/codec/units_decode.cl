@@ -1,4 +1,5 @@
 /* Decode units: see units.clh, and units.py for what the arrays hold. */
+#define PARENT_T uchar
 #include "codec/units.clh"
 
 /* A stream being read: four rANS states, words of 16 bits from its front, and bits as they are from its back. */
@@ -109,37 +110,50 @@ INLINE void note_symbol(__global work_t *work, const int context, const int symb
         work->due[(*due)++] = (ushort)context;
 }
 
-/* Where decoded indices go: planes of indices, and sums of their values times weights, whichever there are. */
+/* Where the values of decoded indices go: to a plane, or times weights to each of some sums. */
 typedef struct {
-    __global int *index;
-    __global float *sum;
+    __global float *value;
     __global const float *weight; /* of this plane, for each sum */
-    size_t sum_plane;
-    int sums;
+    __global const int *place;    /* of the unit's subband: see units.py */
+    size_t plane_size;
+    int pitch, sums;
 } sink_t;
 
-INLINE void put(const sink_t *sink, const size_t at, const int magnitude, const int negative)
+enum { PLACES = 6 };
+
+INLINE void put(const sink_t *sink, const int y, const int x, const int index)
 {
-    if (sink->index)
-        sink->index[at] = negative ? -magnitude : magnitude;
-    if (sink->sums) {
-        const float value = (float)(negative ? -magnitude : magnitude);
+    const int row = sink->place[0] + y, column = sink->place[1] + x;
+    if (row < sink->place[2] || row >= sink->place[3] || column < sink->place[4] || column >= sink->place[5])
+        return;
+    __global float *to = sink->value + (size_t)row * sink->pitch + column;
+    const float value = (float)index;
+    if (sink->sums)
         for (int c = 0; c < sink->sums; ++c)
-            sink->sum[c * sink->sum_plane + at] += sink->weight[c] * value;
-    }
+            to[c * sink->plane_size] += sink->weight[c] * value;
+    else
+        *to = value;
 }
 
-INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink, const int band,
-                        const int plane, __global const int *parents, const int pitch, const size_t plane_size)
+/* What of a plane the units of finer levels ask for: sizes of all levels but the finest. */
+typedef struct {
+    __global uchar *size;
+    size_t plane_size;
+    int pitch;
+    int coarse; /* bits of them that the next finer level's contexts do not look at */
+} known_t;
+
+INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink,
+                        const known_t *known, const int band, const int plane)
 {
     const int rows = unit[ROWS + band], columns = unit[COLUMNS + band];
     if (rows <= 0 || columns <= 0) {
         clear_sizes(work, band, UNIT); /* the next band looks there */
         return;
     }
-    __global const int *parent = unit[PARENT + band] < 0 ? 0 : parents + unit[PARENT + band];
-    make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch,
-               plane_size, d->coarse);
+    __global const uchar *parent = unit[PARENT + band] < 0 ? 0 : known->size + unit[PARENT + band];
+    make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band],
+               known->pitch, known->plane_size, 0);
     clear_sizes(work, band, rows);
     const int any = decode_flag(d, work, band_flag(plane, sum_hints(work, rows, columns)));
     if (any) {
@@ -197,6 +211,7 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
                 work->place[found] = work->place[i];
                 found += work->context[i] != 0 || d->coarse;
             }
+            __global uchar *own = unit[LEVEL] > 1 ? known->size + unit[OFFSET + band] : 0;
             for (i = 0; i < found && !d->fault; ++i) {
                 const int symbol = work->context[i] & 0xfff, above = work->context[i] >> 12, shift = above + d->coarse;
                 int magnitude = symbol == LAST ? LAST + take_large(d, ORDER(above)) : symbol;
@@ -209,20 +224,21 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
                 if (magnitude == 0)
                     continue;
                 const int negative = (int)take_bits(d, 1), y = work->place[i] >> 6, x = work->place[i] & 63;
-                put(sink, (size_t)unit[OFFSET + band] + (size_t)y * pitch + x, magnitude, negative);
+                put(sink, y, x, negative ? -magnitude : magnitude);
                 work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude >> d->coarse, MAX_SIZE);
+                if (own)
+                    own[(size_t)y * known->pitch + x] = (uchar)LEAST(magnitude >> known->coarse, MAX_SIZE);
             }
         }
     }
     note_before(work, band, plane, rows);
 }
 
-/* LL of one plane; its indices are needed for what follows. */
-INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink, const int plane,
-                       const int pitch)
+/* LL of one plane. */
+INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink, const int plane)
 {
     const int rows = unit[ROWS], columns = unit[COLUMNS];
-    __global int *low = sink->index + unit[OFFSET];
+    __global int *low = work->low_value;
     begin_low_plane(work);
     for (int y = 0; y < rows && !d->fault; ++y) {
         int due = 0;
@@ -241,59 +257,62 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
             size = size << shift | (shift ? (int)take_bits(d, shift) : 0);
             const int negative = size ? (int)take_bits(d, 1) : 0;
             work->low[(y + 1) * (UNIT + 2) + x + 1] = size;
-            const int value = expect_low(low + (size_t)y * pitch + x, pitch, y, x) + (negative ? -size : size);
+            const int value = expect_low(low + y * UNIT + x, UNIT, y, x) + (negative ? -size : size);
             if (value > MAX_MAGNITUDE || value < -MAX_MAGNITUDE)
                 d->fault = 1;
-            low[(size_t)y * pitch + x] = d->fault ? 0 : value;
+            low[y * UNIT + x] = d->fault ? 0 : value;
         }
         learn_due(work, due, 0);
     }
     note_low(work, rows, columns);
-    if (sink->sums)
-        for (int y = 0; y < rows; ++y)
-            for (int x = 0; x < columns; ++x) {
-                const int value = low[(size_t)y * pitch + x];
-                const sink_t sums = {0, sink->sum, sink->weight, sink->sum_plane, sink->sums};
-                if (value)
-                    put(&sums, (size_t)unit[OFFSET] + (size_t)y * pitch + x, value < 0 ? -value : value, value < 0);
-            }
+    for (int y = 0; y < rows; ++y)
+        for (int x = 0; x < columns; ++x)
+            if (low[y * UNIT + x])
+                put(sink, y, x, low[y * UNIT + x]);
 }
 
-/* Streams of units, one after another. Indices of level 1 are not kept where only sums are wanted. */
-__kernel void decode_units(__global int *index_jyx, __global float *sum_cyx, __global const float *weight_jc,
+/* Streams of units, one after another.
+ *
+ *   value_cyx   (C, Y, X) float  zeros at first: a plane each, or `sums` sums of all planes times weight_jn
+ *   known_jrk   (J, R, K) uchar  zeros at first: sizes of all levels but the finest, where unit_uf says
+ *   coarse_jl   (J, COARSE) int  bits that contexts do not look at, of LL first
+ */
+__kernel void decode_units(__global float *value_cyx, __global uchar *known_jrk, __global const float *weight_jn,
                            __global const uchar *stream_b, __global const uint *place_t2, __global const int *part_t4,
-                           __global const int *unit_uf, __global const ushort *count_ms, __global const ushort *flag_q2,
-                           __global uchar *work_wd, __global int *fault_t, __global const int *coarse_jl, const int begin, const int sums,
-                           const int size_c, const int size_y, const int size_x)
+                           __global const int *unit_uf, __global const int *place_uv, __global const ushort *count_ms,
+                           __global const ushort *flag_q2, __global const int *coarse_jl, __global uchar *work_wd,
+                           __global int *fault_t, const int begin, const int end, const int sums, const int size_y,
+                           const int size_x, const int size_r, const int size_k)
 {
-    const int t = begin + get_global_id(0);
     __global work_t *work = (__global work_t *)(work_wd + get_global_id(0) * (size_t)WORK_BYTES);
-    const size_t plane_size = (size_t)size_y * size_x;
-    decoder_t d;
-    begin_stream(&d, stream_b + place_t2[2 * t], place_t2[2 * t + 1]);
-    begin_tables(work, count_ms, flag_q2, 0);
-    for (int u = part_t4[4 * t]; u < part_t4[4 * t + 1] && !d.fault; ++u) {
-        __global const int *unit = unit_uf + u * UNIT_FIELDS;
-        if (unit[LEVEL] == 0)
-            begin_low(work);
-        for (int j = part_t4[4 * t + 2], first = j; j < part_t4[4 * t + 3] && !d.fault; ++j) {
-            d.coarse = coarse_jl[j * COARSE + unit[LEVEL]];
-            __global int *index = index_jyx + j * plane_size;
-            const sink_t sink = {sums && unit[LEVEL] == 1 ? 0 : index, sum_cyx, weight_jc + (size_t)j * size_c, plane_size,
-                                 sums};
-            if (unit[LEVEL] == 0)
-                decode_low(&d, work, unit, &sink, j - first, size_x);
-            else
-                for (int band = 0; band < 3; ++band)
-                    decode_band(&d, work, unit, &sink, band, j - first, index, size_x, plane_size);
+    sink_t sink = {value_cyx, weight_jn, place_uv, (size_t)size_y * size_x, size_x, sums};
+    known_t known = {known_jrk, (size_t)size_r * size_k, size_k, 0};
+    for (int t = begin + get_global_id(0); t < end; t += get_global_size(0)) {
+        decoder_t d;
+        begin_stream(&d, stream_b + place_t2[2 * t], place_t2[2 * t + 1]);
+        begin_tables(work, count_ms, flag_q2, 0);
+        for (int u = part_t4[4 * t]; u < part_t4[4 * t + 1] && !d.fault; ++u) {
+            __global const int *unit = unit_uf + u * UNIT_FIELDS;
+            const int level = unit[LEVEL];
+            if (level == 0)
+                begin_low(work);
+            for (int j = part_t4[4 * t + 2], first = j; j < part_t4[4 * t + 3] && !d.fault; ++j) {
+                __global const int *coarse = coarse_jl + j * COARSE;
+                if (sums)
+                    sink.weight = weight_jn + (size_t)j * sums;
+                else
+                    sink.value = value_cyx + j * sink.plane_size;
+                known.size = known_jrk + j * known.plane_size;
+                known.coarse = level > 1 ? coarse[level - 1] : 0;
+                sink.place = place_uv + u * 3 * PLACES;
+                d.coarse = coarse[level];
+                if (level == 0)
+                    decode_low(&d, work, unit, &sink, j - first);
+                else
+                    for (int band = 0; band < 3; ++band, sink.place += PLACES)
+                        decode_band(&d, work, unit, &sink, &known, band, j - first);
+            }
         }
+        fault_t[t] = d.fault || !is_spent(&d);
     }
-    fault_t[t] = d.fault || !is_spent(&d);
-}
-
-/* Values of indices, in their place and in steps. Global size (x, y, j). */
-__kernel void value_indices(__global int *index_jyx, const int size_j, const int size_y, const int size_x)
-{
-    const size_t at = ((size_t)get_global_id(2) * size_y + get_global_id(1)) * size_x + get_global_id(0);
-    index_jyx[at] = as_int((float)index_jyx[at]);
 }

@@ -1,4 +1,5 @@
 /* Encode units, choosing indices by what they cost: see units.clh, and units.py for what the arrays hold. */
+#define PARENT_T int
 #include "codec/units.clh"
 
 /* What a stream will say, until its end is known: rANS goes backward. */

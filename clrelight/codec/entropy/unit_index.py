@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.bodies import Body
+from clrelight.codec.bodies import Body, expect_parts
 from clrelight.codec.entropy.units import LEVELS, Unit
 from clrelight.errors import PayloadError
 
@@ -84,6 +84,8 @@ class Stored:
         count = len(self.groups)
         if self.together:
             return list(range(count))
+        if count == 1:
+            return list(chosen)
         level_u = np.array([unit.level or LEVELS + 1 for unit in units])
         numbers: list[int] = []
         for level in range(LEVELS + 1, 0, -1):
@@ -93,10 +95,17 @@ class Stored:
             numbers += [first + g * len(here) + t for g in range(count) for t in wanted]
         return numbers
 
+    def expect(self, body: Body, streams: list[int]) -> None:
+        """Say which streams are read next, for bodies that are not at hand."""
+        expect_parts(body, [(int(self.start_t[t]), int(self.start_t[t + 1])) for t in streams])
+
     def read(self, body: Body, stream: int) -> bytes:
         """Return a stream's bytes; PayloadError if they are not those that were written."""
         content = body[int(self.start_t[stream]) : int(self.start_t[stream + 1])]
         if binascii.crc_hqx(content, 0) != self.sum_t[stream]:
+            if self.together:
+                units = "all of its units are one stream" if len(self.groups) == 1 else "its units are no streams alone"
+                raise PayloadError(f"the {self.name} body is damaged, and {units}: none can be salvaged")
             raise PayloadError(f"unit {stream} of the {self.name} body is damaged")
         return content
 

@@ -22,8 +22,8 @@ _WORK_BYTES = 1 << 18
 _SEEN = CONTEXTS * SYMBOLS + 2 * FLAGS
 _RAW_BYTES = 8
 """Of a sample at most: what passes the last symbol, bits below a shift, and a sign."""
-_DECODED_AT_ONCE = 16
-"""Streams of each compute unit: what bounds the memory that they work in."""
+_WORKERS = {"cpu": 4, "gpu": 16}
+"""Streams that each compute unit decodes at once, each in memory of its own."""
 
 
 @dataclass(frozen=True)
@@ -185,45 +185,62 @@ def _coarse(coarse_jl: NDArray[np.int32] | None, n_plane: int) -> NDArray[np.int
 def decode_streams(
     device: Device,
     layout: Layout,
+    place_uf: NDArray[np.int32],
     streams: list[bytes],
     tables: Tables,
-    index: DeviceArray,
-    sums: DeviceArray | None = None,
+    values: DeviceArray,
+    known_shape: tuple[int, int, int],
     weight_jc: NDArray[np.float32] | None = None,
     coarse_jl: NDArray[np.int32] | None = None,
 ) -> NDArray[np.int32]:
-    """Decode streams into zeroed planes of indices, or into sums of their values times weights.
+    """Decode streams into zeroed planes of the indices' values, or into sums of them times weights.
+
+    Parameters
+    ----------
+    device : Device
+    layout : Layout
+        How units lie in planes that have all levels but the finest.
+    place_uf : ndarray, shape (n_unit, 3, 6), int32
+        Where their subbands lie in `values`: see `place_units`.
+    streams : list of bytes
+        Of the layout.
+    tables : Tables
+        What streams start from.
+    values : DeviceArray, shape (n_plane, height, pitch) or (n_sum, height, pitch), float32
+        Zeros.
+    known_shape : tuple of int
+        (n_plane, rows, pitch) of the layout.
+    weight_jc : ndarray, shape (n_plane, n_sum), float32, optional
+        What sums are made with; None: planes are asked for.
+    coarse_jl : ndarray, shape (n_plane, LEVELS + 1), int32, optional
+        See `encode_streams`.
 
     Returns
     -------
     ndarray, shape (n_stream,), int32
         1 where a stream is damaged.
     """
-    n_stream = len(streams)
     size_t = np.array([len(s) for s in streams], np.uint32)
     place_t2 = np.stack([np.cumsum(size_t, dtype=np.uint32) - size_t, size_t], axis=1)
     stream = device.upload(np.frombuffer(b"".join(streams) or b"\0", np.uint8))
-    part, unit = device.upload(layout.part_t4), device.upload(layout.unit_uf)
-    coarse = device.upload(_coarse(coarse_jl, index.shape[0]))
-    counts, flags = device.upload(tables.count_ms), device.upload(tables.flag_f2)
+    part_t4, placed = layout.part_t4, place_uf.reshape(len(place_uf), -1)
+    tables_given = (tables.count_ms, tables.flag_f2, _coarse(coarse_jl, known_shape[0]))
+    given = [device.upload(a) for a in (place_t2, part_t4, layout.unit_uf, placed, *tables_given)]
     # Streams of one place must not add to the same sums at once.
     batches = layout.batches(apart=weight_jc is not None)
     most = max(end - begin for begin, end in batches)
-    most = min(most, max(_DECODED_AT_ONCE * device.info.compute_units, 256))
-    work = device.empty((most, _WORK_BYTES), np.uint8)
-    fault_t = np.zeros(n_stream, np.int32)
-    fault, place = device.hold(fault_t), device.upload(place_t2)
+    workers = min(most, _WORKERS[device.style] * device.info.compute_units)
+    work = device.empty((workers, _WORK_BYTES), np.uint8)
+    fault = device.hold(np.zeros(len(streams), np.int32))
+    known = device.hold(np.zeros(known_shape, np.uint8))
+    weight = device.upload(np.zeros((known_shape[0], 1), np.float32) if weight_jc is None else weight_jc)
     n_sum = 0 if weight_jc is None else weight_jc.shape[1]
-    if sums is None or weight_jc is None:  # no kernel takes nothing: memory that is never touched
-        sums, weight_jc = device.empty((1, *index.shape[1:]), np.float32), np.zeros((index.shape[0], 1), np.float32)
-    weight = device.upload(weight_jc)
-    for batch, end in batches:
-        for begin in range(batch, end, most):
-            device.launch(
-                "codec/units_decode.cl",
-                "decode_units",
-                (min(most, end - begin),),
-                *(index, sums, weight, stream, place, part, unit, counts, flags, work, fault, coarse),
-                *(begin, n_sum, *sums.shape),
-            )
+    for begin, end in batches:
+        device.launch(
+            "codec/units_decode.cl",
+            "decode_units",
+            (min(workers, end - begin),),
+            *(values, known, weight, stream, *given, work, fault),
+            *(begin, end, n_sum, *values.shape[1:], *known_shape[1:]),
+        )
     return device.download(fault)

@@ -15,6 +15,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.transforms.lifting import list_subbands
+
 LEVELS = 5
 PRECINCT = 512
 """Side in pixels of what one unit of the coarsest three levels, four of level 2 and sixteen of level 1 are of."""
@@ -120,6 +122,29 @@ def _bands(height: int, width: int, level: int, window: Window) -> list[tuple[in
         (low_row, 0, high_h, low_w),
         (low_row, low_column, high_h, high_w),
     ]
+
+
+def place_units(units: list[Unit], height: int, width: int, window: Window, level: int = 0) -> NDArray[np.int32]:
+    """Return where units' subbands lie in planes of a window at a level, (n_unit, 3, 6).
+
+    Of HL, LH and HH, or of LL first: row and column of its first sample, which may lie outside; the first row of the
+    window's subband and that behind its last, and the same of columns.
+    """
+    places = np.zeros((len(units), 3, 6), np.int32)
+    sides = (
+        low_side(window.bottom, level) - (window.top >> level),
+        low_side(window.right, level) - (window.left >> level),
+    )
+    bands = {(band.name, band.level + level): band for band in list_subbands(*sides, LEVELS - level)}
+    for at, unit in zip(places, units, strict=True):
+        depth = unit.level or LEVELS
+        for place, name in zip(at, ("HL", "LH", "HH") if unit.level else ("LL",), strict=False):
+            if (band := bands.get((name, depth))) is None:
+                continue
+            place[0] = band.rows.start + unit.row - (window.top >> depth)
+            place[1] = band.columns.start + unit.column - (window.left >> depth)
+            place[2:] = band.rows.start, band.rows.stop, band.columns.start, band.columns.stop
+    return places
 
 
 @dataclass(frozen=True)

@@ -88,9 +88,7 @@ def _encode_blocks(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[
         out = device.empty(blocks_gbj[groups].shape, np.uint64, blocks_gbj[groups])
         source = device.upload(maps_khwc[maps])
         _launch(device, "encode_bc6h_gbj", out.shape[:2], source.shape, out, source)
-        fetched = device.download(out)
-        if not device.shares_memory:
-            blocks_gbj[groups] = fetched
+        device.fetch(out, blocks_gbj[groups])
     return blocks_gbj
 
 
@@ -103,11 +101,9 @@ def _decode_blocks(
         source = device.upload(blocks_gbj[groups])
         refused = device.empty(source.shape[:2], np.uint8)
         _launch(device, "decode_bc6h_khwc", source.shape[:2], out.shape, out, refused, source)
-        fetched = device.download(out)
         if device.download(refused).any():
             raise PayloadError("codec bc6h: a block has a mode that is not written here, or an infinite endpoint")
-        if not device.shares_memory:
-            maps_khwc[maps] = fetched
+        device.fetch(out, maps_khwc[maps])
     return blocks.from_maps(maps_khwc, shape)
 
 

@@ -15,6 +15,7 @@ from clrelight.codec.entropy.bitpack import pack_codes, packed_size, unpack_code
 from clrelight.codec.formats import cpca_search as search
 from clrelight.codec.padding import check_padding, least_bytes, pad_body
 from clrelight.codec.registry import Codec, register
+from clrelight.codec.slabs import slabs
 from clrelight.codec.transforms import vectors
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
@@ -133,7 +134,7 @@ class Cpca(Codec):
             raise PayloadError(f"codec cpca: a pixel is in cluster {cluster_p.max()} of {n_cluster}")
         codes_pr = unpack_codes(parts[5], n_pixel * n_axis, bits).reshape(n_pixel, n_axis)
         vectors_pd = np.empty((n_pixel, n_dim), np.float32)
-        for pixels in search.batches(n_pixel, n_dim):
+        for pixels in slabs(n_pixel, 4 * n_dim):
             for k in np.unique(cluster_p[pixels]):
                 members = pixels.start + np.flatnonzero(cluster_p[pixels] == k)
                 weights_pr = low_kr[k] + codes_pr[members] * step_kr[k]

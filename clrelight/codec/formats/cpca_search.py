@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.slabs import slabs
 from clrelight.codec.transforms.vectors import spread_sample
 
 SAMPLES = 16384
@@ -16,7 +16,6 @@ SAMPLES = 16384
 SEED_SAMPLES = 4096
 MEAN_PASSES, SAMPLE_PASSES, FULL_PASSES = 4, 12, 2
 POWER_STEPS = 2
-BATCH_VALUES = 1 << 24
 
 
 @dataclass
@@ -26,13 +25,6 @@ class Subspaces:
     means_kd: NDArray[np.float64]
     axes_krd: NDArray[np.float64]
     cluster_p: NDArray[np.intp]
-
-
-def batches(count: int, width: int) -> Iterator[slice]:
-    """Yield slices of `count` rows such that an array of `width` columns stays small."""
-    step = max(1, BATCH_VALUES // width)
-    for start in range(0, count, step):
-        yield slice(start, min(start + step, count))
 
 
 def fit_subspaces(vectors_pd: NDArray[np.float32], n_cluster: int, n_axis: int) -> Subspaces:
@@ -88,7 +80,7 @@ def _assign(model: Subspaces, vectors_pd: NDArray[np.float32], with_axes: bool =
     offsets_kr = (model.axes_krd @ means_kd[:, :, None])[:, :, 0].astype(np.float32)
     cluster_p = np.empty(len(vectors_pd), np.intp)
     residual_p = np.empty(len(vectors_pd))
-    for rows in batches(len(vectors_pd), n_cluster * (n_axis + 1) + n_dim):
+    for rows in slabs(len(vectors_pd), 4 * (n_cluster * (n_axis + 1) + n_dim)):
         centred_pd = vectors_pd[rows] - centre_d
         residual_pk = np.square(means_kd).sum(axis=1) - 2 * (centred_pd @ means_kd.T)
         if with_axes:

@@ -152,9 +152,7 @@ def convert(kernel: str, out_p: NDArray, values_p: NDArray, device: Device, *, c
         result = device.empty(out.shape, out.dtype, out)
         source = device.upload(values)
         launch_conversion(device, kernel, result, refused_j, source, clamp=clamp)
-        fetched = device.download(result)
-        if fetched is not out:
-            out[:] = fetched
+        device.fetch(result, out)
         refused |= bool(device.download(refused_j).any())
     return refused
 
@@ -165,11 +163,11 @@ def launch_conversion(
     """Queue ``encode_half_p`` or ``decode_half_p``; `refused_j` has one entry for each `STRETCH` values."""
     (stretches,) = refused_j.shape
     if device.style == "gpu":
-        file, group, defines = "gpu/codec/half.cl", _GROUP, {"STRETCH": STRETCH, "GROUP": _GROUP}
+        group, defines = _GROUP, {"STRETCH": STRETCH, "GROUP": _GROUP}
     else:
-        file, group, defines = "codec/half.cl", 1, {"VECTORS": STRETCH // 8}
+        group, defines = 1, {"VECTORS": STRETCH // 8}
     device.launch(
-        file,
+        "codec/half.cl",
         kernel,
         (stretches * group,),
         out_p,

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
 from clrelight.codec.bodies import Body, BodyWriter
+from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.units import MARGIN, PRECINCT
 from clrelight.codec.formats import klt_body
-from clrelight.codec.formats.klt_decode import UnitView, bytes_at_once, decode_rows
+from clrelight.codec.formats.klt_decode import UnitView, bytes_at_once
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, parse_body, parse_head
 from clrelight.codec.registry import PartsCodec, register
@@ -170,12 +171,11 @@ class Klt(PartsCodec):
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
         """See `Codec`."""
-        shape = target.shape
-        body = drop_ballast(body, shape)
-        if _is_in_units(body):
-            decode_rows(body, parse_body(body, shape), target, device, target.room.memory_bytes)
+        regions = cls.decode_regions(body, target.shape)
+        if regions is not None:
+            regions.put_rows(target, device)
             return
-        view, head = klt_body.decode_planes(body[:], shape, device)
+        view, head = klt_body.decode_planes(drop_ballast(body, target.shape)[:], target.shape, device)
         coeffs_khwc = view.to_coeffs(device)
         target.put_rows(0, radiance_of(coeffs_khwc, device) if head.transfer == "srgb" else coeffs_khwc)
 
@@ -191,10 +191,10 @@ class Klt(PartsCodec):
         return klt_body.decode_planes(content, shape, device)[0]
 
     @classmethod
-    def decode_regions(cls, body: Body, shape: Shape) -> UnitView | None:
+    def decode_regions(cls, body: Body, shape: Shape, damage: Damage | None = None) -> UnitView | None:
         """See `Codec`; None of old bodies."""
         body = drop_ballast(body, shape)
-        return UnitView(body, parse_body(body, shape), shape) if _is_in_units(body) else None
+        return UnitView(body, parse_body(body, shape), shape, damage) if _is_in_units(body) else None
 
 
 def _is_in_units(body: Body) -> bool:

@@ -6,12 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
+from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.units import MARGIN, PRECINCT, tile_sides
 from clrelight.codec.factored import finite_images
 from clrelight.codec.formats.klt_regions import UnitReader
+from clrelight.codec.formats.klt_salvage import Salvage
 from clrelight.codec.formats.klt_units import Parsed
 from clrelight.codec.rooms import Shape
+from clrelight.codec.slabs import SLAB_BYTES
 from clrelight.codec.streams import Target
 from clrelight.codec.transforms.code_values import bent, radiance_of
 from clrelight.codec.transforms.lifting import join_channels, padded_width
@@ -22,27 +25,11 @@ from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degree_of
 from clrelight.matmul import apply_operator, multiply_columns, pack_operator
 
-_PIECE_BYTES = 1 << 26
 _KEPT_BYTES = 1 << 26
 """Bytes of planes that a view keeps, for the lights that follow the first."""
 
 
-def decode_rows(body: Body, parsed: Parsed, target: Target, device: Device, memory: int) -> None:
-    """Put the coefficients of a body, strip by strip where planes of all of it pass a number of bytes."""
-    maker = _Maker(parsed, target.shape, device)
-    strips = Strips(UnitReader(body, parsed.stored, target.shape, device), target.shape, parsed.head.n_plane, memory)
-    for part in target.row_parts():
-        target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
-
-
-def decode_region(body: Body, parsed: Parsed, shape: Shape, region: Region, device: Device) -> NDArray[np.float32]:
-    """Return the coefficients of a part of an image, at a level; only units that it hangs on are read."""
-    reader = UnitReader(body, parsed.stored, shape, device)
-    return _Maker(parsed, shape, device).coefficients(planes_of(reader, region, parsed.head.n_plane))
-
-
-def planes_of(reader: UnitReader, region: Region, count: int) -> NDArray[np.float32]:
-    """Return the planes of a region, (count, height, width)."""
+def _planes_of(reader: UnitReader, region: Region, count: int) -> NDArray[np.float32]:
     return reader.planes(region) if count else np.zeros((0, *region.shape), np.float32)
 
 
@@ -60,7 +47,7 @@ class _Maker:
         count, height, width = planes_jyx.shape
         coeffs_khwc = np.empty((self._n_coeff, height, width, self._channel), np.float32)
         n_value, pitch = self._n_coeff * self._channel, padded_width(width)
-        step = max(_PIECE_BYTES // (4 * pitch * (2 * n_value + count)), 1)
+        step = max(SLAB_BYTES // (4 * pitch * (2 * n_value + count)), 1)
         for first in range(0, height, step):
             rows = slice(first, min(first + step, height))
             size = rows.stop - first
@@ -104,11 +91,11 @@ class Strips:
 
     def _decode(self, top: int, bottom: int) -> NDArray[np.float32]:
         if self._columns >= self._width:
-            return planes_of(self._reader, Region(top, 0, bottom, self._width), self._count)
+            return _planes_of(self._reader, Region(top, 0, bottom, self._width), self._count)
         planes_jyx = np.empty((self._count, bottom - top, self._width), np.float32)
         for left in range(0, self._width, self._columns):
             right = min(left + self._columns, self._width)
-            planes_jyx[:, :, left:right] = planes_of(self._reader, Region(top, left, bottom, right), self._count)
+            planes_jyx[:, :, left:right] = _planes_of(self._reader, Region(top, left, bottom, right), self._count)
         return planes_jyx
 
 
@@ -126,9 +113,9 @@ class UnitView:
     and become radiance then.
     """
 
-    def __init__(self, body: Body, parsed: Parsed, shape: Shape) -> None:
-        self._body, self._parsed, self._shape = body, parsed, shape
-        self._sums = PlaneSums(body, parsed.stored, shape)
+    def __init__(self, body: Body, parsed: Parsed, shape: Shape, damage: Damage | None = None) -> None:
+        self._parsed, self._shape = parsed, shape
+        self._planes = UnitPlanes(body, parsed.stored, shape, damage)
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
@@ -136,7 +123,13 @@ class UnitView:
 
     def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
         """Return those of a part, at its level."""
-        return decode_region(self._body, self._parsed, self._shape, region, device)
+        return _Maker(self._parsed, self._shape, device).coefficients(self._planes.of(region, device))
+
+    def put_rows(self, target: Target, device: Device) -> None:
+        """Put all coefficients, strip by strip."""
+        maker, strips = _Maker(self._parsed, self._shape, device), self._planes.strips(target.room.memory_bytes, device)
+        for part in target.row_parts():
+            target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
 
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""
@@ -150,7 +143,7 @@ class UnitView:
         count = self._parsed.head.n_plane
         sums = np.zeros((len(operator_mj), *region.shape), np.float32)
         if count:
-            sums = self._sums.of(region, operator_mj[:, :count], device)
+            sums = self._planes.sums(region, operator_mj[:, :count], device)
         with np.errstate(over="ignore"):  # what no encoder wrote: it is refused below
             sums += operator_mj[:, count, None, None].astype(np.float32)
         images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
@@ -159,17 +152,42 @@ class UnitView:
         return np.ascontiguousarray(finite_images(images))
 
 
-class PlaneSums:
-    """Sums of a body's planes times weights, of parts of the image."""
+class UnitPlanes:
+    """Planes of a body in units, and sums of them times weights, of parts of the image.
 
-    def __init__(self, body: Body, stored: Stored, shape: Shape) -> None:
+    Parameters
+    ----------
+    body : Body
+    stored : Stored
+        Where its streams lie.
+    shape : tuple of int
+        (n_coeff, height, width, channel).
+    damage : Damage, optional
+        Told of units that are damaged, where they are streams of their own; without it they are a PayloadError.
+    """
+
+    def __init__(self, body: Body, stored: Stored, shape: Shape, damage: Damage | None = None) -> None:
         self._body, self._stored, self._shape = body, stored, shape
+        self._salvage: Salvage | None = None
+        if damage is not None and stored.n_plane and not stored.together:
+            self._salvage = Salvage(shape, stored, damage)
         self._planes_jyx: NDArray[np.float32] | None = None  # of a small image, once they are asked for
 
-    def of(self, region: Region, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
+    def of(self, region: Region, device: Device) -> NDArray[np.float32]:
+        """Return the planes of a region, (count, height, width)."""
+        return _planes_of(self._reader(device), region, self._stored.n_plane)
+
+    def strips(self, memory: int, device: Device) -> Strips:
+        """Return what gives planes of all rows, in so many bytes."""
+        return Strips(self._reader(device), self._shape, self._stored.n_plane, memory)
+
+    def _reader(self, device: Device) -> UnitReader:
+        return UnitReader(self._body, self._stored, self._shape, device, self._salvage)
+
+    def sums(self, region: Region, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         """Return (n_sum, height, width), by whichever is less work: sums of wavelet coefficients, or planes first."""
         n_sum, count = operator_mj.shape
-        reader = UnitReader(self._body, self._stored, self._shape, device)
+        reader = self._reader(device)
         if region == reader.whole and 4 * count * region.shape[0] * region.shape[1] <= _KEPT_BYTES:
             if self._planes_jyx is None:
                 self._planes_jyx = reader.planes(region)

@@ -21,14 +21,7 @@ from clrelight.codec.formats.klt_trials import (
     list_pieces,
     search_step,
 )
-from clrelight.codec.formats.klt_units import (
-    HEAD_SIZE,
-    Head,
-    count_streams,
-    is_together,
-    pack_axes,
-    pack_body,
-)
+from clrelight.codec.formats.klt_units import HEAD_SIZE, Head, count_streams, is_together, pack_axes, pack_body
 from clrelight.codec.rooms import Progress
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
 from clrelight.codec.transforms.lifting import transform_planes
@@ -36,6 +29,7 @@ from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
 from clrelight.codec.transforms.whitening import Planes, reshaped, whitening_of, with_type
 from clrelight.errors import InputError
+from clrelight.memory import ARRAY_MEMORY
 
 PRICE = 0.12
 """Squared steps of error that a bit must save."""
@@ -73,7 +67,7 @@ class Encoder:
         pixels: Pixels,
         transfer: str,
         metric: str = RADIANCE,
-        memory: int = 1 << 30,
+        memory: int = ARRAY_MEMORY,
         progress: Progress = lambda done, total: None,
     ) -> None:
         self._progress = progress

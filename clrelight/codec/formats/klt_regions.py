@@ -1,4 +1,4 @@
-"""Which units of body 4 of the codec `klt` a region hangs on, and how they become its planes."""
+"""Which units of a body a region hangs on, and how they become its planes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,25 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
-from clrelight.codec.entropy.units import LEVELS, MARGIN, PRECINCT, Unit, Window, lay_out, list_units, low_side
+from clrelight.codec.entropy.units import (
+    LEVELS,
+    MARGIN,
+    PRECINCT,
+    Layout,
+    Unit,
+    Window,
+    lay_out,
+    list_units,
+    low_side,
+    place_units,
+)
+from clrelight.codec.formats.klt_salvage import Salvage
 from clrelight.codec.rooms import Shape
-from clrelight.codec.transforms.lifting import list_subbands, padded_width, transform_planes
-from clrelight.codec.transforms.whitening import with_type
+from clrelight.codec.transforms.lifting import padded_width, transform_planes
 from clrelight.codec.views import Region
 from clrelight.device import Device
 from clrelight.errors import PayloadError
+from clrelight.opencl.arguments import DeviceArray
 
 _AT_ONCE = 1 << 31
 """Bytes of planes that are decoded at once."""
@@ -34,10 +46,15 @@ class UnitReader:
     shape : tuple of int
         (n_coeff, height, width, channel).
     device : Device
+    salvage : Salvage, optional
+        Lets units be damaged.
     """
 
-    def __init__(self, body: Body, stored: Stored, shape: Shape, device: Device) -> None:
+    def __init__(
+        self, body: Body, stored: Stored, shape: Shape, device: Device, salvage: Salvage | None = None
+    ) -> None:
         self._body, self._stored, self._shape, self._device = body, stored, shape, device
+        self._salvage = salvage
         self._units = list_units(shape[1], shape[2])
 
     @property
@@ -56,17 +73,13 @@ class UnitReader:
     def _synthesised(self, region: Region, weight_jc: NDArray[np.float32] | None) -> NDArray[np.float32]:
         """Decode the units of a region, and transform their planes or sums back; part by part where they are many."""
         level = region.level
-        if (halves := self._halves(region)) is not None:
+        n_values = self._stored.n_plane if weight_jc is None else weight_jc.shape[1]
+        if (halves := self._halves(region, n_values)) is not None:
             parts = [self._synthesised(half, weight_jc) for half in halves]
             return np.concatenate(parts, axis=1 if halves[0].shape[1] == region.shape[1] else 2)
-        decoded, rooms = self._decode(region, weight_jc)
         window = _around(region, *self._shape[1:3])
-        values = self._device.hold(_crop(decoded, rooms, window, level))
+        values = self._decode(region, window, weight_jc)
         width = low_side(window.right, level) - (window.left >> level)
-        if values.dtype == np.int32:
-            count, *sides = values.shape
-            self._device.launch("codec/units_decode.cl", "value_indices", (*sides[::-1], count), values, *values.shape)
-            values = with_type(values, np.float32)
         if level < LEVELS:
             transform_planes("synthesise", values, width, LEVELS - level, self._device)
         found = self._device.download(values)
@@ -75,13 +88,16 @@ class UnitReader:
         # Every level of the transform doubles what is even: an image at a level is a mean.
         return np.ascontiguousarray(part) if not level else part * np.float32(0.5**level)
 
-    def _halves(self, region: Region) -> tuple[Region, Region] | None:
-        """Return two parts of a region whose planes of all levels, and of what lies around, a device may not hold."""
+    def _halves(self, region: Region, n_values: int) -> tuple[Region, Region] | None:
+        """Return two parts of a region whose values, and sizes of what lies around, a device may not hold."""
         top, left, bottom, right = region.top, region.left, region.bottom, region.right
         level, least = region.level, PRECINCT >> region.level
-        sides = [(side << level) + 2 * PRECINCT for side in region.shape]
-        count = max(self._stored.n_plane, 1)
-        fits = 4 * count * sides[0] * sides[1] <= min(_AT_ONCE, self._device.info.memory_bytes // 4)
+        values, known = (
+            [(side << level) + 2 * around >> depth for side in region.shape]
+            for around, depth in ((MARGIN, level), (PRECINCT, 1))
+        )
+        needed = 4 * n_values * values[0] * values[1] + self._stored.n_plane * known[0] * known[1]
+        fits = needed <= min(_AT_ONCE, self._device.info.memory_bytes // 4)
         if fits or self._stored.together or max(region.shape) <= least:
             return None
         if region.shape[0] >= region.shape[1]:
@@ -92,29 +108,51 @@ class UnitReader:
         middle = middle if left < middle < right else left + least
         return Region(top, left, bottom, middle, level), Region(top, middle, bottom, right, level)
 
-    def _decode(self, region: Region, weight_jc: NDArray[np.float32] | None) -> tuple[NDArray, Window]:
-        """Return indices, or sums, in a window of whole units; what the region needs is in them."""
+    def _decode(self, region: Region, window: Window, weight_jc: NDArray[np.float32] | None) -> DeviceArray:
+        """Return values of indices, or sums, in a window at the region's level; what the region needs is in them."""
         _, height, width, _ = self._shape
-        count = self._stored.n_plane
         together = self._stored.together
         chosen = list(range(len(self._units))) if together else self._needed(region)
+        cover = Window(0, 0, height, width) if together else _cover([self._units[t] for t in chosen], height, width)
+        self._stored.expect(self._body, self._stored.numbers(self._units, chosen))
+        if self._salvage is None:
+            numbers = self._stored.numbers(self._units, chosen)
+            values, fault_t, _ = self._run(chosen, cover, window, region.level, weight_jc)
+            if fault_t.any():
+                number = numbers[int(np.argmax(fault_t))]
+                raise PayloadError(f"unit {number} of the {self._stored.name} body cannot be decoded")
+            return values
+        while True:
+            kept = self._salvage.keep(chosen, self._body)
+            values, fault_t, layout = self._run(kept, cover, window, region.level, weight_jc)
+            if not fault_t.any():
+                return self._salvage.filled(values, window, chosen, self._body, self._device, weight_jc)
+            self._salvage.fault([kept[u] for u in layout.part_t4[fault_t != 0, 0]])
+
+    def _run(
+        self, chosen: list[int], cover: Window, window: Window, level: int, weight_jc: NDArray[np.float32] | None
+    ) -> tuple[DeviceArray, NDArray[np.int32], Layout]:
+        """Decode units into planes of a window at a level, or sums of them; return those, and which streams fail."""
+        _, height, width, _ = self._shape
+        stored, count = self._stored, self._stored.n_plane
         units = [self._units[t] for t in chosen]
-        window = Window(0, 0, height, width) if together else _cover(units, height, width)
-        pitch = padded_width(window.shape[1])
-        layout = lay_out(units, (height, width), window, pitch, together, self._stored.groups)
-        numbers = self._stored.numbers(self._units, chosen)
-        streams = [self._stored.read(self._body, t) for t in numbers]
+        sides = (
+            low_side(window.bottom, level) - (window.top >> level),
+            low_side(window.right, level) - (window.left >> level),
+        )
+        n_values = count if weight_jc is None else weight_jc.shape[1]
         # Memory that is not there before something is written to it.
-        index = self._device.hold(np.zeros((count, window.shape[0], pitch), np.int32))
-        sums = None
-        if weight_jc is not None:
-            sums = self._device.hold(np.zeros((weight_jc.shape[1], window.shape[0], pitch), np.float32))
-        coarse_jl = self._stored.coarse_jl
-        fault_t = decode_streams(self._device, layout, streams, default_tables(), index, sums, weight_jc, coarse_jl)
-        if fault_t.any():
-            number = numbers[int(np.argmax(fault_t))]
-            raise PayloadError(f"unit {number} of the {self._stored.name} body cannot be decoded")
-        return self._device.download(index if sums is None else sums), window
+        values = self._device.hold(np.zeros((n_values, sides[0], padded_width(sides[1])), np.float32))
+        known = (count, low_side(cover.shape[0], 1), low_side(cover.shape[1], 1))
+        layout = lay_out(units, (height, width), cover, known[-1], stored.together, stored.groups)
+        if not units:
+            return values, np.zeros(0, np.int32), layout
+        streams = [stored.read(self._body, t) for t in stored.numbers(self._units, chosen)]
+        places, tables = place_units(units, height, width, window, level), default_tables()
+        fault_t = decode_streams(
+            self._device, layout, places, streams, tables, values, known, weight_jc, stored.coarse_jl
+        )
+        return values, fault_t, layout
 
     def _needed(self, region: Region) -> list[int]:
         """Return the numbers of the units that a region's samples hang on."""
@@ -154,31 +192,3 @@ def _around(region: Region, height: int, width: int) -> Window:
     bottom = min(-(-((region.bottom << region.level) + MARGIN) // least) * least, height)
     right = min(-(-((region.right << region.level) + MARGIN) // least) * least, width)
     return Window(top, left, bottom, right)
-
-
-def _crop(decoded: NDArray, held: Window, wanted: Window, level: int) -> NDArray:
-    """Return the subbands of a window from those of another, down to a level; zeros where there are none."""
-    if held == wanted and level == 0:
-        return decoded
-    height = low_side(wanted.bottom, level) - (wanted.top >> level)
-    width = low_side(wanted.right, level) - (wanted.left >> level)
-    result = np.zeros((len(decoded), height, padded_width(width)), decoded.dtype)
-    source = {(band.name, band.level): band for band in list_subbands(*held.shape, LEVELS)}
-    for band in list_subbands(height, width, LEVELS - level):
-        depth = band.level + level
-        found = source.get((band.name, depth))
-        if found is None:
-            continue
-        from_rows, to_rows = _overlap(found.rows, held.top >> depth, band.rows, wanted.top >> depth)
-        from_columns, to_columns = _overlap(found.columns, held.left >> depth, band.columns, wanted.left >> depth)
-        result[:, to_rows, to_columns] = decoded[:, from_rows, from_columns]
-    return result
-
-
-def _overlap(held: slice, held_first: int, wanted: slice, wanted_first: int) -> tuple[slice, slice]:
-    """Return which part of one range is which part of another, both beginning at numbers of one count."""
-    first = max(held_first, wanted_first)
-    end = min(held_first + held.stop - held.start, wanted_first + wanted.stop - wanted.start)
-    count = max(end - first, 0)
-    start, place = held.start + first - held_first, wanted.start + first - wanted_first
-    return slice(start, start + count), slice(place, place + count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from clrelight.codec.entropy.units import Layout, Tile, Window
 from clrelight.codec.transforms.principal import Axes
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
+from clrelight.search import search_falling
 
 _WHOLE = 1 << 19
 """Pixels up to which a map is tried as a whole; of larger ones, pieces."""
@@ -79,36 +81,24 @@ def search_step(
 ) -> float:
     """Return the logarithm of a step whose bytes come nearest to a budget from below, or of the coarsest one.
 
-    A secant in logarithms of step and size, kept in its bracket; it ends where the part of the budget that is used is
-    the first of `aims` or more, and aims at the second.
+    It ends where the part of the budget that is used is the first of `aims` or more, and aims at the second.
     """
-    fine, coarse = bounds
-    target = aims[1] * max(budget, 1)
-    place = min(max(place, fine), coarse)
-    tried: list[tuple[float, float]] = []
-    for _ in range(_MAX_TRIALS):
-        size = max(count(place), 1.0)
-        tried.append((place, size))
-        if size > budget:
-            fine = max(fine, place)
-        else:
-            coarse = min(coarse, place)
-            if size >= aims[0] * budget:
-                break
-        if coarse - fine < 1e-4:
-            if coarse == bounds[1] and place != coarse:
-                tried.append((coarse, max(count(coarse), 1.0)))
-            break
-        near = sorted(tried, key=lambda pair: abs(np.log(pair[1] / target)))[:2]
-        slope = -0.8
-        if len(near) == 2 and near[0][1] != near[1][1]:
-            slope = (near[1][0] - near[0][0]) / float(np.log(near[1][1]) - np.log(near[0][1]))
+    aim, limit = math.log(aims[1] * max(budget, 1)), math.log(budget) if budget > 0 else -math.inf
+    tried = search_falling(
+        lambda place: math.log(max(count(place), 1.0)),
+        place,
+        bounds,
+        aim,
+        limit=limit,
+        is_enough=lambda size: limit + math.log(aims[0]) <= size <= limit,
+        expect=lambda place, size: place - 0.8 * (aim - size),
         # In logarithms of 2 a step's bytes fall by a power between 0.3 and 3.
-        place = near[0][0] + min(max(slope, -4.8), -0.48) * float(np.log(target) - np.log(near[0][1]))
-        if not fine < place < coarse:
-            place = (fine + coarse) / 2.0
-    below = [pair for pair in tried if pair[1] <= budget]
-    return max(below, key=lambda pair: pair[1])[0] if below else min(tried, key=lambda pair: pair[1])[0]
+        slopes=(-4.8, -0.48),
+        most=_MAX_TRIALS,
+        width=1e-4,
+    )
+    below = [trial for trial in tried if trial[1] <= limit]
+    return (max(below, key=lambda trial: trial[1]) if below else min(tried, key=lambda trial: trial[1]))[0]
 
 
 def list_pieces(height: int, width: int, count: int, memory: int) -> list[Window]:
@@ -137,24 +127,24 @@ def foretell(rows: list[int], of_pixel: NDArray[np.float64], tiles: list[Tile]) 
 
 def fill_by_price(encode: Callable[[float], Coded], left: float, price: float) -> tuple[Coded, float]:
     """Return what is coded at the price that fills the bytes left best, and that price; fewest bytes if none does."""
-    tried: list[tuple[float, Coded]] = []
-    for _ in range(_MAX_LAST):
-        coded = encode(price)
-        tried.append((price, coded))
-        if _LEAST_LAST * left <= coded.size <= left:
-            break
-        near = sorted(tried, key=lambda each: abs(np.log(each[1].size / max(left, 1.0))))[:2]
-        power = PRICE_POWER
-        if len(near) == 2 and near[0][1].size != near[1][1].size and near[0][0] != near[1][0]:
-            power = -float(np.log(near[0][1].size / near[1][1].size) / np.log(near[0][0] / near[1][0]))
-            power = min(max(power, 0.1), 2.0)
-        aim = (1.0 + _LEAST_LAST) / 2.0 * max(left, 1.0)
-        price = min(max(near[0][0] * (near[0][1].size / aim) ** (1.0 / power), PRICES[0]), 2 * PRICES[1])
-        if price in [each[0] for each in tried]:
-            break
-    below = [each for each in tried if each[1].size <= left]
-    if below:
-        price, coded = max(below, key=lambda each: each[1].size)
-    else:
-        price, coded = min(tried, key=lambda each: each[1].size)
-    return coded, price
+    tried: list[tuple[Coded, float]] = []
+
+    def measure(place: float) -> float:
+        tried.append((encode(math.exp(place)), math.exp(place)))
+        return math.log(max(tried[-1][0].size, 1.0))
+
+    limit = math.log(max(left, 1.0))
+    aim = limit + math.log((1.0 + _LEAST_LAST) / 2.0)
+    search_falling(
+        measure,
+        math.log(price),
+        (math.log(PRICES[0]), math.log(2 * PRICES[1])),
+        aim,
+        limit=limit,
+        is_enough=lambda _: _LEAST_LAST * left <= tried[-1][0].size <= left,
+        expect=lambda place, size: place - (aim - size) / PRICE_POWER,
+        slopes=(-10.0, -0.5),
+        most=_MAX_LAST,
+        width=1e-4,
+    )
+    return min(tried, key=lambda each: (each[0].size > left, abs(each[0].size - left)))

@@ -81,9 +81,7 @@ def _encode_blocks(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[
         out = device.empty(blocks_gjb[groups].shape, np.uint32, blocks_gjb[groups])
         source = device.upload(maps_khwc[maps])
         _launch(device, "encode_s3tc_gjb", out, source, source.shape)
-        fetched = device.download(out)
-        if not device.shares_memory:
-            blocks_gjb[groups] = fetched
+        device.fetch(out, blocks_gjb[groups])
     return blocks_gjb
 
 
@@ -94,9 +92,7 @@ def _decode_blocks(
     for groups, maps in group_slabs(shape):
         out = device.empty(maps_khwc[maps].shape, np.float32, maps_khwc[maps])
         _launch(device, "decode_s3tc_khwc", out, device.upload(blocks_gjb[groups]), out.shape)
-        fetched = device.download(out)
-        if not device.shares_memory:
-            maps_khwc[maps] = fetched
+        device.fetch(out, maps_khwc[maps])
     return from_maps(maps_khwc, shape)
 
 

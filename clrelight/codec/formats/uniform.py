@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body, BodyWriter
+from clrelight.codec.entropy.bitpack import packed_size
 from clrelight.codec.formats import uniform_search as search
 from clrelight.codec.rate.noise import Noise, sample_columns, second_moments
 from clrelight.codec.registry import PartsCodec, register
@@ -55,7 +56,7 @@ class Uniform(PartsCodec):
         n_coeff, n_value = source.shape[0], math.prod(source.shape[1:])
         quantiser = self._choose_quantiser(source)
         table = bytes([self.bits]) + quantiser.low_k.tobytes() + quantiser.step_k.tobytes()
-        body.reserve(len(table) + -(-n_coeff * n_value * self.bits // 8))
+        body.reserve(len(table) + packed_size(n_coeff * n_value, self.bits))
         body.write(0, np.frombuffer(table, np.uint8))
         at, entropy, left_p = len(table), 0.0, np.empty(0, np.uint16)
         for part in source.map_parts():
@@ -68,7 +69,8 @@ class Uniform(PartsCodec):
             # What does not fill whole bytes waits for the next part.
             whole = codes_p.size if part.stop == n_coeff else codes_p.size // 8 * 8
             if whole:
-                packed_b = _pack(codes_p[:whole], self.bits, source.device)
+                packed_b = np.empty(packed_size(whole, self.bits), np.uint8)
+                _repack("pack_uniform_b", packed_b, codes_p[:whole], self.bits, source.device)
                 body.write(at, packed_b)
                 at += packed_b.size
             left_p = codes_p[whole:].copy()
@@ -105,7 +107,7 @@ class Uniform(PartsCodec):
         bits = body[:1][0] if len(body) else 0
         if not 1 <= bits <= MAX_BITS:
             raise PayloadError(f"codec uniform: the body must start with a bit count from 1 to {MAX_BITS}")
-        expected = 1 + 8 * n_coeff + -(-math.prod(target.shape) * bits // 8)
+        expected = 1 + 8 * n_coeff + packed_size(math.prod(target.shape), bits)
         if len(body) != expected:
             raise PayloadError(
                 f"codec uniform: {bits} bits and shape {target.shape} take {expected} bytes, got {len(body)}"
@@ -141,46 +143,34 @@ def _map_values(
         out = device.empty(out_kp[maps].shape, out_kp.dtype, out_kp[maps])
         arrays = [device.upload(a[maps]) for a in (values_kp, quantiser.scaled_low_k, quantiser.scaled_step_k, scale_k)]
         search.launch(device, kernel, bits, values_kp.shape[1], len(values_kp[maps]), out, *arrays, values_kp.shape[1])
-        fetched = device.download(out)
-        if not device.shares_memory:
-            out_kp[maps] = fetched
+        device.fetch(out, out_kp[maps])
     return out_kp
 
 
-def _pack(codes_p: NDArray[np.uint16], bits: int, device: Device) -> NDArray[np.uint8]:
-    packed_b = np.empty(-(-codes_p.size * bits // 8), np.uint8)
-    for eights in slabs(-(-codes_p.size // 8), 16):
-        codes = codes_p[8 * eights.start : 8 * eights.stop]
-        target = packed_b[bits * eights.start : bits * eights.stop]
-        out = device.empty(target.shape, np.uint8, target)
-        source = device.upload(codes)
-        search.launch(device, "pack_uniform_b", bits, codes.size, 1, out, source, target.size, codes.size)
-        fetched = device.download(out)
-        if not device.shares_memory:
-            target[:] = fetched
-    return packed_b
+def _repack(kernel: str, out: NDArray, source: NDArray, bits: int, device: Device) -> NDArray:
+    """Fill and return `out` with packed bytes from codes, or the other way."""
 
+    def part(array: NDArray, eights: slice) -> NDArray:
+        each = bits if array.dtype == np.uint8 else 8
+        return array[each * eights.start : each * eights.stop]
 
-def _unpack(packed_b: NDArray[np.uint8], count: int, bits: int, device: Device) -> NDArray[np.uint16]:
-    codes_p = np.empty(count, np.uint16)
+    count = max(out, source, key=lambda array: array.itemsize).size
     for eights in slabs(-(-count // 8), 16):
-        target = codes_p[8 * eights.start : 8 * eights.stop]
-        packed = packed_b[bits * eights.start : bits * eights.stop]
-        out = device.empty(target.shape, np.uint16, target)
-        source = device.upload(packed)
-        search.launch(device, "unpack_uniform_p", bits, target.size, 1, out, source, packed.size, target.size)
-        fetched = device.download(out)
-        if not device.shares_memory:
-            target[:] = fetched
-    return codes_p
+        arrays = target, held = part(out, eights), part(source, eights)
+        n_byte, n_code = (array.size for array in sorted(arrays, key=lambda array: array.itemsize))
+        made = device.empty(target.shape, target.dtype, target)
+        search.launch(device, kernel, bits, n_code, 1, made, device.upload(held), n_byte, n_code)
+        device.fetch(made, target)
+    return out
 
 
 def _read_codes(body: Body, n_coeff: int, first: int, end: int, bits: int, device: Device) -> NDArray[np.uint16]:
     """Return codes `first` to `end` of all that a body holds behind its table."""
     start = first // 8 * 8  # there a byte begins
     table = 1 + 8 * n_coeff
-    packed = body[table + start * bits // 8 : table + -(-end * bits // 8)]
-    return _unpack(np.frombuffer(packed, np.uint8), end - start, bits, device)[first - start :]
+    packed = body[table + start * bits // 8 : table + packed_size(end, bits)]
+    codes_p = np.empty(end - start, np.uint16)
+    return _repack("unpack_uniform_p", codes_p, np.frombuffer(packed, np.uint8), bits, device)[first - start :]
 
 
 def _entropy(codes_p: NDArray[np.uint16]) -> float:

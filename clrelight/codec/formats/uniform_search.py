@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.slabs import round_up, slabs
+from clrelight.codec.transforms.vectors import golden_indices
 from clrelight.device import Device
 
 STRETCH = 4096
@@ -96,10 +97,10 @@ def choose_quantiser(coeffs_kp: NDArray[np.float32], bits: int, device: Device) 
     top = 2**bits - 1
     least_k, greatest_k = (f(coeffs_kp, axis=1).astype(np.float64) for f in (np.min, np.max))
     reach_k = np.maximum(np.abs(least_k), np.abs(greatest_k))
-    # Multiples of the golden ratio spread evenly over a map and follow no row or channel.
-    count = min(SAMPLES, coeffs_kp.shape[1])
-    index = (np.arange(count) * 0.6180339887498949 % 1.0 * coeffs_kp.shape[1]).astype(np.int64)
-    samples_kp = coeffs_kp if count == coeffs_kp.shape[1] else np.ascontiguousarray(coeffs_kp[:, index])
+    n_value = coeffs_kp.shape[1]
+    samples_kp = coeffs_kp
+    if n_value > SAMPLES:
+        samples_kp = np.ascontiguousarray(coeffs_kp[:, golden_indices(n_value, SAMPLES)])
     anchor_k = np.median(samples_kp.astype(np.float64), axis=1)
 
     def candidates(a_kj: NDArray[np.float64], b_kj: NDArray[np.float64]) -> Quantiser:
@@ -142,20 +143,20 @@ def measure_distortion(
 
 
 def launch(device: Device, kernel: str, bits: int, count: int, n_map: int, *arguments: object) -> None:
-    """Launch a kernel of ``uniform.cl`` over `count` values of each of `n_map` maps."""
+    """Launch a kernel of ``uniform.cl``, or of ``uniform_codes.cl``, over `count` values of each of `n_map` maps."""
     packs = kernel.startswith(("pack", "unpack"))
-    file, stretch, group, items = "codec/uniform.cl", STRETCH, 1, -(-count // STRETCH)
+    stretch, group, items = STRETCH, 1, -(-count // STRETCH)
     extra: dict[str, int] = {}
     if device.style == "gpu":
         group = _GROUP
         if packs:
             stretch, items = _PACKED, -(-count // _PACKED)
         else:
-            file, extra = "gpu/codec/uniform.cl", {"GROUP": _GROUP}
+            extra = {"GROUP": _GROUP}
             items = items * _GROUP if kernel.startswith("measure") else count
     across = round_up(items, group)
     device.launch(
-        file,
+        "codec/uniform_codes.cl" if packs else "codec/uniform.cl",
         kernel,
         (across,) if packs else (across, n_map),
         *arguments,

@@ -10,11 +10,12 @@ import numpy as np
 
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
 from clrelight.codec.bodies import Body, BodyWriter
+from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.units import MARGIN, PRECINCT
 from clrelight.codec.formats.wavelet_encode import Encoder
 from clrelight.codec.formats.wavelet_old import decode_maps
 from clrelight.codec.formats.wavelet_units import LEAST_STREAM, is_in_units, parse_body, table_bytes
-from clrelight.codec.formats.wavelet_view import WaveletView, decode_rows
+from clrelight.codec.formats.wavelet_view import WaveletView
 from clrelight.codec.rate.noise import Noise
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.rooms import Shape
@@ -102,11 +103,11 @@ class Wavelet(PartsCodec):
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
         """See `Codec`."""
-        content = drop_ballast(body, target.shape)
-        if is_in_units(content):
-            decode_rows(content, target, device)
+        regions = cls.decode_regions(body, target.shape)
+        if regions is not None:
+            regions.put_rows(target, device)
         else:
-            decode_maps(content[:], target, device)
+            decode_maps(drop_ballast(body, target.shape)[:], target, device)
 
     @classmethod
     def decode_view(cls, body: Body, shape: Shape, device: Device) -> WaveletView | None:
@@ -114,7 +115,7 @@ class Wavelet(PartsCodec):
         return cls.decode_regions(body, shape)
 
     @classmethod
-    def decode_regions(cls, body: Body, shape: Shape) -> WaveletView | None:
+    def decode_regions(cls, body: Body, shape: Shape, damage: Damage | None = None) -> WaveletView | None:
         """See `Codec`; None of old bodies."""
         content = drop_ballast(body, shape)
-        return WaveletView(content, *parse_body(content, shape), shape) if is_in_units(content) else None
+        return WaveletView(content, *parse_body(content, shape), shape, damage) if is_in_units(content) else None

@@ -6,28 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
+from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.factored import finite_images
-from clrelight.codec.formats.klt_decode import PlaneSums, Strips, planes_of
-from clrelight.codec.formats.klt_regions import UnitReader
+from clrelight.codec.formats.klt_decode import UnitPlanes
 from clrelight.codec.formats.wavelet_planes import planes_to_maps
-from clrelight.codec.formats.wavelet_units import ABSENT, Tables, parse_body, step_of
+from clrelight.codec.formats.wavelet_units import ABSENT, Tables, step_of
 from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Target
 from clrelight.codec.views import Region
 from clrelight.device import Device
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degree_of
-
-
-def decode_rows(body: Body, target: Target, device: Device) -> None:
-    """Put the coefficients of a body, strip by strip where planes of all of it pass what the target's room allows."""
-    tables, stored = parse_body(body, target.shape)
-    maker = _Maker(tables, target.shape[3], device)
-    reader = UnitReader(body, stored, target.shape, device)
-    strips = Strips(reader, target.shape, stored.n_plane, target.room.memory_bytes)
-    for part in target.row_parts():
-        target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
 
 
 class _Maker:
@@ -63,9 +53,9 @@ class WaveletView:
     See `clrelight.codec.views.Regions`.
     """
 
-    def __init__(self, body: Body, tables: Tables, stored: Stored, shape: Shape) -> None:
-        self._body, self._tables, self._stored, self._shape = body, tables, stored, shape
-        self._sums = PlaneSums(body, stored, shape)
+    def __init__(self, body: Body, tables: Tables, stored: Stored, shape: Shape, damage: Damage | None = None) -> None:
+        self._tables, self._stored, self._shape = tables, stored, shape
+        self._planes = UnitPlanes(body, stored, shape, damage)
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
@@ -73,9 +63,14 @@ class WaveletView:
 
     def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
         """Return those of a part, at its level; only units that it hangs on are read."""
-        reader = UnitReader(self._body, self._stored, self._shape, device)
-        planes_jyx = planes_of(reader, region, self._stored.n_plane)
-        return _Maker(self._tables, self._shape[3], device).coefficients(planes_jyx)
+        return _Maker(self._tables, self._shape[3], device).coefficients(self._planes.of(region, device))
+
+    def put_rows(self, target: Target, device: Device) -> None:
+        """Put all coefficients, strip by strip."""
+        maker = _Maker(self._tables, self._shape[3], device)
+        strips = self._planes.strips(target.room.memory_bytes, device)
+        for part in target.row_parts():
+            target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
 
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""
@@ -90,6 +85,6 @@ class WaveletView:
         if count:
             operator_mj = _Maker(self._tables, channel, device).operator(basis_ik, count)
             with np.errstate(over="ignore", invalid="ignore"):  # what no encoder wrote: it is refused below
-                sums = self._sums.of(region, operator_mj, device)
+                sums = self._planes.sums(region, operator_mj, device)
             images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
         return np.ascontiguousarray(finite_images(images))

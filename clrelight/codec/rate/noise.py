@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from clrelight.codec.streams import Source
 from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.codec.transforms.vectors import golden_indices
 from clrelight.dataset import read_rows_into
+from clrelight.memory import PIECE_BYTES
 
 _SAMPLED_COLUMNS = 16384
 _SAMPLED_BLOCKS = 1024
-_MEASURED_BYTES = 1 << 24
-"""Of float64 coefficients that are measured at a time."""
-_GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def measure_image_error(coeffs_khwc: Any, decoded_khwc: Any) -> float:
     """
     n_coeff, height, width, channel = coeffs_khwc.shape
     forward_jk = hemisphere_metric(n_coeff, "singular").forward_jk
-    step = max(1, _MEASURED_BYTES // (8 * n_coeff * width * channel))
+    step = max(1, PIECE_BYTES // (8 * n_coeff * width * channel))
     total = 0.0
     for first in range(0, height, step):
         shape = (n_coeff, min(step, height - first), width, channel)
@@ -94,7 +93,7 @@ def sample_columns(source: Source) -> NDArray[np.float32]:
     """Return up to 16384 columns (n_coeff, 1, column, 1) that are spread evenly and follow no row or channel."""
     n_coeff, height, width, channel = source.shape
     count = height * width * channel
-    chosen = np.arange(count) if count <= _SAMPLED_COLUMNS else _spread(count, _SAMPLED_COLUMNS)
+    chosen = np.arange(count) if count <= _SAMPLED_COLUMNS else golden_indices(count, _SAMPLED_COLUMNS)
     sample_kp = np.empty((n_coeff, len(chosen)), np.float32)
     with source.rows() as parts:
         for first, coeffs_khwc in parts:
@@ -111,7 +110,7 @@ def sample_blocks(source: Source, side: int) -> NDArray[np.float32]:
     rows, columns = height // side, width // side
     if rows * columns <= _SAMPLED_BLOCKS:
         return source.whole()
-    y, x = np.divmod(_spread(rows * columns, _SAMPLED_BLOCKS), columns)
+    y, x = np.divmod(golden_indices(rows * columns, _SAMPLED_BLOCKS), columns)
     sample_kybxc = np.empty((n_coeff, side, len(y), side, channel), np.float32)
     with source.rows(side) as parts:
         for first, coeffs_khwc in parts:
@@ -121,8 +120,3 @@ def sample_blocks(source: Source, side: int) -> NDArray[np.float32]:
             blocks_bkyxc = whole[:, y[here] - first // side, :, x[here]]  # indices that a slice parts come first
             sample_kybxc[:, :, here] = blocks_bkyxc.transpose(1, 2, 0, 3, 4)
     return sample_kybxc.reshape(n_coeff, side, -1, channel)
-
-
-def _spread(count: int, wanted: int) -> NDArray[np.int64]:
-    # Multiples of the golden ratio spread evenly over any extent.
-    return (np.arange(wanted) * _GOLDEN % 1.0 * count).astype(np.int64)

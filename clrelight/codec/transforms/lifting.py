@@ -203,9 +203,8 @@ def _run_level(verb: str, planes: DeviceArray, scratch: DeviceArray, size: tuple
 
 
 def _launch(device: Device, kernel: str, global_size: tuple[int, ...], *arguments: object) -> None:
+    local_size = None
     if device.style == "gpu":
         across, *others = global_size
-        whole_groups = (round_up(across, _GROUP), *others)
-        device.launch("gpu/codec/wavelet.cl", kernel, whole_groups, *arguments, local_size=(_GROUP, 1, 1))
-    else:
-        device.launch("codec/wavelet.cl", kernel, global_size, *arguments)
+        global_size, local_size = (round_up(across, _GROUP), *others), (_GROUP, 1, 1)
+    device.launch("codec/wavelet.cl", kernel, global_size, *arguments, local_size=local_size)

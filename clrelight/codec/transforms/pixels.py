@@ -9,18 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.slabs import SLAB_BYTES
 from clrelight.codec.streams import Linear, Source
 from clrelight.codec.transforms.code_values import bend, code_values_of, node_matrices
 from clrelight.codec.transforms.lifting import padded_width, split_planes
 from clrelight.codec.transforms.whitening import Planes, Span, reshaped
 from clrelight.device import Device
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, sample_defines
+from clrelight.memory import PIECE_BYTES
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.streaming import Buffer
 
-_SAMPLE_BYTES, _DEPTH = 1 << 24, 64
-_PIECE_BYTES = 1 << 26
-"""Of values on their way, which pieces of a part go one after another."""
+_DEPTH = 64
 
 
 class Pixels:
@@ -68,7 +68,7 @@ class Pixels:
         last = pack_operator(device, chain.last.reshape(len(offset_j), -1))
         offset = device.upload(offset_j.astype(np.float32))
         row_bytes = 4 * width * (2 * chain.last.shape[1] * channel + len(offset_j))
-        step, curve = max(_PIECE_BYTES // row_bytes, 1), SampleCurve() if linear is None else linear.curve
+        step, curve = max(SLAB_BYTES // row_bytes, 1), SampleCurve() if linear is None else linear.curve
         for top in range(*rows, step):
             piece = (top, min(top + step, rows[1]))
             held = self._read(piece, columns) if linear is None else self._source.read_samples(piece, columns)
@@ -183,7 +183,7 @@ class _Fused:
         heights = [operator.heights_b for operator in packed if operator.heights_b is not None]
         offset = device.upload(offset_j.astype(np.float32))
         table = device.upload(curve.table(source.sample_type))
-        step = max(_SAMPLE_BYTES // (first.shape[1] * width * channel * source.sample_type.itemsize), 1)
+        step = max(PIECE_BYTES // (first.shape[1] * width * channel * source.sample_type.itemsize), 1)
         for top in range(*rows, step):
             piece = (top, min(top + step, rows[1]))
             samples = source.read_samples(piece, columns)

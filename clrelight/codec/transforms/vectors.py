@@ -40,5 +40,10 @@ def spread_sample(count: int, size: int) -> NDArray[np.intp]:
     """Return min(count, size) distinct indices below `count` in order, spread evenly but along no row or column."""
     if count <= size:
         return np.arange(count)
-    # Multiples of the golden ratio; what rounds to one index twice is taken once.
-    return np.unique((np.arange(size) * 0.6180339887498949 % 1.0 * count).astype(np.intp))
+    return np.unique(golden_indices(count, size))  # what rounds to one index twice is taken once
+
+
+def golden_indices(count: int, size: int) -> NDArray[np.int64]:
+    """Return `size` indices below `count`, all of them spread evenly and so are the first few; some may come twice."""
+    # Multiples of the golden ratio follow no row, column or channel.
+    return (np.arange(size) * 0.6180339887498949 % 1.0 * count).astype(np.int64)

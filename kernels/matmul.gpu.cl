@@ -1,4 +1,4 @@
-/* out = operator x source for GPUs, from 17 rows on: see matmul.cl for the arrays. Fewer rows: few_rows.cl.
+/* out = operator x source for GPUs, from 17 rows on: see matmul.cl for the arrays. Fewer rows: few_rows.gpu.cl.
  *
  *   packed_o    for each block of THREADS_Y ROWS operator rows, and each of size_i rounded up to DEPTH: one value of
  *               every row, thread by thread, filled up with zeros to a multiple of 4 (matmul_gpu.py packs it)

@@ -1,5 +1,4 @@
-/* Uniform quantisation for GPUs: see codec/uniform.cl for the equations and the arrays. Packing is that file's, with a
- * stretch of 8 codes to a work-item.
+/* Uniform quantisation for GPUs: see codec/uniform.cl for the equations and the arrays.
  *
  *   GROUP     work-items of a group, along p, a power of two that divides STRETCH
  *   STRETCH   coefficients that one entry of errors_kji is for

@@ -1,0 +1,77 @@
+"""Print what ``--metric perceptual`` of klt changes: PSNR, FLIP and CIEDE2000 at held-out lights.
+
+    python -m benchmarks.perceptual STACK.h5 ... [--markdown docs/codecs.md] [--picture FILE.png]
+
+Every fifth light is kept out. Standard errors are those of the lights that FLIP and CIEDE2000 are measured at; they are
+the same for both metrics, so that differences between metrics are far more certain than the figures themselves.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from benchmarks.pages import replace_block
+from benchmarks.quality_per_byte import HOLDOUT, Found, draw_ways
+from clrelight.cli.progress import progress_bar
+from clrelight.cli.tables import print_table
+from clrelight.codec.transforms.colour import METRICS
+from clrelight.dataset import LightStack
+from clrelight.device import open_device
+from clrelight.holdout import split_chosen
+from clrelight.jobs.decode import decode
+from clrelight.jobs.encode import encode
+from clrelight.jobs.fit import fit
+from clrelight.jobs.measure import measure
+from clrelight.store import open_stack
+
+RATES = (0.005, 0.02, 0.05)
+METHOD, DEGREE = "spectrum", 9
+BEGIN, END = "<!-- perceptual -->", "<!-- /perceptual -->"
+HEADERS = ["stack", "bit", "metric", "kB", "PSNR (dB)", "FLIP", "CIEDE2000"]
+
+
+def main() -> None:
+    """Measure the stacks named and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("stacks", nargs="+", metavar="STACK.h5")
+    parser.add_argument("--markdown", metavar="FILE", help=f"replace what stands between {BEGIN} and {END} there")
+    parser.add_argument("--picture", metavar="FILE.png", help="draw the first stack's metrics at the lowest rate")
+    arguments = parser.parse_args()
+    rows: list[list[str]] = []
+    with progress_bar("measuring") as bar:
+        for index, path in enumerate(arguments.stacks):
+            with open_stack(path) as stack:
+                rows += _rows(stack, arguments.picture if index == 0 else None)
+            bar(index + 1, len(arguments.stacks))
+    print_table(HEADERS, rows)
+    if arguments.markdown:
+        lines = ["| " + " | ".join(HEADERS) + " |", "|---|---:|---|" + "---:|" * 4]
+        lines += ["| " + " | ".join(row) + " |" for row in rows]
+        replace_block(Path(arguments.markdown), "\n".join(lines), BEGIN, END)
+
+
+def _rows(stack: LightStack, picture: str | None) -> list[list[str]]:
+    device = open_device()
+    fitted = fit(stack, METHOD, DEGREE, holdout=HOLDOUT, device=device)
+    rows, drawn = [], []
+    for rate in RATES:
+        for metric in METRICS:
+            encoded = encode(fitted, "klt", rate=rate, metric=metric, device=device)
+            found = measure(encoded, stack, perceptual=True, device=device)
+            seen = [
+                f"{found[f'{name}_holdout']:.{digits}f} ± {found[f'{name}_error_holdout']:.{digits}f}"
+                for name, digits in (("flip", 4), ("colour", 2))
+            ]
+            kilobytes, psnr = encoded.encoded_bytes, found["pooled_holdout"]
+            rows.append([stack.name, f"{rate:g}", metric, f"{kilobytes / 1000:.1f}", f"{psnr:.2f}", *seen])
+            if picture is not None and rate == RATES[0]:
+                drawn.append(Found(metric, kilobytes, psnr, decode(encoded, device=device)))
+    if picture is not None:
+        held = split_chosen(stack.directions_i3, HOLDOUT)[1]
+        draw_ways(picture, stack, int(held[len(held) // 2]), drawn)
+    return rows
+
+
+if __name__ == "__main__":
+    main()

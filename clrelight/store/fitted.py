@@ -1,0 +1,91 @@
+"""Fits and encodings alike, opened once, and read as far as they are needed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+from clrelight.codec.encoded import Encoded
+from clrelight.dataset import CoefficientMap, FitRecord
+from clrelight.errors import StoreFormatError
+from clrelight.store.encodings import body_of, encoded_of, stage_encoded
+from clrelight.store.fits import fit_of
+from clrelight.store.opening import Opened, opening, refusing
+from clrelight.store.schemas import ENCODED, FIT
+from clrelight.store.scratch import ScratchRoom
+
+
+@dataclass(frozen=True)
+class OpenFitted:
+    """An open file of one of the two kinds.
+
+    Attributes
+    ----------
+    notes : tuple of str
+        What is to be said of it.
+    """
+
+    _opened: Opened
+    notes: tuple[str, ...] = ()
+
+    @property
+    def is_encoded(self) -> bool:
+        """Whether it is an encoding."""
+        return self._opened.schema.kind == ENCODED.kind
+
+    @property
+    def traffic(self) -> Callable[[], dict[str, int]]:
+        """What says how much was fetched."""
+        return self._opened.place.traffic
+
+    def fit(self) -> CoefficientMap:
+        """Return the fit, whose arrays are read as they are indexed; StoreFormatError if it is not sound."""
+        with refusing(self._opened.path):
+            return fit_of(self._opened, self._opened.arrays.get)
+
+    def whole(self, room: ScratchRoom | None = None) -> tuple[Encoded, FitRecord]:
+        """Return the encoding and its record; where the payload is large for a room, in a file of that."""
+        if room is not None:
+            return stage_encoded(self._opened, room)
+        with refusing(self._opened.path):
+            return encoded_of(self._opened)
+
+    def parts(self, *, compared: bool = True) -> tuple[Encoded, FitRecord]:
+        """Return the same of a payload that is read as it is sliced, and not summed up; `compared` as of `body_of`."""
+        with refusing(self._opened.path):
+            body = body_of(self._opened, compared=compared)
+            return encoded_of(self._opened, body, compared=compared, summed=False)
+
+
+@contextmanager
+def open_fitted(path: str | os.PathLike, *kinds: str, salvage: bool = False) -> Iterator[OpenFitted]:
+    """Open a fit or an encoding, here or behind a URL.
+
+    Parameters
+    ----------
+    path : path
+    *kinds : str
+        ``"fit"``, ``"encoded"``; by default either.
+    salvage : bool
+        Open an encoding whose seal does not fit too, without it: HDF5's checksums of attributes and shapes must.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    StoreFormatError
+        If it is neither, or not sound.
+    """
+    wanted = kinds or (FIT.kind, ENCODED.kind)
+    notes: tuple[str, ...] = ()
+    with ExitStack() as stack:
+        try:
+            opened = stack.enter_context(opening(path, *wanted))
+        except StoreFormatError as error:
+            if not salvage:
+                raise
+            opened = stack.enter_context(opening(path, ENCODED.kind, trusting=True))
+            notes = (f"{str(error).partition(', so it is damaged')[0]}: it is read without them",)
+        yield OpenFitted(opened, notes)

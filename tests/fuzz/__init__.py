@@ -1,0 +1,1 @@
+"""Compiled decoders under libFuzzer: see `tests.fuzz.__main__`."""

@@ -1,0 +1,159 @@
+"""What harnesses are compiled with: the layouts and tables that launchers pass, and inputs to start from."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from clrelight.codec import codec_class, encode
+from clrelight.codec.entropy.subband_kernel import _TABLES, SubbandEncoder, _describe_place, _largest_batch
+from clrelight.codec.entropy.subbands import Statistics, code_indices
+from clrelight.codec.entropy.unit_streams import _WORK_BYTES, default_tables, encode_streams
+from clrelight.codec.entropy.units import LEVELS, PRECINCT, Layout, Window, lay_out, list_units
+from clrelight.codec.formats.klt_regions import _cover
+from clrelight.codec.transforms.lifting import list_subbands, padded_width
+
+SMALL = [
+    (1, 1),
+    (1, 2),
+    (2, 1),
+    (3, 3),
+    (8, 8),
+    (9, 17),
+    (16, 16),
+    (1, 70),
+    (33, 1),
+    (24, 40),
+    (47, 131),
+    (64, 64),
+    (70, 90),
+    (5, 1100),
+]
+"""Sides of images whose streams are fuzzed both as one and as many."""
+LARGE = [(560, 580), (513, 512), (5, 60000)]
+"""Of images that are in units of their own, of which a region needs those of the last precinct."""
+MAPS = [(1, 1, 1, 1), (2, 2, 3, 1), (1, 1, 33, 5), (3, 9, 7, 2), (2, 16, 16, 3), (4, 12, 20, 2), (1, 40, 40, 5)]
+"""Channels, height, width and levels of maps of `wavelet` and `principal`."""
+
+
+@cache
+def unit_layouts() -> list[tuple[Layout, int, int]]:
+    """Return layouts, with the rows and the pitch of their planes."""
+    layouts = []
+    for height, width in SMALL:
+        window, pitch = Window(0, 0, height, width), padded_width(width)
+        for together in (True, False):
+            layouts.append((lay_out(list_units(height, width), height, width, window, pitch, together), height, pitch))
+    for height, width in LARGE:
+        units = list_units(height, width)
+        top, left = (height - 1) // PRECINCT * PRECINCT, (width - 1) // PRECINCT * PRECINCT
+        chosen = [u for u in units if u.row << (u.level or LEVELS) >= top and u.column << (u.level or LEVELS) >= left]
+        window = _cover(chosen, height, width)
+        pitch = padded_width(window.shape[1])
+        layouts.append((lay_out(chosen, height, width, window, pitch, False), window.shape[0], pitch))
+    return layouts
+
+
+def headers(harness: str) -> dict[str, str]:
+    """Return the headers that a harness includes, by name."""
+    if harness == "units.c":
+        return {"units_world.h": _units_header()}
+    if harness == "subbands.c":
+        return {"subbands_world.h": _subbands_header()}
+    return {}
+
+
+def _numbers(values: object) -> str:
+    return "{" + ",".join(map(str, np.asarray(values).ravel().tolist())) + "}"
+
+
+def _units_header() -> str:
+    tables, lines, entries = default_tables(), [], []
+    for number, (layout, rows, pitch) in enumerate(unit_layouts()):
+        n_unit, n_stream = len(layout.unit_uf), len(layout.first_t2)
+        lines.append(f"static const int unit_{number}[] = {_numbers(layout.unit_uf)};")
+        lines.append(f"static const int first_{number}[] = {_numbers(layout.first_t2)};")
+        most_planes = max(min(12, (1 << 15) // (rows * pitch)), 1)
+        entries.append(f"{{{n_unit},{n_stream},{rows},{pitch},{most_planes},unit_{number},first_{number}}}")
+    return "\n".join(
+        [
+            "typedef struct { int units, streams, rows, pitch, most_planes; const int *unit, *first; } layout_t;",
+            *lines,
+            f"static const layout_t layouts[] = {{{','.join(entries)}}};",
+            f"enum {{ LAYOUTS = {len(entries)}, UNIT_FIELDS = 19, WORK_SIZE = {_WORK_BYTES} }};",
+            f"static const uint16_t start_counts[] = {_numbers(tables.count_ms)};",
+            f"static const uint16_t start_flags[] = {_numbers(tables.flag_f2)};\n",
+        ]
+    )
+
+
+def _subbands_header() -> str:
+    lines, entries, statistics = [], [], Statistics()
+    for number, (channels, height, width, levels) in enumerate(MAPS):
+        bands = list_subbands(height, width, levels)
+        by_name = {(band.name, band.level): band for band in bands}
+        places = [_describe_place(band, by_name) for band in bands]
+        lines += [f"static const int place_{number}_{b}[] = {_numbers(place)};" for b, place in enumerate(places)]
+        names = ",".join(f"place_{number}_{b}" for b in range(len(places)))
+        sizes = ",".join(str(len(place)) for place in places)
+        most = max(map(_largest_batch, bands))
+        entries.append(f"{{{channels},{height},{width},{len(bands)},{most},{{{names}}},{{{sizes}}}}}")
+    counts, signs = statistics.magnitudes.counts, statistics.signs.counts
+    return "\n".join(
+        [
+            "typedef struct { int channels, height, width, bands, largest_batch; const int *place[20]; "
+            "int place_size[20]; } map_t;",
+            *lines,
+            f"static const map_t maps[] = {{{','.join(entries)}}};",
+            f"enum {{ MAPS = {len(entries)}, SUBBAND_TABLES = {_TABLES}, START_COUNTS = {counts.size} }};",
+            f"static const int64_t start_counts[] = {_numbers(counts)};",
+            f"static const int64_t start_signs[] = {_numbers(signs)};\n",
+        ]
+    )
+
+
+def seeds(name: str, device) -> list[bytes]:
+    """Return inputs of a target that hold what encoders made."""
+    if name == "units":
+        return _unit_seeds(device)
+    if name == "subbands":
+        return _subband_seeds(device)
+    codec = codec_class(name.split()[0])
+    rng = np.random.default_rng(0)
+    return [
+        bytes([k - 1, h - 1, w - 1])
+        + encode(rng.standard_normal((k, h, w, 1)).astype(np.float32), codec.from_config({}), device).body
+        for k, h, w in [(1, 1, 1), (4, 5, 9), (1, 16, 40), (4, 33, 70)]
+    ]
+
+
+def _unit_seeds(device) -> list[bytes]:
+    found = []
+    for number, (layout, rows, pitch) in enumerate(unit_layouts()):
+        for scale, planes in [(0.3, 3), (2.0, 1), (300.0, 2), (1e7, 1)]:
+            if rows * pitch * planes > 1 << 15:
+                continue
+            rng = np.random.default_rng(number)
+            values = np.clip(rng.laplace(size=(planes, rows, pitch)) * scale, -1e8, 1e8).astype(np.float32)
+            taken, index = device.empty(values.shape, np.float32, values), device.empty(values.shape, np.int32)
+            streams = encode_streams(device, layout, taken, index, default_tables(), 0.05).streams
+            for first in {0, len(streams) // 2, len(streams) - 1}:
+                # `units.c` multiplies by 37, modulo the number of streams, to reach those beyond 255.
+                at = next((i for i in range(256) if i * 37 % len(streams) == first), 0)
+                found.append(bytes([number, planes - 1, first % 4, scale > 1, 0, at, 0, first % 8]) + streams[first])
+    return [seed for seed in found if len(seed) <= 1024]
+
+
+def _subband_seeds(device) -> list[bytes]:
+    found = []
+    for number, (channels, height, width, levels) in enumerate(MAPS):
+        for scale in (0.3, 5.0, 1e4, 1e8):
+            rng = np.random.default_rng(number)
+            index = (
+                np.rint(rng.laplace(size=(channels, height, width)) * scale).clip(-(1 << 28), 1 << 28).astype(np.int32)
+            )
+            coder, bands = SubbandEncoder(device), list_subbands(height, width, levels)
+            code_indices(coder, Statistics(), bands, index.shape, index)
+            found.append(bytes([number]) + bytes([128]) * (channels - 1) + coder.to_bytes())
+    return found
