@@ -265,7 +265,7 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
         learn_due(work, due, 0);
     }
     note_low(work, rows, columns);
-    for (int y = 0; y < rows; ++y)
+    for (int y = 0; y < rows && !d->fault; ++y)
         for (int x = 0; x < columns; ++x)
             if (low[y * UNIT + x])
                 put(sink, y, x, low[y * UNIT + x]);
