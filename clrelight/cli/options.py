@@ -104,7 +104,7 @@ level_option = click.option(
 salvage_option = click.option(
     "--salvage",
     is_flag=True,
-    help="Take a damaged file (klt): what is damaged is named, and filled from what is left.",
+    help="Take a damaged file (klt, wavelet): what is damaged is named, and filled from what is left.",
 )
 
 
