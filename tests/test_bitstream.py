@@ -26,7 +26,7 @@ from tests.reference.payload import Refused, open_payload, without_ballast, with
 from tests.reference.s3tc import decode_s3tc
 from tests.reference.uniform import decode_uniform
 from tests.reference.vq import decode_vq
-from tests.reference.wavelet6 import decode_wavelet6
+from tests.reference.wavelet6 import decode_wavelet6, decode_wavelet7
 from tests.reference.wavelet_decoder import Learnt, decode_indices, decode_wavelet, prior_of
 
 ROOT = Path(__file__).resolve().parent
@@ -74,7 +74,8 @@ def decode_any_klt(body, shape):
 
 
 def decode_any_wavelet(body, shape):
-    return (decode_wavelet6 if body[:1] == b"\6" else decode_wavelet)(body, shape)
+    decoders = {6: decode_wavelet6, 7: decode_wavelet7}
+    return decoders.get(body[0], decode_wavelet)(body, shape)
 
 
 DECODERS = {
@@ -158,6 +159,25 @@ def test_wavelet(device, taken, degree, shape, options):
     np.testing.assert_array_equal(indices, index[..., : shape[1]])
     scale = np.abs(expected).max(axis=(1, 2, 3), keepdims=True)
     assert (np.abs(found - expected) <= 96 * EPS * scale).all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "options"),
+    [
+        ((4, 1, 1, 3), {"rate": 16.0}),
+        ((9, 1, 5, 1), {"rate": 9.0, "allocation": "global"}),
+        ((1, 1, 1, 1), {"rate": 60.0}),
+    ],
+)
+def test_wavelet_of_few_numbers(device, shape, options):
+    coeffs = smooth_map(round(shape[0] ** 0.5) - 1, shape[1:])
+    coeffs[-1] *= shape[0] == 1  # a map that is zero
+    encoded = encode(coeffs, codec_class("wavelet").from_config(options), device)
+    assert encoded.body[0] == 7
+    _, found = decode_wavelet7(encoded.body, shape)
+    np.testing.assert_array_equal(found.astype(np.float32), decode(encoded, device))
+    largest = np.abs(coeffs).max(axis=None if "allocation" in options else (1, 2, 3), keepdims=True)
+    assert (np.abs(found - coeffs) <= 2.0 ** (2 - encoded.body[1]) * largest).all()
 
 
 def test_a_wavelet_payload_has_all_that_the_page_says(device):

@@ -140,12 +140,12 @@ def test_extreme_magnitudes(device, magnitude):
 
 def test_single_pixel(device):
     coeffs = np.array([1.5, -0.25, 3e7, 0.0], np.float32).reshape(4, 1, 1, 1)
-    encoded = encode(coeffs, Wavelet(rate=160.0), device)
+    encoded = encode(coeffs, Wavelet(rate=64.0), device)
     np.testing.assert_allclose(decode(encoded.to_bytes(), device), coeffs, rtol=1e-6)
 
 
 def test_rate_below_the_side_tables_is_refused(device):
-    with pytest.raises(InputError, match="side tables alone take 68"):
+    with pytest.raises(InputError, match="side tables alone take 14"):
         encode(np.ones((1, 1, 1, 1), np.float32).repeat(4, 0), Wavelet(rate=4.0), device)
 
 

@@ -32,6 +32,7 @@ OPTIONS = {
     "wavelet.6": {"rate": 4.0},
     "wavelet.6.global": {"rate": 6.0, "allocation": "global"},
     "wavelet.6.fine": {"rate": 30.0},
+    "wavelet.7": {"rate": 9.0},
 }
 SHAPES = {
     "klt.3.srgb": (9, 13, 10, 3),
@@ -43,6 +44,7 @@ SHAPES = {
     "whitened.2": (169, 5, 6, 1),
     "wavelet.6": (9, 19, 21, 3),
     "wavelet.6.global": (9, 13, 10, 1),
+    "wavelet.7": (4, 5, 6, 1),
 }
 FOLDER = Path(__file__).resolve().parent
 

@@ -1,4 +1,4 @@
-"""Decode payloads of `wavelet`, body 6, by docs/bitstream.md, in Python's integers and float64."""
+"""Decode payloads of `wavelet`, bodies 6 and 7, by docs/bitstream.md, in Python's integers and float64."""
 
 import itertools
 import struct
@@ -52,6 +52,26 @@ def decode_wavelet6(body, shape):
         scaled = components * 2.0 ** ((codes[k] - 36000) / 200)
         coeffs[k] = np.clip(scaled, -FLOAT32_MAX, FLOAT32_MAX).transpose(1, 2, 0)
     return indices, coeffs
+
+
+def decode_wavelet7(body, shape):
+    """Return the numbers as they are written, and the coefficients (k, row, column, channel)."""
+    n, bits = shape[0], body[1]
+    exponents, each = [e - 256 if e > 127 else e for e in body[2 : 2 + n]], int(np.prod(shape[1:]))
+    require(body[0] == 7 and 2 <= bits <= 25 and -127 not in exponents and each <= 4096, "head")
+    kept = [k for k in range(n) if exponents[k] != -128]
+    content, count = body[2 + n :], len(kept) * each
+    require(len(content) == (count * bits + 7) // 8, "length")
+    spare = 8 * len(content) - count * bits
+    large = int.from_bytes(content, "big")
+    require(large & ((1 << spare) - 1) == 0, "bits behind the last number")
+    numbers = [large >> spare + (count - 1 - i) * bits & ((1 << bits) - 1) for i in range(count)]
+    require(all(number <= (1 << bits) - 2 for number in numbers), "number")
+    coeffs = np.zeros((n, each))
+    for m, k in enumerate(kept):
+        for p in range(each):
+            coeffs[k, p] = (numbers[m * each + p] - (1 << bits - 1) + 1) * 2.0 ** (exponents[k] + 2 - bits)
+    return numbers, coeffs.reshape(shape)
 
 
 def rotation_of(angles, channels):

@@ -13,6 +13,7 @@ from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.units import MARGIN, PRECINCT
 from clrelight.codec.formats.wavelet_encode import Encoder
+from clrelight.codec.formats.wavelet_few import MOST_BYTES, decode_few, encode_few, is_few, least_bytes
 from clrelight.codec.formats.wavelet_old import decode_maps
 from clrelight.codec.formats.wavelet_units import LEAST_STREAM, is_in_units, parse_body, table_bytes
 from clrelight.codec.formats.wavelet_view import WaveletView
@@ -46,6 +47,8 @@ class Wavelet(PartsCodec):
     too large for the rate are an InputError.
 
     Indices are chosen by what they cost, as in `klt`; units hold some maps each, so that regions are decoded alone.
+    Up to half a kilobyte each number may be written alone instead, where that leaves less error: tables and the
+    states of streams take tens of bytes.
     """
 
     id: ClassVar[str] = "wavelet"
@@ -73,15 +76,46 @@ class Wavelet(PartsCodec):
 
     def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`."""
-        shape = source.shape
-        content = self._encoder(source).encode()
-        body.write_all(add_ballast(content, shape, int(self.rate * math.prod(shape) / 8)))
+        few = self._encode_few(source)
+        try:
+            content = self._encoder(source).encode()
+        except InputError:
+            if few is None:
+                raise
+            content = few
+        if few is not None and self._loss(few, source) < self._loss(content, source):
+            content = few
+        body.write_all(add_ballast(content, source.shape, self._bound(source.shape)))
         return {}
+
+    def _bound(self, shape: Shape) -> int:
+        """Return the bytes asked for."""
+        return int(self.rate * math.prod(shape) / 8)
+
+    def _encode_few(self, source: Source) -> bytes | None:
+        """Return the body that holds each number alone, where so few are asked for that it may be better."""
+        budget = self._bound(source.shape)
+        return encode_few(source.whole(), budget, self.allocation == "map") if budget <= MOST_BYTES else None
+
+    def _loss(self, body: bytes, source: Source) -> float:
+        """Return squared errors of a body; those of every map as parts of its largest number, if maps are alike."""
+        exact_khwc = source.whole().astype(np.float64)
+        errors_kp = (self.decode_body(body, source.shape, source.device) - exact_khwc).reshape(len(exact_khwc), -1)
+        if self.allocation == "map":
+            largest_k = np.abs(exact_khwc).reshape(len(exact_khwc), -1).max(axis=1, keepdims=True)
+            errors_kp = errors_kp / np.where(largest_k > 0, largest_k, 1.0)
+        return float((errors_kp**2).sum())
 
     def predict_noise(self, source: Source) -> Noise:
         """See `Codec`; what is lost of a sample at the steps that trials find."""
-        errors_mcp, present_m = self._encoder(source).expect()
         n_coeff = source.shape[0]
+        try:
+            errors_mcp, present_m = self._encoder(source).expect()
+        except InputError:
+            if (few := self._encode_few(source)) is None:
+                raise
+            errors_mcp = decode_few(few, source.shape).astype(np.float64) - source.whole()
+            present_m = np.arange(n_coeff)
         moments_kk = np.zeros((n_coeff, n_coeff))
         if len(present_m):
             errors_mq = errors_mcp.reshape(len(present_m), -1)
@@ -91,9 +125,10 @@ class Wavelet(PartsCodec):
     def _encoder(self, source: Source) -> Encoder:
         """Return an encoder; InputError where tables alone pass the rate."""
         shape = source.shape
-        budget = int(self.rate * math.prod(shape) / 8) - ballast_overhead(shape)
+        budget = self._bound(shape) - ballast_overhead(shape)
         tables = table_bytes(shape[0]) + LEAST_STREAM
         if budget < tables:
+            tables = min(tables, least_bytes(shape))
             raise InputError(
                 f"{self.rate:g} bits per coefficient are too few for maps of shape {shape}: "
                 f"their side tables alone take {8.0 * tables / math.prod(shape):.4g}"
@@ -106,6 +141,8 @@ class Wavelet(PartsCodec):
         regions = cls.decode_regions(body, target.shape)
         if regions is not None:
             regions.put_rows(target, device)
+        elif is_few(body):
+            target.put_rows(0, decode_few(drop_ballast(body, target.shape)[:], target.shape))
         else:
             decode_maps(drop_ballast(body, target.shape)[:], target, device)
 
