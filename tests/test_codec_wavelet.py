@@ -88,6 +88,14 @@ def test_one_step_for_all_maps(device):
     assert np.mean((coeffs - decoded) ** 2) < np.mean((coeffs - fair) ** 2)
 
 
+def test_maps_of_noise_get_the_same_rate_where_bits_fall_off_a_cliff(device):
+    coeffs = np.random.default_rng(8).standard_normal((4, 67, 90, 1)).astype(np.float32)
+    found = decode(encode(coeffs, Wavelet(rate=1.0), device), device)
+    error = np.sqrt(((found - coeffs) ** 2).mean(axis=(1, 2, 3)))
+    assert error.max() < 1.1 * error.min()
+    assert error.max() < 0.7
+
+
 def decode_body(body, shape, device):
     return Wavelet.decode_body(body, shape, device)
 
@@ -119,7 +127,7 @@ def test_content_exhausted_below_the_rate(device):
     coeffs = np.full((4, 16, 16, 3), 0.3, np.float32)
     encoded = encode(coeffs, Wavelet(rate=8.0), device)
     assert encoded.bits_per_coefficient < 4.0
-    np.testing.assert_allclose(decode(encoded, device), coeffs, rtol=4e-6)
+    np.testing.assert_allclose(decode(encoded, device), coeffs, rtol=2.5e-6)
     nothing = encode(0.0 * coeffs, Wavelet(rate=8.0), device)
     assert nothing.encoded_bytes < 32
     assert (decode(nothing, device) == 0.0).all()

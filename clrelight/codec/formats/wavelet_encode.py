@@ -94,6 +94,7 @@ class Encoder:
         if not len(self._present):
             return pack_body(self._tables, [])
         self._find_steps()
+        self._steps.forget_bracket()
         for _ in range(_PASSES):
             size, bits_m = self._code_all(self._steps.codes())
             bits_m *= 8.0 * size / max(bits_m.sum(), 1.0)

@@ -11,6 +11,8 @@ _FINEST, _COARSEST = -21.0, 12.0
 """Logarithms of steps, in units of a map's power of two: no index of the finest passes what units hold."""
 _ENOUGH = 2000.0
 """Bits of a map from which on two trials tell how they hang on the step."""
+_NARROW = 0.02
+"""Octaves below which a bracket says nothing."""
 _BISECTIONS, _SAMPLES = 24, 1024
 _PROXY = 36.0
 """A magnitude of a steps is taken to cost about ``log2(1 + _PROXY a^2) / 2`` bits where sets of them are compared."""
@@ -35,6 +37,14 @@ class Steps:
         self._coarsest_m = exponent_m + _COARSEST
         self._log_m: NDArray[np.float64] = self._coarsest_m.astype(np.float64)
         self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._fine_m, self._coarse_m = self._no_bracket()
+
+    def _no_bracket(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return np.full(len(self._log_m), -np.inf), np.full(len(self._log_m), np.inf)
+
+    def forget_bracket(self) -> None:
+        """Forget between which steps maps took more bits than they should, and fewer: other parts are measured now."""
+        self._fine_m, self._coarse_m = self._no_bracket()
 
     def codes(self, shift: float = 0.0) -> NDArray[np.int64]:
         """Return the steps' codes, all coarser by some octaves, as far as they go."""
@@ -101,9 +111,22 @@ class Steps:
         off_m = np.log2(wanted_m / found_m)
         self._before = log_m, found_m
         moves_m: NDArray[np.float64] = np.clip(off_m / slope_m, -6.0, 6.0)
-        self._set(log_m + moves_m)
+        self._set(self._kept_between(log_m, log_m + moves_m, found_m > wanted_m))
         off_m[at_end_m & (off_m > 0)] = 0.0
         return float(np.abs(off_m).max())
+
+    def _kept_between(
+        self, log_m: NDArray[np.float64], next_m: NDArray[np.float64], too_many_m: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Return the next steps, in the middle of their bracket where they leave it: bits fall off a cliff to zeros."""
+        fine_m, coarse_m = self._fine_m, self._coarse_m
+        fine_m[too_many_m] = log_m[too_many_m]
+        coarse_m[~too_many_m] = log_m[~too_many_m]
+        stale_m = coarse_m - fine_m < _NARROW
+        fine_m[stale_m], coarse_m[stale_m] = -np.inf, np.inf
+        outside_m = ((next_m <= fine_m) | (next_m >= coarse_m)) & np.isfinite(fine_m) & np.isfinite(coarse_m)
+        middle_m = np.add(fine_m, coarse_m, out=next_m.copy(), where=outside_m)
+        return np.where(outside_m, middle_m / 2.0, next_m)
 
     def _set(self, log_m: NDArray[np.float64]) -> None:
         self._log_m = np.clip(log_m, self._finest_m, self._coarsest_m)
