@@ -21,7 +21,13 @@ import click
 import numpy as np
 
 from clrelight.codec import codec_class, codec_ids, decode, decode_view, encode
-from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, count_streams, pack_index
+from clrelight.codec.entropy.unit_index import pack_index
+from clrelight.codec.entropy.units import list_units
+from clrelight.codec.formats.inner import name_inner
+from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, count_streams
+from clrelight.codec.formats.wavelet_units import VERSION as WAVELET_VERSION
+from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.codec.transforms.whitening import AXES
 from clrelight.device import open_device
 from clrelight.errors import PayloadError
 from tests import campaign
@@ -29,7 +35,7 @@ from tests.campaign import Tally, bounded
 
 SHAPES = [(4, 5, 9, 3), (4, 6, 7, 1), (1, 6, 7, 1), (4, 1, 13, 2)]
 OPTIONS = {
-    "wavelet": [{"rate": 8.0}, {"rate": 14.0, "allocation": "global", "levels": 5}],
+    "wavelet": [{"rate": 8.0}, {"rate": 14.0, "allocation": "global"}, {"rate": 40.0}],
     "klt": [{"step": 0.05}, {"step": 0.002}, {"step": 0.03, "transfer": "srgb"}],
     "uniform": [{"bits": 7}, {"bits": 8}],
     "jpeg2000": [{"rate": 60.0}],
@@ -58,7 +64,7 @@ UNITS_CASES = [
     ((1, 600, 450, 3), {"rate": 0.02, "metric": "perceptual"}),
 ]
 """Shapes and settings: degrees 0 to 8, 1 to 4 channels; the last three have streams for each of many units."""
-WEIGHTS = {"wavelet": 2.5, "klt": 4.0, UNITS: 2.0, "whitened/wavelet": 1.5}
+WEIGHTS = {"wavelet": 2.5, "klt": 4.0, UNITS: 2.0, "whitened/wavelet": 3.0, "principal/wavelet": 1.5}
 """How often a family is taken beside the others, which count 1."""
 FREE_BYTES, BYTES_EACH = 1 << 28, 32
 """Address space that decoding may take, and for each coefficient claimed: eight float32 arrays."""
@@ -76,6 +82,8 @@ FROZEN = Path(__file__).resolve().parent / "frozen"
 RELIT = 3
 """Every so many payloads are relit too, by what needs no coefficients."""
 LIGHT = np.array([[0.0, 0.6, 0.8]])
+_SMALL_MAPS = (1, 4, 9)
+"""Coefficients of whitened maps whose inner checksums are mended."""
 
 
 def seal(payload):
@@ -88,17 +96,20 @@ def seal(payload):
 
 
 def seal_units(payload):
-    """Return `payload` with the checksums that a klt body of version 4 has inside, so that its units are decoded."""
+    """Return `payload` with the checksums that bodies in units have inside, so that its units are decoded."""
     at = 6 + payload[5] + 28 if len(payload) > 5 else len(payload)
-    body = payload[at:]
-    if payload[6 : at - 28] != b"klt" or len(body) < HEAD_SIZE or body[0] != VERSION:
+    body, name = payload[at:], payload[6 : at - 28]
+    if len(body) < HEAD_SIZE:
         return payload
     shape = struct.unpack_from("<4I", payload, at - 28)
-    count, tables = struct.unpack_from("<HxI", body, 8)
-    front = HEAD_SIZE + tables
-    if count == 0 or not 0 < shape[1] * shape[2] <= 1 << 20 or len(body) < front:
+    if name == b"whitened" and body[:8] == name_inner("wavelet") and shape[0] in _SMALL_MAPS:
+        at, body, name = at + 8, body[8:], b"wavelet"
+        shape = (hemisphere_metric(shape[0], AXES).inverse_kj.shape[1], *shape[1:])
+    fronts = {b"klt": _front_of_klt, b"wavelet": _front_of_wavelet}
+    front, count = fronts[name](body, shape) if name in fronts else (0, 0)
+    if front == 0 or not 0 < shape[1] * shape[2] <= 1 << 20 or len(body) < front:
         return payload
-    streams = _split_streams(body, front, count_streams(shape))
+    streams = _split_streams(body, front, count)
     if not streams:
         return payload
     index = pack_index(streams)
@@ -122,6 +133,25 @@ def _split_streams(body, place, count):
         streams.append(body[place : place + size])
         place += len(streams[-1])
     return [*streams, body[place:]]
+
+
+def _front_of_klt(body, shape):
+    """Return the bytes before the index of a klt body of version 4, and its streams; 0 where it is none."""
+    count, tables = struct.unpack_from("<HxI", body, 8)
+    return (HEAD_SIZE + tables, count_streams(shape)) if body[0] == VERSION and count else (0, 0)
+
+
+def _front_of_wavelet(body, shape):
+    """Return the bytes before the index of a wavelet body of version 6, and its streams; 0 where it is none."""
+    n_coeff, channel = shape[0], shape[3]
+    version, _, flags, group = struct.unpack_from("<BBBH", body)
+    if version != WAVELET_VERSION or not group or len(body) < 5 + 2 * n_coeff:
+        return 0, 0
+    count = sum(body[5 + 2 * k : 7 + 2 * k] != b"\xff\xff" for k in range(n_coeff))
+    rotations = (count if flags & 8 else 1) if flags & 4 else 0
+    angles = rotations * (channel * (channel - 1) // 2) * (2 if flags & 16 else 1)
+    front = 5 + 2 * n_coeff + angles + (5 * channel * count if flags & 2 else 0)
+    return (front, -(-count // group) * (1 if flags & 1 else len(list_units(*shape[1:3])))) if count else (0, 0)
 
 
 def _crc(content):

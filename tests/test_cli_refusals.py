@@ -115,7 +115,6 @@ ENCODES = [
     ("fit.h5 @o.h5 --codec wavelet --rate -1", "got -1"),
     ("fit.h5 @o.h5 --codec wavelet --rate nan", "got nan"),
     ("fit.h5 @o.h5 --codec wavelet --rate 1e-9", "too few"),
-    ("fit.h5 @o.h5 --codec wavelet --levels 99", "1 to 5, got 99"),
     ("fit.h5 @o.h5 --codec wavelet --allocation fair", "map, global, got 'fair'"),
     ("fit.h5 @o.h5 --codec half --bits 8", "codec half has no option 'bits'; it has: clamp"),
     ("fit.h5 @o.h5 --codec s3tc --clamp", "codec s3tc has no option 'clamp'; it has: none"),

@@ -2,12 +2,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-import clrelight.codec.formats.wavelet
-import clrelight.codec.rate.allocation
-from clrelight.codec import Encoded, Wavelet, decode, encode
-from clrelight.codec.entropy.range_coding import ModelSet
-from clrelight.codec.entropy.subband_kernel import decoder_for, encoder_for
+from clrelight.codec import Encoded, Wavelet, decode, decode_regions, encode
+from clrelight.codec.bodies import MemoryBody
+from clrelight.codec.rooms import BoundedRoom
+from clrelight.codec.streams import ArraySource, ArrayTarget
+from clrelight.codec.views import Region
 from clrelight.errors import InputError, PayloadError
+from clrelight.harmonics.basis import evaluate_basis
 
 
 def make_maps(shape, seed=0, scales=True):
@@ -87,44 +88,12 @@ def test_one_step_for_all_maps(device):
     assert np.mean((coeffs - decoded) ** 2) < np.mean((coeffs - fair) ** 2)
 
 
-def test_one_step_for_all_survives_a_coder_that_needs_more_than_was_counted(device, monkeypatch):
-    # Happens where contexts are many and symbols few; here every count is 2% short.
-    count_bits = ModelSet.count_bits
-    monkeypatch.setattr(ModelSet, "count_bits", lambda *arguments: 0.98 * count_bits(*arguments))
-    encoded = encode(make_maps((9, 64, 64, 3)), Wavelet(rate=0.5, allocation="global"), device)
-    assert 0.94 * 0.5 <= encoded.bits_per_coefficient <= 0.5
-
-
-def test_context_coding_beats_zero_order_entropy(device):
-    coeffs = make_maps((4, 96, 96, 3))
-    for rate in (0.3, 1.0, 4.0):
-        encoded = encode(coeffs, Wavelet(rate=rate), device)
-        assert encoded.bits_per_coefficient < 0.95 * encoded.info["entropy_bits"]
-
-
-def test_decoder_sees_the_encoders_indices(device, monkeypatch):
-    seen = {type(encoder_for(device)): [], type(decoder_for(b"", device)): []}
-    original = clrelight.codec.formats.wavelet.code_indices
-
-    def record(coder, *arguments):
-        index = original(coder, *arguments)
-        if type(coder) in seen:
-            seen[type(coder)].append(index.copy())
-        return index
-
-    monkeypatch.setattr(clrelight.codec.rate.allocation, "code_indices", record)
-    monkeypatch.setattr(clrelight.codec.formats.wavelet, "code_indices", record)
-    coeffs = make_maps((4, 23, 37, 3))
-    body = encode(coeffs, Wavelet(rate=3.0), device).body
-    first, second = decode_body(body, coeffs.shape, device), decode_body(body, coeffs.shape, device)
-    np.testing.assert_array_equal(first, second)
-    encoded, decoded = seen.values()
-    assert len(encoded) >= 4
-    assert len(decoded) == 8
-    # The encoder tries some maps at several steps: what is decoded are its runs in order, some left out.
-    runs = iter(encoded)
-    for index in decoded[:4]:
-        assert any(np.array_equal(run, index) for run in runs)
+def test_maps_of_noise_get_the_same_rate_where_bits_fall_off_a_cliff(device):
+    coeffs = np.random.default_rng(8).standard_normal((4, 67, 90, 1)).astype(np.float32)
+    found = decode(encode(coeffs, Wavelet(rate=1.0), device), device)
+    error = np.sqrt(((found - coeffs) ** 2).mean(axis=(1, 2, 3)))
+    assert error.max() < 1.1 * error.min()
+    assert error.max() < 0.7
 
 
 def decode_body(body, shape, device):
@@ -158,7 +127,7 @@ def test_content_exhausted_below_the_rate(device):
     coeffs = np.full((4, 16, 16, 3), 0.3, np.float32)
     encoded = encode(coeffs, Wavelet(rate=8.0), device)
     assert encoded.bits_per_coefficient < 4.0
-    np.testing.assert_allclose(decode(encoded, device), coeffs, rtol=1e-6)
+    np.testing.assert_allclose(decode(encoded, device), coeffs, rtol=2.5e-6)
     nothing = encode(0.0 * coeffs, Wavelet(rate=8.0), device)
     assert nothing.encoded_bytes < 32
     assert (decode(nothing, device) == 0.0).all()
@@ -184,22 +153,55 @@ def test_single_pixel(device):
 
 
 def test_rate_below_the_side_tables_is_refused(device):
-    with pytest.raises(InputError, match="side tables alone take 30"):
+    with pytest.raises(InputError, match="side tables alone take 14"):
         encode(np.ones((1, 1, 1, 1), np.float32).repeat(4, 0), Wavelet(rate=4.0), device)
 
 
-@pytest.mark.parametrize(
-    "options", [{"rate": 0.0}, {"rate": float("nan")}, {"rate": "4"}, {"allocation": "x"}, {"levels": 0}, {"levels": 9}]
-)
+@pytest.mark.parametrize("options", [{"rate": 0.0}, {"rate": float("nan")}, {"rate": "4"}, {"allocation": "x"}])
 def test_bad_options_are_refused(options):
     with pytest.raises(InputError, match="wavelet"):
         Wavelet.from_config(options)
 
 
-@pytest.mark.parametrize("levels", [1, 2, 4, 5])
-def test_other_levels(device, levels):
-    coeffs = make_maps((1, 33, 50, 3))
-    assert snr(coeffs, decode(encode(coeffs, Wavelet(rate=8.0, levels=levels), device), device)) > 40.0
+@pytest.mark.parametrize("rate", [0.2, 3.0])
+def test_regions_and_levels_are_those_of_the_whole(device, rate):
+    """Of a map whose units are streams of their own, and groups of maps too where the rate is high."""
+    coeffs = make_maps((9, 530, 540, 1))
+    encoded = encode(coeffs, Wavelet(rate=rate), device)
+    whole, view = decode(encoded, device), decode_regions(encoded)
+    part = view.coefficients(Region(300, 120, 340, 530), device)
+    np.testing.assert_allclose(part, whole[:, 300:340, 120:530], rtol=0, atol=2e-6 * np.abs(whole).max())
+    halved = view.coefficients(Region(10, 20, 60, 70, 1), device)
+    near = whole[:, 20:120, 40:140].reshape(9, 50, 2, 50, 2, 1).mean(axis=(2, 4))
+    assert snr(near, halved) > 10.0
+    light = np.array([[0.3, 0.1, 0.9]]) / np.linalg.norm([0.3, 0.1, 0.9])
+    weights = evaluate_basis(light, 2)
+    expected = np.tensordot(weights, whole, 1)
+    np.testing.assert_allclose(view.relight(light, device), expected, rtol=0, atol=1e-5 * np.abs(whole).max())
+
+
+def test_maps_of_many_tiles_meet_the_rate_too(device):
+    coeffs = make_maps((4, 700, 1100, 3))
+    source = ArraySource(coeffs, device)
+    source.room = BoundedRoom(16 << 20)
+    body = MemoryBody()
+    Wavelet(rate=0.5).encode_parts(source, body)
+    content = body.to_bytes()
+    assert 0.99 * 0.5 <= 8 * len(content) / coeffs.size <= 0.5
+    target = ArrayTarget(coeffs.shape)
+    target.room = BoundedRoom(16 << 20)
+    Wavelet.decode_parts(content, target, device)
+    found = target.coeffs()
+    np.testing.assert_array_equal(found, decode_body(content, coeffs.shape, device))
+    assert snr(coeffs, found) > 8.0
+
+
+def test_a_damaged_unit_is_named(device):
+    encoded = encode(make_maps((4, 40, 41, 3)), Wavelet(rate=3.0), device)
+    body = bytearray(encoded.body)
+    body[-20] ^= 4
+    with pytest.raises(PayloadError, match="the wavelet body is damaged, and all of its units are one stream"):
+        decode_body(bytes(body), encoded.shape, device)
 
 
 def test_hostile_bytes_never_crash(device):

@@ -10,9 +10,12 @@ import pytest
 import clrelight as cr
 from clrelight.codec import Encoded
 from clrelight.codec.encoded import header_size
+from clrelight.codec.entropy.unit_index import pack_index
 from clrelight.codec.entropy.units import list_units
+from clrelight.codec.formats import wavelet_draft
 from clrelight.codec.formats.klt_salvage import fill_smoothly
-from clrelight.codec.formats.klt_units import HEAD_SIZE, pack_index, parse_body
+from clrelight.codec.formats.klt_units import HEAD_SIZE, parse_body
+from clrelight.codec.formats.wavelet_units import parse_body as parse_wavelet
 from clrelight.dataset import FitRecord
 from clrelight.errors import InputError
 from clrelight.images import read_image
@@ -63,7 +66,7 @@ def streams_of(path):
         file["payload"].id.chunk_iter(lambda info: blocks.append((info.chunk_offset[0], info.byte_offset)))
     first = header_size(payload)
     parsed = parse_body(payload[first:], (4, HEIGHT, WIDTH, 1))
-    return first + parsed.start_t, sorted(blocks)
+    return first + parsed.stored.start_t, sorted(blocks)
 
 
 def damage(path, target, *numbers):
@@ -208,7 +211,7 @@ def test_a_stream_that_is_none_although_its_checksum_fits(sound):
     path, whole_khwc = sound
     encoded = cr.read_encoded(path)[0]
     parsed = parse_body(encoded.body, encoded.shape)
-    streams = [encoded.body[a:b] for a, b in zip(parsed.start_t[:-1], parsed.start_t[1:], strict=True)]
+    streams = [encoded.body[a:b] for a, b in zip(parsed.stored.start_t[:-1], parsed.stored.start_t[1:], strict=True)]
     for level in (0, 4):
         number, rows, columns = find_unit(level, 300, 600)
         forged = list(streams)
@@ -224,6 +227,40 @@ def test_a_stream_that_is_none_although_its_checksum_fits(sound):
         assert f"level {level or 'low'} damaged" in report.notes[0]
         away = outside(rows, columns, level or 5)
         np.testing.assert_array_equal(found_khwc[:, away], whole_khwc[:, away])
+
+
+@pytest.fixture(scope="module")
+def grouped():
+    """Return an encoding by wavelet whose planes are in two groups, and what it decodes to."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wavelet_draft, "_STREAM_BYTES", 1 << 8)
+        patch.setattr(wavelet_draft, "_GROUP", 2)
+        encoded = cr.encode(make_fit(HEIGHT, WIDTH), "wavelet", rate=0.5)
+    return encoded, cr.decode(encoded).coeffs_khwc
+
+
+@pytest.mark.parametrize("level", [0, 2])
+def test_a_unit_of_wavelet_is_lost_where_a_group_of_its_planes_is(grouped, level):
+    encoded, whole_khwc = grouped
+    stored = parse_wavelet(encoded.body, encoded.shape)[1]
+    assert stored.groups == [(0, 2), (2, 4)]
+    number, rows, columns = find_unit(level, 300, 600)
+    stream = stored.numbers(list_units(HEIGHT, WIDTH), [number])[1]
+    body = bytearray(encoded.body)
+    body[int(stored.start_t[stream] + stored.start_t[stream + 1]) // 2] ^= 0x10
+    broken = Encoded(encoded.codec, {}, encoded.shape, bytes(body), record=encoded.record)
+    with pytest.raises(InputError, match=f"unit {stream} of the wavelet body is damaged"):
+        cr.decode(broken)
+    report = cr.Report()
+    found_khwc = cr.decode(broken, salvage=True, report=report).coeffs_khwc
+    assert f"unit row {rows[0]}, column {columns[0]}, level {level or 'low'} damaged" in report.notes[0]
+    away = outside(rows, columns, level or 5)
+    np.testing.assert_array_equal(found_khwc[:, away], whole_khwc[:, away])
+    error = np.sqrt(np.mean((found_khwc - whole_khwc)[:, ~away] ** 2, axis=(1, 2)))
+    assert (error > 0).all()
+    assert error.max() < (0.06 if level else 0.35), error
+    relit = cr.relight(broken, LIGHT, salvage=True, report=cr.Report())
+    np.testing.assert_allclose(relit, cr.relight(encoded.record.to_map(found_khwc), LIGHT), atol=5e-6)
 
 
 def test_attributes_and_checksums_that_were_changed(sound, tmp_path):

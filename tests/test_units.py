@@ -13,7 +13,7 @@ from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_decode import UnitView
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_regions import UnitReader
-from clrelight.codec.formats.klt_units import parse_body, read_stream
+from clrelight.codec.formats.klt_units import parse_body
 from clrelight.codec.streams import ArraySource
 from clrelight.codec.transforms.lifting import padded_width
 from clrelight.codec.transforms.pixels import Pixels
@@ -30,8 +30,9 @@ def decode_region(body, parsed, shape, region, device):
 def code(device, values, *, together=True, price=0.0, tables=None):
     """Encode wavelet coefficients in steps, and return the streams with what they decode to and what was chosen."""
     tables = tables or default_tables()
-    _, height, width = values.shape
-    layout = lay_out(list_units(height, width), height, width, Window(0, 0, height, width), width, together)
+    count, height, width = values.shape
+    window, groups = Window(0, 0, height, width), [(0, count)]
+    layout = lay_out(list_units(height, width), (height, width), window, width, together, groups)
     taken = device.empty(values.shape, np.float32, np.ascontiguousarray(values, np.float32))
     index = device.empty(values.shape, np.int32)
     coded = encode_streams(device, layout, taken, index, tables, price)
@@ -46,7 +47,7 @@ def decode(device, streams, tables, found, together):
     count, *sides = found.shape
     units, window = list_units(*sides), Window(0, 0, *sides)
     known = tuple(low_side(side, 1) for side in sides)
-    layout = lay_out(units, *sides, window, known[1], together)
+    layout = lay_out(units, sides, window, known[1], together, [(0, count)])
     return decode_streams(device, layout, place_units(units, *sides, window), streams, tables, found, (count, *known))
 
 
@@ -200,7 +201,7 @@ def test_a_region_reads_few_units(device, large):
 @pytest.mark.parametrize("level", [1, 2, 5])
 def test_a_level_is_the_low_subband(device, large, level):
     coeffs, body, parsed = large
-    reader = UnitReader(body, parsed, coeffs.shape, device)
+    reader = UnitReader(body, parsed.stored, coeffs.shape, device)
     size = [-(-side >> level) for side in coeffs.shape[1:3]]
     planes = reader.planes(Region(0, 0, *size, level))
     transformed = device.download(reader._decode(Region(0, 0, 1100, 1300), Window(0, 0, 1100, 1300), None))
@@ -260,14 +261,14 @@ def test_no_budget_is_passed_by_a_byte(device):
 def read_all(body, shape):
     """Look at every byte of a body."""
     parsed = parse_body(body, shape)
-    for stream in range(len(parsed.sum_t)):
-        read_stream(body, parsed, stream)
+    for stream in range(len(parsed.stored.sum_t)):
+        parsed.stored.read(body, stream)
 
 
 def test_every_byte_is_guarded(device, large):
     coeffs, body, parsed = large
     rng = np.random.default_rng(0)
-    first = int(parsed.start_t[0])
+    first = int(parsed.stored.start_t[0])
     for at in [*range(0, first, 7), *rng.integers(first, len(body), 40)]:
         damaged = bytearray(body)
         damaged[at] ^= int(rng.integers(1, 256))
@@ -288,7 +289,7 @@ def test_units_lie_in_their_planes(seed):
     chosen = [reader._units[t] for t in reader._needed(Region(top, left, bottom, right, level))]
     window = klt_regions._cover(chosen, height, width)
     pitch = padded_width(window.shape[1])
-    fields = lay_out(chosen, height, width, window, pitch, seed % 2 == 0).unit_uf
+    fields = lay_out(chosen, (height, width), window, pitch, seed % 2 == 0, [(0, 1)]).unit_uf
     for unit in fields:
         most = 16 if unit[0] == 0 else 64
         for band in range(1 if unit[0] == 0 else 3):

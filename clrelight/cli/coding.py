@@ -52,7 +52,6 @@ from clrelight.cli.psnr import psnr_lines
 )
 @click.option("--bits", type=int, help="Bits per code (uniform, cpca), log2 of the codebook (vq); default 8.")
 @click.option("--allocation", help="How wavelet rates are shared: map (each alike) or global (one step for all).")
-@click.option("--levels", type=int, help="Levels of the wavelet transform (wavelet); default 3.")
 @click.option("--clusters", type=int, help="Clusters of pixels (cpca); default 16.")
 @click.option("--components", type=int, help="Axes of a cluster (cpca); default 8.")
 @click.option("--planes", type=int, help="Principal axes kept (basis klt); default: all but 1e-4 of the energy.")

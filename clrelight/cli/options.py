@@ -95,12 +95,16 @@ region_option = click.option(
     "--region", type=Numbers(int, "X,Y,W,H", 4), help="A part of the image, in pixels: first column and row, and sizes."
 )
 level_option = click.option(
-    "--level", type=click.IntRange(0, 5), default=0, show_default=True, help="Halve width and height so often (klt)."
+    "--level",
+    type=click.IntRange(0, 5),
+    default=0,
+    show_default=True,
+    help="Halve width and height so often (klt, wavelet).",
 )
 salvage_option = click.option(
     "--salvage",
     is_flag=True,
-    help="Take a damaged file (klt): what is damaged is named, and filled from what is left.",
+    help="Take a damaged file (klt, wavelet): what is damaged is named, and filled from what is left.",
 )
 
 

@@ -82,9 +82,10 @@ def decode(
     region : four whole numbers, optional
         Column and row of the first pixel, width and height: this part alone, in pixels of the whole image.
     level : int
-        Width and height are halved so often, without decoding what is not needed (files of codec klt).
+        Width and height are halved so often, without decoding what is not needed (files of codec klt or wavelet).
     salvage : bool
-        Decode what is left of a damaged file of codec klt: notes, and ``damaged`` in the report, say what is filled.
+        Decode what is left of a damaged file of codec klt or wavelet: notes, and ``damaged`` in the report, say what is
+        filled.
     memory : int or str, optional
         Bytes for parts of the map, such as ``"1GiB"``: a codec that needs more is refused. Without it parts take
         256 MiB, and a codec that needs more says so in a note.

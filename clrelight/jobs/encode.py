@@ -123,7 +123,7 @@ def encode(
     report : Report, optional
         Filled; without one, notes become warnings (`Note`).
     **options
-        Of the codec, see docs/codecs.md: ``rate``, ``step``, ``bits``, ``levels``, ... None means the default.
+        Of the codec, see docs/codecs.md: ``rate``, ``step``, ``bits``, ... None means the default.
 
     Returns
     -------

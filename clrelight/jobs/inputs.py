@@ -138,7 +138,7 @@ class Packed:
 
 def refuse_salvage(what: str) -> NoReturn:
     """Raise InputError: what is no file in units cannot be salvaged."""
-    raise InputError(f"{what} holds no units that stand alone, so none can be salvaged: files that codec klt writes do")
+    raise InputError(f"{what} holds no units that stand alone, so none can be salvaged: those by klt or wavelet do")
 
 
 @contextmanager

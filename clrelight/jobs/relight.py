@@ -128,9 +128,10 @@ def relight(
     region : four whole numbers, optional
         Column and row of the first pixel, width and height: this part alone, in pixels of the whole image.
     level : int
-        Width and height are halved so often, without decoding what is not shown (files of codec klt).
+        Width and height are halved so often, without decoding what is not shown (files of codec klt or wavelet).
     salvage : bool
-        Show what is left of a damaged file of codec klt: notes, and ``damaged`` in the report, say what is filled.
+        Show what is left of a damaged file of codec klt or wavelet: notes, and ``damaged`` in the report, say what is
+        filled.
     device : Device or str, optional
         As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
     progress : callable, optional

@@ -1,7 +1,7 @@
-/* Code one subband of the channels of a map's quantiser indices: what subbands.py and range_coding.py say, bit for bit, at
+/* Decode one subband of the channels of a map's quantiser indices: what subbands.py and range_coding.py say, bit for bit, at
  * the speed of a compiled loop. One work-item: every symbol hangs on those before it.
  *
- *   index_chw    (c, h, w) int     encoded, or decoded into
+ *   index_chw    (c, h, w) int     decoded into
  *   size_chw     (c, h, w) int     magnitudes of the differences from the prediction, for contexts
  *   place_f      (f) int           first row and column, rows, columns, 0 for LL and 1 for details, number of
  *                                  relatives, and of each first row and column, rows, columns, and 1 where it is of
@@ -12,9 +12,8 @@
  *   counts_ms    (m, ALPHABET) long    frequency tables of magnitudes
  *   signs_ab     (5, 2) long           of signs
  *   state_n      (n) ulong         the range coder between two launches, and what a launch found: see LOWER, ...
- *   words_v      (v) uint          what is decoded, or room for what is encoded, of which AT words were written
+ *   words_v      (v) uint          what is decoded
  *   scratch_q    (q) int           SCRATCH for each sample of the largest batch, and TABLES
- *   decoding     1, or 0
  *
  * The range coder is constriction's RangeEncoder with words of 32 bits and 24 bits of precision; a frequency table
  * becomes cumulative as its Categorical(perfect=False) does it: left_s = trunc(sum_{t < s} count_t scale) + s,
@@ -41,50 +40,16 @@
 #define MAX_DIFFERENCE (1 << 30)
 #define PRECISION 24
 
-enum { LOWER, RANGE, POINT, AT, PENDING, FIRST_PENDING, FAULT };
+enum { LOWER, RANGE, POINT, AT, FAULT };
 enum { SOUND, IMPOSSIBLE, TOO_LARGE };
 
-/* The range coder while a launch lasts. Words whose carry is not known yet are counted, not written. */
+/* The range decoder while a launch lasts. */
 typedef struct {
     ulong lower, range, point;
     ulong at, size;       /* in words */
-    ulong pending;        /* words of which the first is `first`, the others all ones unless a carry comes */
-    uint first;
     int fault;
-    __global uint *words;
+    __global const uint *words;
 } coder_t;
-
-INLINE void write_pending(coder_t *coder, const int carry)
-{
-    if (coder->pending == 0)
-        return;
-    coder->words[coder->at++] = coder->first + carry;
-    for (ulong i = 1; i < coder->pending; ++i)
-        coder->words[coder->at++] = carry ? 0u : 0xffffffffu;
-    coder->pending = 0;
-}
-
-INLINE void encode_part(coder_t *coder, const uint left, const uint size)
-{
-    const ulong scale = coder->range >> PRECISION, lower = coder->lower + scale * left;
-    coder->range = scale * size;
-    if (coder->pending && lower + coder->range > lower)
-        write_pending(coder, lower < coder->lower);
-    coder->lower = lower;
-    if (coder->range >> 32)
-        return;
-    const uint word = (uint)(lower >> 32);
-    coder->lower = lower << 32;
-    coder->range <<= 32;
-    if (coder->pending) {
-        coder->pending++;
-    } else if (coder->lower + coder->range > coder->lower) {
-        coder->words[coder->at++] = word;
-    } else {
-        coder->pending = 1;
-        coder->first = word;
-    }
-}
 
 /* Where the next symbol lies in [0, 2^24). */
 INLINE uint decode_place(coder_t *coder)
@@ -110,13 +75,9 @@ INLINE void decode_part(coder_t *coder, const uint left, const uint size)
 }
 
 /* An integer of at most RAW_DIGIT bits, all alike. */
-INLINE int code_digit(coder_t *coder, const int bits, const int value, const int decoding)
+INLINE int decode_digit(coder_t *coder, const int bits)
 {
     const int shift = PRECISION - bits;
-    if (!decoding) {
-        encode_part(coder, (uint)value << shift, 1u << shift);
-        return value;
-    }
     const uint digit = decode_place(coder) >> shift;
     decode_part(coder, digit << shift, 1u << shift);
     return (int)digit;
@@ -136,12 +97,8 @@ INLINE void accumulate(__global const long *counts, __global uint *left, const i
     left[symbols] = 1u << PRECISION;
 }
 
-INLINE int code_symbol(coder_t *coder, __global const uint *left, const int symbol, const int decoding)
+INLINE int decode_symbol(coder_t *coder, __global const uint *left)
 {
-    if (!decoding) {
-        encode_part(coder, left[symbol], left[symbol + 1] - left[symbol]);
-        return symbol;
-    }
     const uint place = decode_place(coder);
     int s = 0;
     while (left[s + 1] <= place)
@@ -163,14 +120,6 @@ INLINE void learn(__global long *counts, __global const uint *seen, const int sy
 }
 
 INLINE int octave_of(const uint value) { return 31 - (int)clz(value); }
-
-INLINE int symbol_of(const uint magnitude)
-{
-    if (magnitude < DIRECT)
-        return (int)magnitude;
-    const int octave = octave_of(magnitude);
-    return DIRECT + 4 * (octave - 4) + (int)((magnitude >> (octave - 2)) & 3u);
-}
 
 INLINE int raw_bits_of(const int symbol) { return symbol < DIRECT ? 0 : 2 + (symbol - DIRECT) / 4; }
 
@@ -331,8 +280,8 @@ typedef struct {
     int samples;
 } batch_t;
 
-/* Contexts in the lower 16 bits, what is predicted above them; and residuals where they are known. */
-INLINE void gather_batch(const band_t *band, batch_t *batch, const int from, const int to, const int decoding)
+/* Contexts in the lower 16 bits, what is predicted above them. */
+INLINE void gather_batch(const band_t *band, batch_t *batch, const int from, const int to)
 {
     int i = 0;
     for (int m = 0; m < CONTEXTS; ++m)
@@ -351,9 +300,6 @@ INLINE void gather_batch(const band_t *band, batch_t *batch, const int from, con
             const int m = (int)abs(near) * CLASSES + class_of(activity);
             batch->context[i] = m | (near + 2) << 16;
             batch->ends[m]++;
-            if (!decoding)
-                batch->residual[i] =
-                    (int)(band->index[at] - expected - (band->site ? 0 : expect_difference(band, phase, y, x)));
         }
     }
     batch->samples = i;
@@ -368,7 +314,7 @@ INLINE void gather_batch(const band_t *band, batch_t *batch, const int from, con
         batch->order[batch->ends[batch->context[i] & 0xffff]++] = i;
 }
 
-INLINE void code_symbols(batch_t *batch, coder_t *coder, __global long *counts, const int decoding)
+INLINE void decode_symbols(batch_t *batch, coder_t *coder, __global long *counts)
 {
     for (int m = 0, first = 0; m < CONTEXTS; first = batch->ends[m++]) {
         const int end = batch->ends[m];
@@ -379,8 +325,7 @@ INLINE void code_symbols(batch_t *batch, coder_t *coder, __global long *counts, 
             batch->seen[s] = 0;
         for (int n = first; n < end; ++n) {
             const int i = batch->order[n];
-            const int s =
-                code_symbol(coder, batch->left, decoding ? 0 : symbol_of(abs(batch->residual[i])), decoding);
+            const int s = decode_symbol(coder, batch->left);
             batch->symbol[i] = s;
             batch->seen[s]++;
         }
@@ -389,7 +334,7 @@ INLINE void code_symbols(batch_t *batch, coder_t *coder, __global long *counts, 
 }
 
 /* The bits below large symbols, narrow ones first. */
-INLINE void code_raw(batch_t *batch, coder_t *coder, const int decoding)
+INLINE void decode_raw(batch_t *batch, coder_t *coder)
 {
     int large = 0, widest = 0;
     for (int i = 0; i < batch->samples; ++i) {
@@ -397,8 +342,7 @@ INLINE void code_raw(batch_t *batch, coder_t *coder, const int decoding)
             batch->order[large++] = i;
             widest = max(widest, raw_bits_of(batch->symbol[i]));
         }
-        if (decoding)
-            batch->residual[i] = first_of(batch->symbol[i]);
+        batch->residual[i] = first_of(batch->symbol[i]);
     }
     for (int width = 2; width <= widest; ++width) {
         for (int shift = 0; shift < width; shift += RAW_DIGIT) {
@@ -407,17 +351,14 @@ INLINE void code_raw(batch_t *batch, coder_t *coder, const int decoding)
                 const int i = batch->order[n];
                 if (raw_bits_of(batch->symbol[i]) != width)
                     continue;
-                const int raw = (int)abs(batch->residual[i]) - first_of(batch->symbol[i]);
-                const int digit = code_digit(coder, bits, (raw >> shift) & ((1 << bits) - 1), decoding);
-                if (decoding)
-                    batch->residual[i] += digit << shift;
+                batch->residual[i] += decode_digit(coder, bits) << shift;
             }
         }
     }
 }
 
 /* In the context of what is predicted. */
-INLINE void code_signs(batch_t *batch, coder_t *coder, __global long *signs, const int decoding)
+INLINE void decode_signs(batch_t *batch, coder_t *coder, __global long *signs)
 {
     uint present = 0;
     for (int i = 0; i < batch->samples; ++i)
@@ -430,25 +371,22 @@ INLINE void code_signs(batch_t *batch, coder_t *coder, __global long *signs, con
         for (int i = 0; i < batch->samples; ++i) {
             if (batch->symbol[i] == 0 || batch->context[i] >> 16 != near)
                 continue;
-            const int negative = code_symbol(coder, batch->left, batch->residual[i] < 0, decoding);
+            const int negative = decode_symbol(coder, batch->left);
             batch->seen[negative]++;
-            if (decoding && negative)
+            if (negative)
                 batch->residual[i] = -batch->residual[i];
         }
         learn(signs + 2 * near, batch->seen, 2);
     }
 }
 
-INLINE void keep_batch(const band_t *band, const batch_t *batch, coder_t *coder, const int from, const int to,
-                const int decoding)
+INLINE void keep_batch(const band_t *band, const batch_t *batch, coder_t *coder, const int from, const int to)
 {
     int i = 0;
     EACH_ROW(from, to) EACH_SAMPLE_OF_ROW
     {
         const size_t at = (size_t)y * band->pitch + x;
         band->size[at] = (int)min(abs(batch->residual[i]), (uint)MAX_SIZE);
-        if (!decoding)
-            continue;
         long value = batch->residual[i] + (band->site ? 0 : expect_difference(band, phase, y, x));
         if (value > MAX_DIFFERENCE || value < -MAX_DIFFERENCE) {
             coder->fault = coder->fault ? coder->fault : TOO_LARGE;
@@ -481,22 +419,19 @@ INLINE void measure_slope(const band_t *band, __global long *found)
     found[2] = shift;
 }
 
-__kernel void code_subband(__global int *index_chw, __global int *size_chw, __global const int *place_f,
+__kernel void decode_subband(__global int *index_chw, __global int *size_chw, __global const int *place_f,
                            __global const double *slope_c, __global long *found_ct, __global long *counts_ms,
-                           __global long *signs_ab, __global ulong *state_n, __global uint *words_v,
+                           __global long *signs_ab, __global ulong *state_n, __global const uint *words_v,
                            __global int *scratch_q, const int size_c, const int size_h, const int size_w,
-                           const ulong size_v, const ulong size_q, const int decoding)
+                           const ulong size_v, const ulong size_q)
 {
     const size_t plane = (size_t)size_h * size_w, start = (size_t)place_f[0] * size_w + place_f[1];
     const size_t capacity = (size_q - TABLES) / SCRATCH;
-    coder_t coder = {state_n[LOWER], state_n[RANGE], state_n[POINT], state_n[AT], size_v, state_n[PENDING],
-                     (uint)state_n[FIRST_PENDING], SOUND, words_v};
+    coder_t coder = {state_n[LOWER], state_n[RANGE], state_n[POINT], state_n[AT], size_v, SOUND, words_v};
     batch_t batch = {scratch_q, scratch_q + capacity, scratch_q + 2 * capacity, scratch_q + 3 * capacity};
     batch.ends = (__global uint *)(scratch_q + SCRATCH * capacity);
     batch.seen = batch.ends + CONTEXTS;
     batch.left = batch.seen + ALPHABET;
-    if (!decoding)
-        coder.at = 0;
     for (int channel = 0; channel < size_c && coder.fault == SOUND; ++channel) {
         const int site = place_f[4] && channel ? 2 : place_f[4];
         __global int *sizes = size_chw + channel * plane;
@@ -504,11 +439,11 @@ __kernel void code_subband(__global int *index_chw, __global int *size_chw, __gl
                              place_f[2], place_f[3], site, channel, slope_c[channel]};
         for (int from = 0; from < 3 && coder.fault == SOUND; ++from) {
             const int to = from + (from == 2);
-            gather_batch(&band, &batch, from, to, decoding);
-            code_symbols(&batch, &coder, counts_ms + (size_t)(2 * site + (from > 0)) * CONTEXTS * ALPHABET, decoding);
-            code_raw(&batch, &coder, decoding);
-            code_signs(&batch, &coder, signs_ab, decoding);
-            keep_batch(&band, &batch, &coder, from, to, decoding);
+            gather_batch(&band, &batch, from, to);
+            decode_symbols(&batch, &coder, counts_ms + (size_t)(2 * site + (from > 0)) * CONTEXTS * ALPHABET);
+            decode_raw(&batch, &coder);
+            decode_signs(&batch, &coder, signs_ab);
+            keep_batch(&band, &batch, &coder, from, to);
         }
         if (channel)
             measure_slope(&band, found_ct + 3 * channel);
@@ -517,7 +452,5 @@ __kernel void code_subband(__global int *index_chw, __global int *size_chw, __gl
     state_n[RANGE] = coder.range;
     state_n[POINT] = coder.point;
     state_n[AT] = coder.at;
-    state_n[PENDING] = coder.pending;
-    state_n[FIRST_PENDING] = coder.first;
     state_n[FAULT] = coder.fault;
 }

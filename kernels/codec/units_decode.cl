@@ -9,6 +9,7 @@ typedef struct {
     uint at, end;  /* of words, and of what is left for them */
     ulong bits;    /* from the back */
     int held;
+    int coarse; /* bits of every magnitude that contexts do not look at */
     int fault;
 } decoder_t;
 
@@ -139,6 +140,7 @@ typedef struct {
     __global uchar *size;
     size_t plane_size;
     int pitch;
+    int coarse; /* bits of them that the next finer level's contexts do not look at */
 } known_t;
 
 INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink,
@@ -151,7 +153,7 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
     }
     __global const uchar *parent = unit[PARENT + band] < 0 ? 0 : known->size + unit[PARENT + band];
     make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band],
-               known->pitch, known->plane_size);
+               known->pitch, known->plane_size, 0);
     clear_sizes(work, band, rows);
     const int any = decode_flag(d, work, band_flag(plane, sum_hints(work, rows, columns)));
     if (any) {
@@ -207,12 +209,12 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
             for (i = 0; i < samples; ++i) {
                 work->context[found] = work->context[i];
                 work->place[found] = work->place[i];
-                found += work->context[i] != 0;
+                found += work->context[i] != 0 || d->coarse;
             }
             __global uchar *own = unit[LEVEL] > 1 ? known->size + unit[OFFSET + band] : 0;
             for (i = 0; i < found && !d->fault; ++i) {
-                const int symbol = work->context[i] & 0xfff, shift = work->context[i] >> 12;
-                int magnitude = symbol == LAST ? LAST + take_large(d, ORDER(shift)) : symbol;
+                const int symbol = work->context[i] & 0xfff, above = work->context[i] >> 12, shift = above + d->coarse;
+                int magnitude = symbol == LAST ? LAST + take_large(d, ORDER(above)) : symbol;
                 if (magnitude > MAX_MAGNITUDE >> shift) {
                     d->fault = 1;
                     break;
@@ -222,11 +224,10 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
                 if (magnitude == 0)
                     continue;
                 const int negative = (int)take_bits(d, 1), y = work->place[i] >> 6, x = work->place[i] & 63;
-                const uchar size = (uchar)LEAST(magnitude, MAX_SIZE);
                 put(sink, y, x, negative ? -magnitude : magnitude);
-                work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = size;
+                work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude >> d->coarse, MAX_SIZE);
                 if (own)
-                    own[(size_t)y * known->pitch + x] = size;
+                    own[(size_t)y * known->pitch + x] = (uchar)LEAST(magnitude >> known->coarse, MAX_SIZE);
             }
         }
     }
@@ -264,9 +265,7 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
         learn_due(work, due, 0);
     }
     note_low(work, rows, columns);
-    if (d->fault)
-        return; /* rows that were not reached hold anything */
-    for (int y = 0; y < rows; ++y)
+    for (int y = 0; y < rows && !d->fault; ++y) /* rows that were not reached hold anything */
         for (int x = 0; x < columns; ++x)
             if (low[y * UNIT + x])
                 put(sink, y, x, low[y * UNIT + x]);
@@ -276,37 +275,42 @@ INLINE void decode_low(decoder_t *d, __global work_t *work, __global const int *
  *
  *   value_cyx   (C, Y, X) float  zeros at first: a plane each, or `sums` sums of all planes times weight_jn
  *   known_jrk   (J, R, K) uchar  zeros at first: sizes of all levels but the finest, where unit_uf says
+ *   coarse_jl   (J, COARSE) int  bits that contexts do not look at, of LL first
  */
 __kernel void decode_units(__global float *value_cyx, __global uchar *known_jrk, __global const float *weight_jn,
-                           __global const uchar *stream_b, __global const uint *place_t2, __global const int *first_t2,
+                           __global const uchar *stream_b, __global const uint *place_t2, __global const int *part_t4,
                            __global const int *unit_uf, __global const int *place_uv, __global const ushort *count_ms,
-                           __global const ushort *flag_q2, __global uchar *work_wd, __global int *fault_t, const int begin,
-                           const int end, const int sums, const int size_y, const int size_x, const int size_j,
-                           const int size_r, const int size_k)
+                           __global const ushort *flag_q2, __global const int *coarse_jl, __global uchar *work_wd,
+                           __global int *fault_t, const int begin, const int end, const int sums, const int size_y,
+                           const int size_x, const int size_r, const int size_k)
 {
     __global work_t *work = (__global work_t *)(work_wd + get_global_id(0) * (size_t)WORK_BYTES);
     sink_t sink = {value_cyx, weight_jn, place_uv, (size_t)size_y * size_x, size_x, sums};
-    known_t known = {known_jrk, (size_t)size_r * size_k, size_k};
+    known_t known = {known_jrk, (size_t)size_r * size_k, size_k, 0};
     for (int t = begin + get_global_id(0); t < end; t += get_global_size(0)) {
         decoder_t d;
         begin_stream(&d, stream_b + place_t2[2 * t], place_t2[2 * t + 1]);
         begin_tables(work, count_ms, flag_q2, 0);
-        for (int u = first_t2[2 * t]; u < first_t2[2 * t + 1] && !d.fault; ++u) {
+        for (int u = part_t4[4 * t]; u < part_t4[4 * t + 1] && !d.fault; ++u) {
             __global const int *unit = unit_uf + u * UNIT_FIELDS;
-            if (unit[LEVEL] == 0)
+            const int level = unit[LEVEL];
+            if (level == 0)
                 begin_low(work);
-            for (int j = 0; j < size_j && !d.fault; ++j) {
+            for (int j = part_t4[4 * t + 2], first = j; j < part_t4[4 * t + 3] && !d.fault; ++j) {
+                __global const int *coarse = coarse_jl + j * COARSE;
                 if (sums)
                     sink.weight = weight_jn + (size_t)j * sums;
                 else
                     sink.value = value_cyx + j * sink.plane_size;
                 known.size = known_jrk + j * known.plane_size;
+                known.coarse = level > 1 ? coarse[level - 1] : 0;
                 sink.place = place_uv + u * 3 * PLACES;
-                if (unit[LEVEL] == 0)
-                    decode_low(&d, work, unit, &sink, j);
+                d.coarse = coarse[level];
+                if (level == 0)
+                    decode_low(&d, work, unit, &sink, j - first);
                 else
                     for (int band = 0; band < 3; ++band, sink.place += PLACES)
-                        decode_band(&d, work, unit, &sink, &known, band, j);
+                        decode_band(&d, work, unit, &sink, &known, band, j - first);
             }
         }
         fault_t[t] = d.fault || !is_spent(&d);

@@ -11,6 +11,7 @@ typedef struct {
     ulong bits;
     int held;
     float price, scale;
+    int coarse; /* bits of every magnitude that contexts do not look at */
     int full;
 } encoder_t;
 
@@ -175,7 +176,7 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
             const float largest = MOST(MOST(four.x, four.y), MOST(four.z, four.w));
             const int row = top / CELL, column = left / CELL;
             int kept = largest >= 0.55f;
-            if (kept && largest < 12.0f && e->price > 0.0f) {
+            if (kept && largest < 12.0f && e->price > 0.0f && !e->coarse) {
                 const int flag = cell_flag(work, row, column);
                 kept = find_gain(e, work, value, plane, top, left, bottom, columns, pitch) >
                        e->price * (flag_bits(work, flag, 1) - flag_bits(work, flag, 0));
@@ -205,7 +206,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
     __global const float *value = values + unit[OFFSET + band];
     __global int *index = indices + unit[OFFSET + band];
     make_hints(work, band, plane, rows, columns, parent, unit[PARENT_ROWS + band], unit[PARENT_COLUMNS + band], pitch,
-               plane_size);
+               plane_size, e->coarse);
     clear_sizes(work, band, rows);
     float error = 0.0f;
     const int hinted = band_flag(plane, sum_hints(work, rows, columns));
@@ -231,7 +232,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
             int due = 0;
             for (int i = 0; i < samples; ++i) {
                 const int y = work->place[i] >> 6, x = work->place[i] & 63, context = work->context[i] & 0xfff;
-                const int shift = work->context[i] >> 12;
+                const int shift = (work->context[i] >> 12) + e->coarse;
                 const float v = value[(size_t)y * pitch + x] * e->scale, a = v < 0.0f ? -v : v;
                 __global const float *cost = work->cost + context * SYMBOLS;
                 int magnitude = a < 0.5f ? 0 : (int)LEAST(a + 0.5f, (float)(MAX_MAGNITUDE >> 1));
@@ -239,21 +240,22 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
                     least_loss(cost, e->price, a, &magnitude);
                 error += (a - magnitude) * (a - magnitude);
                 const int symbol = LEAST(magnitude >> shift, LAST);
-                taken += cost[symbol] + (symbol ? 1.0f : 0.0f);
+                taken += cost[symbol] + (symbol || (e->coarse && magnitude) ? 1.0f : 0.0f);
                 encode_symbol(e, work, context, symbol, i < in_lanes ? i & (LANES - 1) : 0, &due, seen);
                 index[(size_t)y * pitch + x] = v < 0.0f ? -magnitude : magnitude;
                 if (magnitude) {
-                    work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude, MAX_SIZE);
+                    work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude >> e->coarse, MAX_SIZE);
                 }
             }
             learn_due(work, due, 1);
             for (int i = 0; i < samples; ++i) {
-                const int y = work->place[i] >> 6, x = work->place[i] & 63, shift = work->context[i] >> 12;
+                const int y = work->place[i] >> 6, x = work->place[i] & 63, above = work->context[i] >> 12;
+                const int shift = above + e->coarse;
                 const int found = index[(size_t)y * pitch + x], magnitude = found < 0 ? -found : found;
                 if (!magnitude && !shift)
                     continue;
                 if (magnitude >> shift >= LAST)
-                    taken += put_large(e, (magnitude >> shift) - LAST, ORDER(shift));
+                    taken += put_large(e, (magnitude >> shift) - LAST, ORDER(above));
                 if (shift) {
                     put_bits(e, (uint)magnitude & ((1u << shift) - 1u), shift);
                     taken += shift;
@@ -356,10 +358,10 @@ __kernel void place_planes(__global float *value_jyx, __global const float *part
  * values: of a band, all values that are needed are read before. */
 __kernel void encode_units(__global int *index_jyx, __global const float *value_jyx, __global uchar *stream_b,
                            __global uint *taken_o, __global uint *place_t2, __global float *error_tj,
-                           __global float *bits_tj, __global const int *first_t2, __global const int *unit_uf,
+                           __global float *bits_tj, __global const int *part_t4, __global const int *unit_uf,
                            __global const ushort *count_ms, __global const ushort *flag_q2, __global uchar *work_wd,
-                           __global uint *item_wi, __global uchar *raw_wr, __global uint *seen_wn, const float price,
-                           const float scale, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
+                           __global uint *item_wi, __global uchar *raw_wr, __global uint *seen_wn,
+                           __global const float *scale_j, __global const int *coarse_jl, const float price, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
                            const int size_n, const int size_j, const int size_y, const int size_x)
 {
     const int worker = get_global_id(0);
@@ -368,21 +370,23 @@ __kernel void encode_units(__global int *index_jyx, __global const float *value_
     const size_t plane_size = (size_t)size_y * size_x;
     for (int t = begin + worker; t < end; t += get_global_size(0)) {
         encoder_t e = {item_wi + (size_t)worker * size_i, 0, size_i, raw_wr + (size_t)worker * size_r, 0, size_r, 0, 0, price,
-                       scale, 0};
+                       0.0f, 0, 0};
         begin_tables(work, count_ms, flag_q2, 1);
-        for (int u = first_t2[2 * t]; u < first_t2[2 * t + 1]; ++u) {
+        for (int u = part_t4[4 * t]; u < part_t4[4 * t + 1]; ++u) {
             __global const int *unit = unit_uf + u * UNIT_FIELDS;
             if (unit[LEVEL] == 0)
                 begin_low(work);
-            for (int j = 0; j < size_j; ++j) {
+            for (int j = part_t4[4 * t + 2], first = j; j < part_t4[4 * t + 3]; ++j) {
+                e.scale = scale_j[j];
+                e.coarse = coarse_jl[j * COARSE + unit[LEVEL]];
                 __global int *index = index_jyx + j * plane_size;
                 __global const float *value = value_jyx + j * plane_size;
                 __global float *bits = bits_tj + (size_t)t * size_j + j, *errors = error_tj + (size_t)t * size_j + j;
                 if (unit[LEVEL] == 0)
-                    encode_low(&e, work, unit, value, index, j, size_x, seen, bits, errors);
+                    encode_low(&e, work, unit, value, index, j - first, size_x, seen, bits, errors);
                 else
                     for (int band = 0; band < 3; ++band)
-                        encode_band(&e, work, unit, value, index, band, j, size_x, seen, bits, errors, plane_size);
+                        encode_band(&e, work, unit, value, index, band, j - first, size_x, seen, bits, errors, plane_size);
             }
         }
         if (e.full)

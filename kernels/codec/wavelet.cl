@@ -1,4 +1,4 @@
-/* Two-dimensional 9/7 wavelet on planes, and the quantiser of its subbands.
+/* Two-dimensional 9/7 wavelet on planes, and the dequantiser of its subbands.
  *
  * Planes are (p, y, x): p = coefficient map times channel, y rows, x columns padded to a multiple of 8 (what the padding
  * holds is never used). One level works on the top left height by width of each plane, and leaves the ceil(n/2) low
@@ -309,27 +309,8 @@ __kernel void coeffs_from_planes(__global float *restrict coeffs_khwc, __global 
             for (int x = 0; x < size_w; x++) to[(size_t)x * size_c + c] = BACK(from[c * plane + x]);
 }
 
-/* index = sign(v) floor(|v| / step + rounding): a uniform quantiser, with a dead zone where rounding < 1/2.
- * `first` is the plane of channel 0; global size (width, height, channels). |v|/step must stay below 2^31. */
-__kernel void quantise(
-    __global int *restrict index_chw,
-    __global const float *restrict planes_pyx,
-    const float inverse_step,
-    const float rounding,
-    const int first,
-    const int size_h,
-    const int size_w,
-    const int size_y,
-    const int size_x)
-{
-    const int x = get_global_id(0), y = get_global_id(1), c = get_global_id(2);
-    const float value = planes_pyx[((size_t)(first + c) * size_y + y) * size_x + x];
-    const int magnitude = convert_int(floor(fabs(value) * inverse_step + rounding));
-    index_chw[((size_t)c * size_h + y) * size_w + x] = value < 0.0f ? -magnitude : magnitude;
-}
-
 /* v = sign(index) (|index| - bias[|index| > 1]) step: reconstruction below the middle of the interval, where the
- * samples are. Same global size. */
+ * samples are. `first` is the plane of channel 0; global size (width, height, channels). */
 __kernel void dequantise(
     __global float *restrict planes_pyx,
     __global const int *restrict index_chw,

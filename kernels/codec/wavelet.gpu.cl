@@ -1,4 +1,4 @@
-/* Two-dimensional 9/7 wavelet for GPUs, and the quantiser of its subbands: see codec/wavelet.cl for the planes, the
+/* Two-dimensional 9/7 wavelet for GPUs, and the dequantiser of its subbands: see codec/wavelet.cl for the planes, the
  * passes and the equations.
  *
  * One work-item for each sample or pair of samples. Global size (x rounded up to groups, y, planes): work-items beyond
@@ -99,19 +99,7 @@ __kernel void synthesise_rows(__global float *restrict planes_pyx, __global cons
     if (2 * n < width) synthesise_pair(planes_pyx + row, bands_pyx + row, n, width, 1);
 }
 
-/* index = sign(v) floor(|v| / step + rounding); `first` is the plane of channel 0. */
-__kernel void quantise(__global int *restrict index_chw, __global const float *restrict planes_pyx,
-                       const float inverse_step, const float rounding, const int first, const int size_h,
-                       const int size_w, const int size_y, const int size_x)
-{
-    const int x = get_global_id(0), y = get_global_id(1), c = get_global_id(2);
-    if (x >= size_w) return;
-    const float value = planes_pyx[((size_t)(first + c) * size_y + y) * size_x + x];
-    const int magnitude = convert_int(floor(fabs(value) * inverse_step + rounding));
-    index_chw[((size_t)c * size_h + y) * size_w + x] = value < 0.0f ? -magnitude : magnitude;
-}
-
-/* v = sign(index) (|index| - bias[|index| > 1]) step. */
+/* v = sign(index) (|index| - bias[|index| > 1]) step; `first` is the plane of channel 0. */
 __kernel void dequantise(__global float *restrict planes_pyx, __global const int *restrict index_chw, const float step,
                          const float bias_of_one, const float bias_of_more, const int first, const int size_h,
                          const int size_w, const int size_y, const int size_x)

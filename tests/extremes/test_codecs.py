@@ -79,7 +79,7 @@ def test_every_codec_holds_a_map_or_refuses_it(device, codec, name):
     elif name.endswith("zero"):
         assert not found.any()
     elif name == "one pixel":
-        assert off < top  # the tables of `wavelet` leave it few bits
+        assert off < top
     else:  # constant; float32 has steps of 1.4e-45 among the subnormal, and a change of axes may round twice
         assert off < 2e-3 * top + 2 * np.finfo(np.float32).smallest_subnormal
 

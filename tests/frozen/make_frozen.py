@@ -29,8 +29,10 @@ OPTIONS = {
     "klt.4.wide": {"step": 2.0**-11},
     "principal.2": {"codec": "half"},
     "whitened.2": {"codec": "half"},
-    "wavelet.global": {"rate": 3.0, "allocation": "global", "levels": 5},
-    "wavelet.fine": {"rate": 30.0},
+    "wavelet.6": {"rate": 4.0},
+    "wavelet.6.global": {"rate": 6.0, "allocation": "global"},
+    "wavelet.6.fine": {"rate": 30.0},
+    "wavelet.7": {"rate": 9.0},
 }
 SHAPES = {
     "klt.3.srgb": (9, 13, 10, 3),
@@ -40,7 +42,9 @@ SHAPES = {
     "klt.4.wide": (4, 70, 33, 1),  # several units of the finest level
     "principal.2": (169, 5, 6, 1),
     "whitened.2": (169, 5, 6, 1),
-    "wavelet.global": (9, 13, 10, 1),
+    "wavelet.6": (9, 19, 21, 3),
+    "wavelet.6.global": (9, 13, 10, 1),
+    "wavelet.7": (4, 5, 6, 1),
 }
 FOLDER = Path(__file__).resolve().parent
 

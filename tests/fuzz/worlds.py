@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -9,12 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import codec_class, encode
-from clrelight.codec.entropy.subband_kernel import _TABLES, SubbandEncoder, _describe_place, _largest_batch
+from clrelight.codec.entropy.range_coding import Encoder
+from clrelight.codec.entropy.subband_kernel import _SCRATCH, _TABLES, _describe_place, _largest_batch
 from clrelight.codec.entropy.subbands import Statistics, code_indices
 from clrelight.codec.entropy.unit_streams import _WORK_BYTES, default_tables, encode_streams
-from clrelight.codec.entropy.units import LEVELS, PRECINCT, Layout, Window, lay_out, list_units, low_side, place_units
-from clrelight.codec.formats.klt_regions import _cover
+from clrelight.codec.entropy.units import (
+    LEVELS,
+    PRECINCT,
+    Layout,
+    Unit,
+    Window,
+    lay_out,
+    list_units,
+    low_side,
+    place_units,
+)
+from clrelight.codec.formats.klt_regions import _around, _cover
 from clrelight.codec.transforms.lifting import list_subbands, padded_width
+from clrelight.codec.views import Region
 
 SMALL = [
     (1, 1),
@@ -40,49 +53,66 @@ MAPS = [(1, 1, 1, 1), (2, 2, 3, 1), (1, 1, 33, 5), (3, 9, 7, 2), (2, 16, 16, 3),
 
 
 @dataclass(frozen=True)
-class Planes:
-    """How streams lie in planes: for an encoder, for a decoder, and where the decoder's values go."""
+class World:
+    """Units as an encoder lays them out in whole planes, and as a decoder does that writes to a window at a level."""
 
-    coded: Layout
-    decoded: Layout
-    place_uvf: NDArray[np.int32]
-    coded_shape: tuple[int, int]
-    value_shape: tuple[int, int]
-    known_shape: tuple[int, int]
+    units: list[Unit]
+    height: int
+    width: int
+    cover: Window
+    together: bool
+    window: Window
+    level: int
 
-    @classmethod
-    def of(cls, units, height, width, cover, window, together, level=0):
-        pitch, known = padded_width(cover.shape[1]), [low_side(side, 1) for side in cover.shape]
+    @property
+    def pitch(self) -> int:
+        """Of the encoder's planes."""
+        return padded_width(self.cover.shape[1])
+
+    @property
+    def known(self) -> tuple[int, int]:
+        """Rows and pitch of the decoder's sizes."""
+        return low_side(self.cover.shape[0], 1), low_side(self.cover.shape[1], 1)
+
+    @property
+    def sides(self) -> tuple[int, int]:
+        """Rows and pitch of the decoder's values."""
         rows, columns = (
-            low_side(b, level) - (a >> level) for a, b in ((window.top, window.bottom), (window.left, window.right))
+            low_side(end, self.level) - (start >> self.level)
+            for start, end in ((self.window.top, self.window.bottom), (self.window.left, self.window.right))
         )
-        return cls(
-            lay_out(units, height, width, cover, pitch, together),
-            lay_out(units, height, width, cover, known[1], together),
-            place_units(units, height, width, window, level),
-            (cover.shape[0], pitch),
-            (rows, padded_width(columns)),
-            tuple(known),
-        )
+        return rows, padded_width(columns)
+
+    def layout(self, pitch: int, count: int = 1) -> Layout:
+        """Return how so many planes lie."""
+        return lay_out(self.units, (self.height, self.width), self.cover, pitch, self.together, [(0, count)])
+
+    def places(self) -> NDArray[np.int32]:
+        """Return where the decoder puts values."""
+        return place_units(self.units, self.height, self.width, self.window, self.level)
 
 
 @cache
-def unit_layouts() -> list[Planes]:
-    """Return how streams of whole images lie in planes, and those that regions at levels need."""
-    layouts = []
-    for sides in SMALL:
-        whole = Window(0, 0, *sides)
-        layouts += [Planes.of(list_units(*sides), *sides, whole, whole, together) for together in (True, False)]
-    for height, width in LARGE:
+def unit_layouts() -> list[World]:
+    """Return what is fuzzed: whole images, and parts of them at levels."""
+    worlds = []
+    for number, (height, width) in enumerate(SMALL):
+        whole, units = Window(0, 0, height, width), list_units(height, width)
+        for together in (True, False):
+            worlds.append(World(units, height, width, whole, together, whole, 0))
+        level = 1 + number % LEVELS
+        rows, columns = low_side(height, level), low_side(width, level)
+        part = _around(Region(rows // 2, columns // 2, rows, columns, level), height, width)
+        worlds.append(World(units, height, width, whole, True, part, level))
+    for number, (height, width) in enumerate(LARGE):
         units = list_units(height, width)
         top, left = (height - 1) // PRECINCT * PRECINCT, (width - 1) // PRECINCT * PRECINCT
         chosen = [u for u in units if u.row << (u.level or LEVELS) >= top and u.column << (u.level or LEVELS) >= left]
         cover = _cover(chosen, height, width)
-        layouts.append(Planes.of(chosen, height, width, cover, cover, False))
-        # Values of a part: what of the units reaches over it is dropped.
-        part = Window(cover.top, cover.left, min(cover.top + 33, height), min(cover.left + 64, width))
-        layouts += [Planes.of(chosen, height, width, cover, part, False, level) for level in (0, 1, 5)]
-    return layouts
+        part = _around(Region(top, left, height, width), height, width)
+        for window, level in ((cover, 0), (part, number), (Window(0, 0, 32, min(64, width)), 0)):
+            worlds.append(World(chosen, height, width, cover, False, window, level))
+    return worlds
 
 
 def headers(harness: str) -> dict[str, str]:
@@ -100,23 +130,22 @@ def _numbers(values: object) -> str:
 
 def _units_header() -> str:
     tables, lines, entries = default_tables(), [], []
-    for number, planes in enumerate(unit_layouts()):
-        layout = planes.decoded
-        n_unit, n_stream = len(layout.unit_uf), len(layout.first_t2)
+    for number, world in enumerate(unit_layouts()):
+        layout = world.layout(world.known[1])
+        n_unit, n_stream = len(layout.unit_uf), len(layout.part_t4)
         lines.append(f"static const int unit_{number}[] = {_numbers(layout.unit_uf)};")
-        lines.append(f"static const int place_{number}[] = {_numbers(planes.place_uvf)};")
-        lines.append(f"static const int first_{number}[] = {_numbers(layout.first_t2)};")
-        sides = [*planes.value_shape, *planes.known_shape]
-        most_planes = max(min(12, (1 << 15) // (planes.coded_shape[0] * planes.coded_shape[1])), 1)
-        numbers = ",".join(map(str, [n_unit, n_stream, *sides, most_planes]))
-        entries.append(f"{{{numbers},unit_{number},place_{number},first_{number}}}")
+        lines.append(f"static const int first_{number}[] = {_numbers(layout.part_t4[:, :2])};")
+        lines.append(f"static const int placed_{number}[] = {_numbers(world.places())};")
+        most_planes = max(min(12, (1 << 15) // max(math.prod(world.sides), math.prod(world.known))), 1)
+        sides = ",".join(map(str, (*world.sides, *world.known)))
+        entries.append(f"{{{n_unit},{n_stream},{sides},{most_planes},unit_{number},first_{number},placed_{number}}}")
     return "\n".join(
         [
             "typedef struct { int units, streams, rows, pitch, known_rows, known_pitch, most_planes; "
-            "const int *unit, *place, *first; } layout_t;",
+            "const int *unit, *first, *placed; } layout_t;",
             *lines,
             f"static const layout_t layouts[] = {{{','.join(entries)}}};",
-            f"enum {{ LAYOUTS = {len(entries)}, UNIT_FIELDS = 19, PLACE_FIELDS = 18, WORK_SIZE = {_WORK_BYTES} }};",
+            f"enum {{ LAYOUTS = {len(entries)}, UNIT_FIELDS = 19, WORK_SIZE = {_WORK_BYTES} }};",
             f"static const uint16_t start_counts[] = {_numbers(tables.count_ms)};",
             f"static const uint16_t start_flags[] = {_numbers(tables.flag_f2)};\n",
         ]
@@ -141,7 +170,8 @@ def _subbands_header() -> str:
             "int place_size[20]; } map_t;",
             *lines,
             f"static const map_t maps[] = {{{','.join(entries)}}};",
-            f"enum {{ MAPS = {len(entries)}, SUBBAND_TABLES = {_TABLES}, START_COUNTS = {counts.size} }};",
+            f"enum {{ MAPS = {len(entries)}, SUBBAND_SCRATCH = {_SCRATCH}, SUBBAND_TABLES = {_TABLES} }};",
+            f"enum {{ START_COUNTS = {counts.size} }};",
             f"static const int64_t start_counts[] = {_numbers(counts)};",
             f"static const int64_t start_signs[] = {_numbers(signs)};\n",
         ]
@@ -165,19 +195,21 @@ def seeds(name: str, device) -> list[bytes]:
 
 def _unit_seeds(device) -> list[bytes]:
     found = []
-    for number, lies in enumerate(unit_layouts()):
-        layout, (rows, pitch) = lies.coded, lies.coded_shape
+    for number, world in enumerate(unit_layouts()):
+        rows, pitch = world.cover.shape[0], world.pitch
         for scale, planes in [(0.3, 3), (2.0, 1), (300.0, 2), (1e7, 1)]:
             if rows * pitch * planes > 1 << 15:
                 continue
             rng = np.random.default_rng(number)
             values = np.clip(rng.laplace(size=(planes, rows, pitch)) * scale, -1e8, 1e8).astype(np.float32)
             taken, index = device.empty(values.shape, np.float32, values), device.empty(values.shape, np.int32)
+            layout = world.layout(pitch, planes)
             streams = encode_streams(device, layout, taken, index, default_tables(), 0.05).streams
             for first in {0, len(streams) // 2, len(streams) - 1}:
                 # `units.c` multiplies by 37, modulo the number of streams, to reach those beyond 255.
                 at = next((i for i in range(256) if i * 37 % len(streams) == first), 0)
-                found.append(bytes([number, planes - 1, first % 4, scale > 1, 0, at, 0, first % 8]) + streams[first])
+                chosen = [number, planes - 1, first % 4, scale > 1, 0, at, 0, first % 8, 0, 0]
+                found.append(bytes(chosen) + streams[first])
     return [seed for seed in found if len(seed) <= 1024]
 
 
@@ -189,7 +221,7 @@ def _subband_seeds(device) -> list[bytes]:
             index = (
                 np.rint(rng.laplace(size=(channels, height, width)) * scale).clip(-(1 << 28), 1 << 28).astype(np.int32)
             )
-            coder, bands = SubbandEncoder(device), list_subbands(height, width, levels)
+            coder, bands = Encoder(), list_subbands(height, width, levels)
             code_indices(coder, Statistics(), bands, index.shape, index)
             found.append(bytes([number]) + bytes([128]) * (channels - 1) + coder.to_bytes())
     return found

@@ -155,12 +155,16 @@ def expected_low(value, y, x):
     return sorted([left, up, left + up - corner])[1]
 
 
-def decode_details(stream, tables, indices, bands, unit):
-    """Decode HL, LH and HH of a unit into the indices (plane, row, column), where coarser units stand already."""
+def decode_details(stream, tables, indices, bands, unit, coarse=None):
+    """Decode HL, LH and HH of a unit into the indices (plane, row, column), where coarser units stand already.
+
+    Of each plane, `coarse` bits are not looked at by contexts.
+    """
     level, row, column = unit
     side = SIDES[level]
     before = np.zeros((3, side, side), int)
     for plane, index in enumerate(indices):
+        low = 0 if coarse is None else int(coarse[plane])
         sizes = np.zeros((3, side + 2, side + 2), int)  # with a border
         for b, name in enumerate(NAMES):
             band = bands.get((name, level))
@@ -169,7 +173,7 @@ def decode_details(stream, tables, indices, bands, unit):
             part = band.view(index)[row : row + side, column : column + side]
             rows, columns = part.shape
             siblings = sizes[:b, 1 : rows + 1, 1 : columns + 1].sum(axis=0)
-            parent = parent_sizes(index, bands.get((name, level + 1)), row // 2, column // 2, part.shape)
+            parent = parent_sizes(index, bands.get((name, level + 1)), row // 2, column // 2, part.shape, low)
             known = 16 * (siblings + (0 if parent is None else parent))
             weight = b + (parent is not None)
             if plane:
@@ -177,23 +181,23 @@ def decode_details(stream, tables, indices, bands, unit):
             hint = np.full(part.shape, 16)
             if weight:
                 hint = known if weight == 1 else known * (65536 // weight + 1) >> 16
-            decode_band(stream, tables, plane, hint, part, sizes[b])
+            decode_band(stream, tables, plane, hint, part, sizes[b], low)
             scaled = 16 * sizes[b, 1 : rows + 1, 1 : columns + 1]
             old = before[b, :rows, :columns] if plane else 0
             before[b, :rows, :columns] = old + ((scaled - old) >> (plane > 0) + (plane > 2) + (plane > 10))
 
 
-def parent_sizes(index, band, row, column, shape):
+def parent_sizes(index, band, row, column, shape, coarse):
     """Return the sizes of the parent's samples, or None where it has none at the first sample's place."""
     if band is None or band.height <= row or band.width <= column:
         return None
-    sizes = np.minimum(np.abs(band.view(index)[row : row + 32, column : column + 32]), 255)
+    sizes = np.minimum(np.abs(band.view(index)[row : row + 32, column : column + 32]) >> coarse, 255)
     sizes = sizes.repeat(2, axis=0).repeat(2, axis=1)
     sizes = sizes[: shape[0], : shape[1]]
     return np.pad(sizes, [(0, shape[0] - sizes.shape[0]), (0, shape[1] - sizes.shape[1])])
 
 
-def decode_band(stream, tables, plane, hint, part, size):
+def decode_band(stream, tables, plane, hint, part, size, coarse):
     """Decode one subband of one plane; `size` gets the sizes, and around them their mirror images."""
     rows, columns = hint.shape
     if not tables.take_flag(stream, 112 + (16 if plane else 0) + min(class_of(int(hint.sum()) >> 4), 15)):
@@ -222,10 +226,10 @@ def decode_band(stream, tables, plane, hint, part, size):
         whole = len(places) // 4 * 4
         lanes = [i % 4 if i < whole else 0 for i in range(len(places))]
         for (y, x), shift, symbol in zip(places, shifts, tables.take_symbols(stream, contexts, lanes), strict=True):
-            magnitude = stream.take_magnitude(symbol, shift, 4 if shift == 4 else 0)
+            magnitude = stream.take_magnitude(symbol, shift + coarse, 4 if shift == 4 else 0)
             if magnitude:
                 part[y, x] = -magnitude if stream.take_bits(1) else magnitude
-                size[y + 1, x + 1] = min(magnitude, 255)
+                size[y + 1, x + 1] = min(magnitude >> coarse, 255)
 
 
 def mirror(size, rows, columns):

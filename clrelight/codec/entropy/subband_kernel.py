@@ -1,138 +1,39 @@
-"""Coders that run a compiled loop over a map's indices: what `subbands` and `range_coding` say, at a compiler's speed.
+"""A decoder that runs a compiled loop over a map's indices: what `subbands` and `range_coding` say, at its speed.
 
 One work-item does it, since every symbol hangs on those before it: for CPUs, where kernels share memory with NumPy.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.phases import PHASES, relatives_of
-from clrelight.codec.entropy.range_coding import Decoder, Encoder
+from clrelight.codec.entropy.range_coding import Decoder
 from clrelight.codec.entropy.symbols import ALPHABET, CLASSES
 from clrelight.codec.transforms.lifting import Subband
 from clrelight.device import Device
 from clrelight.errors import PayloadError
-from clrelight.opencl.arguments import DeviceArray
 
 if TYPE_CHECKING:
     from clrelight.codec.entropy.subbands import Statistics  # which imports this
 
 # As in subbands.cl.
-_STATE, _LOWER, _RANGE, _POINT, _AT, _PENDING, _FIRST_PENDING, _FAULT = 7, *range(7)
+_STATE, _LOWER, _RANGE, _POINT, _AT, _FAULT = 5, *range(5)
 _SCRATCH, _TABLES = 4, 3 * CLASSES + 2 * ALPHABET + 1
 _FAULTS = {1: "no symbol lies where they point to", 2: "an index is too large"}
-_LEAST_ROOM, _WORDS_EACH = 64, 3
 _ONES = (1 << 64) - 1
 
 
-class SubbandCoder(ABC):
-    """What encoder and decoder share: the state of a range coder between two launches."""
+class SubbandDecoder:
+    """A coder that reads what `range_coding.Encoder` wrote; PayloadError where the bytes cannot be that."""
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: Device, payload: bytes) -> None:
         self._device = device
         self._state = np.zeros(_STATE, np.uint64)
         self._state[_RANGE] = _ONES
-
-    def code_map(
-        self,
-        statistics: Statistics,
-        bands: list[Subband],
-        shape: tuple[int, int, int],
-        index_chw: NDArray[np.int32] | None,
-    ) -> NDArray[np.int32]:
-        """See `subbands.code_indices`."""
-        device, decoding = self._device, index_chw is None
-        indices_chw = np.zeros(shape, np.int32) if index_chw is None else np.ascontiguousarray(index_chw)
-        most = max(_largest_batch(band) for band in bands)
-        held: list[NDArray] = [indices_chw, np.zeros(shape, np.int32)]
-        held += [statistics.magnitudes.counts, statistics.signs.counts, self._state]
-        index, sizes, counts, signs, state = (device.empty(a.shape, a.dtype, a) for a in held)
-        scratch = device.empty((_SCRATCH * most + _TABLES,), np.int32)
-        slope_c, found_ct = np.zeros(shape[0]), np.zeros((shape[0], 3), np.int64)
-        slope, found = (device.empty(a.shape, a.dtype, a) for a in (slope_c, found_ct))
-        by_name = {(band.name, band.level): band for band in bands}
-        for band in bands:
-            low, words = band.name == "LL", self._words(shape[0], band)
-            slope_c[1:] = [statistics.slope(channel, low) for channel in range(1, shape[0])]
-            place = device.upload(_describe_place(band, by_name))
-            arrays = (index, sizes, place, slope, found, counts, signs, state, words, scratch)
-            sides = (*shape, *words.shape, *scratch.shape)
-            device.launch("codec/subbands.cl", "code_subband", (1,), *arrays, *sides, int(decoding))
-            device.finish()
-            if fault := int(self._state[_FAULT]):
-                raise PayloadError(f"the range-coded bytes are damaged: {_FAULTS[fault]}")
-            self._keep(words)
-            for channel, (product, square, shift) in enumerate(found_ct.tolist()[1:], start=1):
-                statistics.add_products(channel, low, product << 2 * shift, square << 2 * shift)
-        return indices_chw
-
-    @abstractmethod
-    def _words(self, channels: int, band: Subband) -> DeviceArray:
-        """Return the words to read, or room for those that a subband may take."""
-
-    def _keep(self, words: DeviceArray) -> None:  # noqa: B027 - a decoder has nothing to keep
-        """Note what a launch wrote."""
-
-
-class SubbandEncoder(SubbandCoder):
-    """A coder that writes; what `range_coding.Encoder` would."""
-
-    def __init__(self, device: Device) -> None:
-        super().__init__(device)
-        self._parts: list[NDArray[np.uint32]] = []
-        self._count = 0  # words in all parts
-
-    def copy(self) -> Self:
-        """Return a coder that goes on alone from here."""
-        twin = object.__new__(type(self))
-        twin._device, twin._state = self._device, self._state.copy()
-        twin._parts, twin._count = self._parts.copy(), self._count
-        return twin
-
-    @property
-    def byte_count(self) -> int:
-        """Length of what `to_bytes` would return now."""
-        return 4 * (self._count + len(self._ending()))
-
-    def to_bytes(self) -> bytes:
-        """Return what was coded so far; decoding needs nothing else."""
-        ending = np.array(self._ending(), np.uint32)
-        return np.concatenate([*self._parts, ending]).astype("<u4").tobytes()
-
-    def _ending(self) -> list[int]:
-        """Return the fewest words that name a number in the range left, whatever follows them."""
-        lower, size, pending, first = (int(self._state[i]) for i in (_LOWER, _RANGE, _PENDING, _FIRST_PENDING))
-        if size == _ONES:
-            return []
-        point, words = (lower + (1 << 32) - 1) & _ONES, []
-        if pending:
-            carry = point < lower
-            words = [(first + carry) & 0xFFFFFFFF] + [0 if carry else 0xFFFFFFFF] * (pending - 1)
-        words.append(point >> 32)
-        upper = ((lower + size) & _ONES) >> 32
-        return [*words, 0] if upper == point >> 32 else words
-
-    def _words(self, channels: int, band: Subband) -> DeviceArray:
-        samples = channels * band.shape[0] * band.shape[1]
-        room = _LEAST_ROOM + _WORDS_EACH * samples + int(self._state[_PENDING])
-        return self._device.empty((room,), np.uint32)
-
-    def _keep(self, words: DeviceArray) -> None:
-        written = int(self._state[_AT])
-        self._parts.append(self._device.download(words)[:written].copy())
-        self._count += written
-
-
-class SubbandDecoder(SubbandCoder):
-    """A coder that reads what either encoder wrote; PayloadError where the bytes cannot be that."""
-
-    def __init__(self, device: Device, payload: bytes) -> None:
-        super().__init__(device)
         if len(payload) % 4:
             raise PayloadError(f"the range-coded bytes should be a multiple of 4, they are {len(payload)}")
         words = np.frombuffer(payload, "<u4").astype(np.uint32)
@@ -142,19 +43,42 @@ class SubbandDecoder(SubbandCoder):
         self._state[_AT] = min(2, self._count)
         self._held = device.upload(words if len(words) else np.zeros(1, np.uint32))
 
+    def decode_map(
+        self,
+        statistics: Statistics,
+        bands: list[Subband],
+        shape: tuple[int, int, int],
+    ) -> NDArray[np.int32]:
+        """See `subbands.code_indices`."""
+        device, words = self._device, self._held
+        indices_chw = np.zeros(shape, np.int32)
+        most = max(_largest_batch(band) for band in bands)
+        held: list[NDArray] = [indices_chw, np.zeros(shape, np.int32)]
+        held += [statistics.magnitudes.counts, statistics.signs.counts, self._state]
+        index, sizes, counts, signs, state = (device.empty(a.shape, a.dtype, a) for a in held)
+        scratch = device.empty((_SCRATCH * most + _TABLES,), np.int32)
+        slope_c, found_ct = np.zeros(shape[0]), np.zeros((shape[0], 3), np.int64)
+        slope, found = (device.empty(a.shape, a.dtype, a) for a in (slope_c, found_ct))
+        by_name = {(band.name, band.level): band for band in bands}
+        for band in bands:
+            low = band.name == "LL"
+            slope_c[1:] = [statistics.slope(channel, low) for channel in range(1, shape[0])]
+            place = device.upload(_describe_place(band, by_name))
+            arrays = (index, sizes, place, slope, found, counts, signs, state, words, scratch)
+            sides = (*shape, *words.shape, *scratch.shape)
+            device.launch("codec/subbands.cl", "decode_subband", (1,), *arrays, *sides)
+            device.finish()
+            if fault := int(self._state[_FAULT]):
+                raise PayloadError(f"the range-coded bytes are damaged: {_FAULTS[fault]}")
+            for channel, (product, square, shift) in enumerate(found_ct.tolist()[1:], start=1):
+                statistics.add_products(channel, low, product << 2 * shift, square << 2 * shift)
+        return indices_chw
+
     def finish(self) -> None:
         """Raise PayloadError if bytes are left that no symbol needed."""
         left = (int(self._state[_POINT]) - int(self._state[_LOWER])) & _ONES
         if int(self._state[_AT]) < self._count or (int(self._state[_RANGE]) != _ONES and left >= (1 << 33) - 1):
             raise PayloadError("the range-coded bytes hold more than the indices")
-
-    def _words(self, channels: int, band: Subband) -> DeviceArray:
-        return self._held
-
-
-def encoder_for(device: Device) -> Encoder | SubbandEncoder:
-    """Return the fastest encoder of maps for a device."""
-    return SubbandEncoder(device) if _is_fit(device) else Encoder()
 
 
 def decoder_for(payload: bytes, device: Device) -> Decoder | SubbandDecoder:

@@ -30,7 +30,7 @@ from clrelight.codec.entropy.phases import (
     relatives_of,
 )
 from clrelight.codec.entropy.range_coding import Coder, ModelSet, code_integers
-from clrelight.codec.entropy.subband_kernel import SubbandCoder
+from clrelight.codec.entropy.subband_kernel import SubbandDecoder
 from clrelight.codec.entropy.symbols import CLASSES, class_means, classify, even_prior, geometric_prior
 from clrelight.codec.transforms.lifting import Subband
 from clrelight.errors import PayloadError
@@ -91,7 +91,7 @@ def _magnitude_prior() -> NDArray[np.int64]:
 
 
 def code_indices(
-    coder: Coder | SubbandCoder,
+    coder: Coder | SubbandDecoder,
     statistics: Statistics,
     bands: list[Subband],
     shape: tuple[int, int, int],
@@ -102,7 +102,7 @@ def code_indices(
 
     Parameters
     ----------
-    coder : Coder or SubbandCoder
+    coder : Coder or SubbandDecoder
         Where symbols go to or come from; the latter for groups of one channel.
     statistics : Statistics
         Changed.
@@ -126,8 +126,8 @@ def code_indices(
     PayloadError
         If what is decoded cannot be indices.
     """
-    if isinstance(coder, SubbandCoder):
-        return coder.code_map(statistics, bands, shape, index_chw)
+    if isinstance(coder, SubbandDecoder):
+        return coder.decode_map(statistics, bands, shape)
     decoding = index_chw is None
     indices_chw = np.zeros(shape, np.int32) if index_chw is None else index_chw
     sizes_chw = np.zeros(shape, np.int32)  # of the differences, for contexts

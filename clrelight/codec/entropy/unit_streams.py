@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.units import Layout
+from clrelight.codec.entropy.units import LEVELS, Layout
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 
@@ -87,7 +87,8 @@ def encode_streams(
     index: DeviceArray,
     tables: Tables,
     price: float,
-    scale: float = 1.0,
+    scale: float | NDArray[np.float32] = 1.0,
+    coarse_jl: NDArray[np.int32] | None = None,
     count: bool = False,
 ) -> Coded:
     """Encode planes of wavelet coefficients in steps.
@@ -105,8 +106,10 @@ def encode_streams(
         What streams start from.
     price : float
         Squared steps of error that a bit must save.
-    scale : float
-        Steps of a unit of the values.
+    scale : float, or ndarray of shape (n_plane,), float32
+        Steps of a unit of the values, of all planes or of each.
+    coarse_jl : ndarray, shape (n_plane, LEVELS + 1), int32, optional
+        Bits of each plane's indices, by level with LL first, that are written as they are; none by default.
     count : bool
         Whether symbols and flags are counted too.
 
@@ -120,13 +123,16 @@ def encode_streams(
     ValuesLostError
         If streams take more than a byte a sample, and indices were put in the place of values.
     """
-    n_plane, n_stream = values.shape[0], len(layout.first_t2)
-    samples = _samples(layout) * n_plane
-    workers = min(4 * device.info.compute_units, max(end - begin for begin, end in layout.batches))
+    batches = layout.batches()
+    n_plane, n_stream = values.shape[0], len(layout.part_t4)
+    samples = _samples(layout)
+    workers = min(4 * device.info.compute_units, max(end - begin for begin, end in batches))
     items = int(samples.max()) * 5 // 4 + (1 << 12)  # samples, and flags of cells and bands
     place_t2, seen_wn = np.zeros((n_stream, 2), np.uint32), np.zeros((workers, _SEEN if count else 1), np.uint32)
     error_tj, bits_tj = np.zeros((n_stream, n_plane), np.float32), np.zeros((n_stream, n_plane), np.float32)
-    given = [device.upload(a) for a in (layout.first_t2, layout.unit_uf, tables.count_ms, tables.flag_f2)]
+    given = [device.upload(a) for a in (layout.part_t4, layout.unit_uf, tables.count_ms, tables.flag_f2)]
+    scales = device.upload(np.broadcast_to(np.asarray(scale, np.float32), n_plane).copy())
+    coarse = device.upload(_coarse(coarse_jl, n_plane))
     work, item = device.empty((workers, _WORK_BYTES), np.uint8), device.empty((workers, items), np.uint32)
     raw = device.empty((workers, _RAW_BYTES * items), np.uint8)
     room = max(1 << 20, int(samples.sum()))
@@ -134,13 +140,13 @@ def encode_streams(
         taken, stream = np.zeros(1, np.uint32), device.empty((room,), np.uint8)
         held = [device.hold(a) for a in (taken, place_t2, error_tj, bits_tj)]
         seen = device.hold(seen_wn)
-        for begin, end in layout.batches:
+        for begin, end in batches:
             device.launch(
                 "codec/units_encode.cl",
                 "encode_units",
                 (min(workers, end - begin),),
-                *(index, values, stream, *held, *given, work, item, raw, seen),
-                *(price, scale, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
+                *(index, values, stream, *held, *given, work, item, raw, seen, scales, coarse),
+                *(price, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
             )
         taken, place_t2, error_tj, bits_tj = (device.download(a) for a in held)
         if int(taken[0]) <= room:
@@ -164,11 +170,16 @@ def encode_streams(
 
 
 def _samples(layout: Layout) -> NDArray[np.int64]:
-    """Return the samples of a plane that each stream holds."""
+    """Return the samples that each stream holds."""
     fields = np.maximum(layout.unit_uf, 0).astype(np.int64)
     of_unit = (fields[:, 4:7] * fields[:, 7:10]).sum(axis=1)
     ends = np.concatenate([[0], np.cumsum(of_unit)])
-    return ends[layout.first_t2[:, 1]] - ends[layout.first_t2[:, 0]]
+    units, planes = layout.part_t4[:, :2], layout.part_t4[:, 2:]
+    return (ends[units[:, 1]] - ends[units[:, 0]]) * (planes[:, 1] - planes[:, 0])
+
+
+def _coarse(coarse_jl: NDArray[np.int32] | None, n_plane: int) -> NDArray[np.int32]:
+    return np.zeros((n_plane, LEVELS + 1), np.int32) if coarse_jl is None else coarse_jl
 
 
 def decode_streams(
@@ -180,6 +191,7 @@ def decode_streams(
     values: DeviceArray,
     known_shape: tuple[int, int, int],
     weight_jc: NDArray[np.float32] | None = None,
+    coarse_jl: NDArray[np.int32] | None = None,
 ) -> NDArray[np.int32]:
     """Decode streams into zeroed planes of the indices' values, or into sums of them times weights.
 
@@ -200,31 +212,35 @@ def decode_streams(
         (n_plane, rows, pitch) of the layout.
     weight_jc : ndarray, shape (n_plane, n_sum), float32, optional
         What sums are made with; None: planes are asked for.
+    coarse_jl : ndarray, shape (n_plane, LEVELS + 1), int32, optional
+        See `encode_streams`.
 
     Returns
     -------
     ndarray, shape (n_stream,), int32
         1 where a stream is damaged.
     """
-    n_stream, most = len(streams), max(end - begin for begin, end in layout.batches)
     size_t = np.array([len(s) for s in streams], np.uint32)
     place_t2 = np.stack([np.cumsum(size_t, dtype=np.uint32) - size_t, size_t], axis=1)
     stream = device.upload(np.frombuffer(b"".join(streams) or b"\0", np.uint8))
-    placed = place_uf.reshape(len(place_uf), -1)
-    tables_given = (tables.count_ms, tables.flag_f2)
-    given = [device.upload(a) for a in (place_t2, layout.first_t2, layout.unit_uf, placed, *tables_given)]
+    part_t4, placed = layout.part_t4, place_uf.reshape(len(place_uf), -1)
+    tables_given = (tables.count_ms, tables.flag_f2, _coarse(coarse_jl, known_shape[0]))
+    given = [device.upload(a) for a in (place_t2, part_t4, layout.unit_uf, placed, *tables_given)]
+    # Streams of one place must not add to the same sums at once.
+    batches = layout.batches(apart=weight_jc is not None)
+    most = max(end - begin for begin, end in batches)
     workers = min(most, _WORKERS[device.style] * device.info.compute_units)
     work = device.empty((workers, _WORK_BYTES), np.uint8)
-    fault = device.hold(np.zeros(n_stream, np.int32))
+    fault = device.hold(np.zeros(len(streams), np.int32))
     known = device.hold(np.zeros(known_shape, np.uint8))
     weight = device.upload(np.zeros((known_shape[0], 1), np.float32) if weight_jc is None else weight_jc)
     n_sum = 0 if weight_jc is None else weight_jc.shape[1]
-    for begin, end in layout.batches:
+    for begin, end in batches:
         device.launch(
             "codec/units_decode.cl",
             "decode_units",
             (min(workers, end - begin),),
             *(values, known, weight, stream, *given, work, fault),
-            *(begin, end, n_sum, *values.shape[1:], *known_shape),
+            *(begin, end, n_sum, *values.shape[1:], *known_shape[1:]),
         )
     return device.download(fault)

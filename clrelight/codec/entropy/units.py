@@ -9,8 +9,8 @@ side by side. What stands in a stream: docs/bitstream.md.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,27 +155,50 @@ class Layout:
     ----------
     unit_uf : ndarray, shape (n_unit, 19), int32
         See `describe_units`; from coarse to fine.
-    first_t2 : ndarray, shape (n_stream, 2), int32
-        First unit of each stream, and the one behind its last.
+    part_t4 : ndarray, shape (n_stream, 4), int32
+        First unit of each stream, the one behind its last; its first plane, and the one behind its last.
     """
 
     unit_uf: NDArray[np.int32]
-    first_t2: NDArray[np.int32]
+    part_t4: NDArray[np.int32]
 
-    @cached_property
-    def batches(self) -> list[tuple[int, int]]:
-        """First and last but one of the streams that need none of each other, in order."""
-        level_t = self.unit_uf[self.first_t2[:, 0], 0]
-        rank_t = np.where(level_t == 0, LEVELS, level_t)
-        starts = [0, *(np.flatnonzero(np.diff(rank_t)) + 1).tolist(), len(rank_t)]
+    def batches(self, *, apart: bool = False) -> list[tuple[int, int]]:
+        """Return the first and last but one of the streams that need none of each other, in order.
+
+        Where groups of planes are to be `apart`, streams of a batch are also of one group.
+        """
+        level_t = self.unit_uf[self.part_t4[:, 0], 0]
+        rank_t = np.where(level_t == 0, LEVELS + 1, level_t)
+        changes = (np.diff(rank_t) != 0) & (rank_t[1:] < LEVELS)  # LL is no parent
+        if apart:
+            changes |= np.diff(self.part_t4[:, 2]) != 0
+        starts = [0, *(np.flatnonzero(changes) + 1).tolist(), len(rank_t)]
         return list(itertools.pairwise(starts))
 
+    def of_first(self, count: int) -> Layout:
+        """Return the layout of the first planes only."""
+        if count >= int(self.part_t4[:, 3].max(initial=0)):
+            return self
+        return replace(self, part_t4=np.minimum(self.part_t4, [1 << 30, 1 << 30, count, count]).astype(np.int32))
 
-def lay_out(units: list[Unit], height: int, width: int, window: Window, pitch: int, together: bool) -> Layout:
-    """Return the layout of units, all in one stream or each in its own."""
-    count = len(units)
-    firsts = [[0, count]] if together else [[u, u + 1] for u in range(count)]
-    return Layout(describe_units(units, height, width, window, pitch), np.array(firsts, np.int32))
+
+def lay_out(
+    units: list[Unit], sides: tuple[int, int], window: Window, pitch: int, together: bool, groups: list[tuple[int, int]]
+) -> Layout:
+    """Return the layout of units of an image: each a stream of every group of planes, or all together one.
+
+    Streams follow each other level by level, of a level group by group, and in those unit by unit.
+    """
+    spans = [(0, len(units))]
+    if not together:
+        levels = [unit.level for unit in units]
+        starts = [0, *(u for u in range(1, len(units)) if levels[u] != levels[u - 1]), len(units)]
+        spans = list(itertools.pairwise(starts))
+    parts: list[tuple[int, ...]] = []
+    for first, end in spans:
+        found = [(first, end)] if together else [(u, u + 1) for u in range(first, end)]
+        parts += [(*span, *group) for group in groups for span in found]
+    return Layout(describe_units(units, *sides, window, pitch), np.array(parts, np.int32).reshape(-1, 4))
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
 from clrelight.codec.damage import Damage
+from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.units import MARGIN, PRECINCT, tile_sides
 from clrelight.codec.factored import finite_images
 from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_salvage import Salvage
-from clrelight.codec.formats.klt_units import Parsed, is_together
+from clrelight.codec.formats.klt_units import Parsed
 from clrelight.codec.rooms import Shape
 from clrelight.codec.slabs import SLAB_BYTES
 from clrelight.codec.streams import Target
@@ -64,7 +65,7 @@ class _Maker:
         return coeffs_khwc
 
 
-class _Strips:
+class Strips:
     """Planes of rows, decoded strip by strip."""
 
     def __init__(self, reader: UnitReader, shape: Shape, count: int, memory: int) -> None:
@@ -113,11 +114,8 @@ class UnitView:
     """
 
     def __init__(self, body: Body, parsed: Parsed, shape: Shape, damage: Damage | None = None) -> None:
-        self._body, self._parsed, self._shape = body, parsed, shape
-        self._salvage: Salvage | None = None
-        if damage is not None and parsed.head.n_plane and not is_together(shape):
-            self._salvage = Salvage(shape, parsed.head.n_plane, damage)
-        self._planes_jyx: NDArray[np.float32] | None = None  # of a small image, once they are asked for
+        self._parsed, self._shape = parsed, shape
+        self._planes = UnitPlanes(body, parsed.stored, shape, damage)
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
@@ -125,13 +123,11 @@ class UnitView:
 
     def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
         """Return those of a part, at its level."""
-        planes_jyx = _planes_of(self._reader(device), region, self._parsed.head.n_plane)
-        return _Maker(self._parsed, self._shape, device).coefficients(planes_jyx)
+        return _Maker(self._parsed, self._shape, device).coefficients(self._planes.of(region, device))
 
     def put_rows(self, target: Target, device: Device) -> None:
         """Put all coefficients, strip by strip."""
-        maker, reader = _Maker(self._parsed, self._shape, device), self._reader(device)
-        strips = _Strips(reader, self._shape, self._parsed.head.n_plane, target.room.memory_bytes)
+        maker, strips = _Maker(self._parsed, self._shape, device), self._planes.strips(target.room.memory_bytes, device)
         for part in target.row_parts():
             target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
 
@@ -147,7 +143,7 @@ class UnitView:
         count = self._parsed.head.n_plane
         sums = np.zeros((len(operator_mj), *region.shape), np.float32)
         if count:
-            sums = self._sums(self._reader(device), region, operator_mj[:, :count], device)
+            sums = self._planes.sums(region, operator_mj[:, :count], device)
         with np.errstate(over="ignore"):  # what no encoder wrote: it is refused below
             sums += operator_mj[:, count, None, None].astype(np.float32)
         images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
@@ -155,14 +151,43 @@ class UnitView:
             images = bent(images, device, decode=True)
         return np.ascontiguousarray(finite_images(images))
 
-    def _reader(self, device: Device) -> UnitReader:
-        return UnitReader(self._body, self._parsed, self._shape, device, self._salvage)
 
-    def _sums(
-        self, reader: UnitReader, region: Region, operator_mj: NDArray[np.float64], device: Device
-    ) -> NDArray[np.float32]:
-        """Return sums of planes, by whichever is less work: sums of wavelet coefficients, or planes first."""
+class UnitPlanes:
+    """Planes of a body in units, and sums of them times weights, of parts of the image.
+
+    Parameters
+    ----------
+    body : Body
+    stored : Stored
+        Where its streams lie.
+    shape : tuple of int
+        (n_coeff, height, width, channel).
+    damage : Damage, optional
+        Told of units that are damaged, where they are streams of their own; without it they are a PayloadError.
+    """
+
+    def __init__(self, body: Body, stored: Stored, shape: Shape, damage: Damage | None = None) -> None:
+        self._body, self._stored, self._shape = body, stored, shape
+        self._salvage: Salvage | None = None
+        if damage is not None and stored.n_plane and not stored.together:
+            self._salvage = Salvage(shape, stored, damage)
+        self._planes_jyx: NDArray[np.float32] | None = None  # of a small image, once they are asked for
+
+    def of(self, region: Region, device: Device) -> NDArray[np.float32]:
+        """Return the planes of a region, (count, height, width)."""
+        return _planes_of(self._reader(device), region, self._stored.n_plane)
+
+    def strips(self, memory: int, device: Device) -> Strips:
+        """Return what gives planes of all rows, in so many bytes."""
+        return Strips(self._reader(device), self._shape, self._stored.n_plane, memory)
+
+    def _reader(self, device: Device) -> UnitReader:
+        return UnitReader(self._body, self._stored, self._shape, device, self._salvage)
+
+    def sums(self, region: Region, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
+        """Return (n_sum, height, width), by whichever is less work: sums of wavelet coefficients, or planes first."""
         n_sum, count = operator_mj.shape
+        reader = self._reader(device)
         if region == reader.whole and 4 * count * region.shape[0] * region.shape[1] <= _KEPT_BYTES:
             if self._planes_jyx is None:
                 self._planes_jyx = reader.planes(region)

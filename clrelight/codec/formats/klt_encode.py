@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
+from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.unit_streams import Coded, ValuesLostError, default_tables, encode_streams
 from clrelight.codec.entropy.units import LEVELS, Tile, Window, lay_out, list_tiles, list_units, whole_tile
 from clrelight.codec.formats.klt_trials import (
@@ -20,15 +21,7 @@ from clrelight.codec.formats.klt_trials import (
     list_pieces,
     search_step,
 )
-from clrelight.codec.formats.klt_units import (
-    HEAD_SIZE,
-    Head,
-    count_streams,
-    index_bytes,
-    is_together,
-    pack_axes,
-    pack_body,
-)
+from clrelight.codec.formats.klt_units import HEAD_SIZE, Head, count_streams, is_together, pack_axes, pack_body
 from clrelight.codec.rooms import Progress
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
 from clrelight.codec.transforms.lifting import transform_planes
@@ -149,7 +142,7 @@ class Encoder:
             units = list_units(*size)
         else:
             size, units = (self._shape[1], self._shape[2]), tile.units
-        layout = lay_out(units, *size, window, values.shape[2], is_together(self._shape))
+        layout = lay_out(units, size, window, values.shape[2], is_together(self._shape), [(0, values.shape[0])])
         return Part(values, layout, middle, *window.shape)
 
     def _encode_tile(self, tile: Tile, planes: Planes, step: float, price: float) -> Coded:
@@ -165,8 +158,9 @@ class Encoder:
         shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
         values = reshaped(part.values, shape)
         index = self._device.empty(shape, np.int32) if keep else with_type(values, np.int32)
+        layout = part.layout.of_first(shape[0])
         return encode_streams(
-            self._device, part.layout, values, index, default_tables(), price, 1.0 / step, self._counts
+            self._device, layout, values, index, default_tables(), price, 1.0 / step, count=self._counts
         )
 
     def _try(self, step: float, every: int = 1) -> Trial:

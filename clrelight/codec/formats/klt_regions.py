@@ -1,4 +1,4 @@
-"""Which units of body 4 of the codec `klt` a region hangs on, and how they become its planes."""
+"""Which units of a body a region hangs on, and how they become its planes."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
+from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
 from clrelight.codec.entropy.units import (
     LEVELS,
     MARGIN,
     PRECINCT,
+    Layout,
     Unit,
     Window,
     lay_out,
@@ -19,7 +21,6 @@ from clrelight.codec.entropy.units import (
     place_units,
 )
 from clrelight.codec.formats.klt_salvage import Salvage
-from clrelight.codec.formats.klt_units import Parsed, expect_streams, is_together, read_stream
 from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import padded_width, transform_planes
 from clrelight.codec.views import Region
@@ -40,7 +41,8 @@ class UnitReader:
     ----------
     body : Body
         Bytes, or what is read when sliced: only units of the region are.
-    parsed : Parsed
+    stored : Stored
+        Where its streams lie.
     shape : tuple of int
         (n_coeff, height, width, channel).
     device : Device
@@ -49,9 +51,9 @@ class UnitReader:
     """
 
     def __init__(
-        self, body: Body, parsed: Parsed, shape: Shape, device: Device, salvage: Salvage | None = None
+        self, body: Body, stored: Stored, shape: Shape, device: Device, salvage: Salvage | None = None
     ) -> None:
-        self._body, self._parsed, self._shape, self._device = body, parsed, shape, device
+        self._body, self._stored, self._shape, self._device = body, stored, shape, device
         self._salvage = salvage
         self._units = list_units(shape[1], shape[2])
 
@@ -71,7 +73,7 @@ class UnitReader:
     def _synthesised(self, region: Region, weight_jc: NDArray[np.float32] | None) -> NDArray[np.float32]:
         """Decode the units of a region, and transform their planes or sums back; part by part where they are many."""
         level = region.level
-        n_values = self._parsed.head.n_plane if weight_jc is None else weight_jc.shape[1]
+        n_values = self._stored.n_plane if weight_jc is None else weight_jc.shape[1]
         if (halves := self._halves(region, n_values)) is not None:
             parts = [self._synthesised(half, weight_jc) for half in halves]
             return np.concatenate(parts, axis=1 if halves[0].shape[1] == region.shape[1] else 2)
@@ -94,9 +96,9 @@ class UnitReader:
             [(side << level) + 2 * around >> depth for side in region.shape]
             for around, depth in ((MARGIN, level), (PRECINCT, 1))
         )
-        needed = 4 * n_values * values[0] * values[1] + self._parsed.head.n_plane * known[0] * known[1]
+        needed = 4 * n_values * values[0] * values[1] + self._stored.n_plane * known[0] * known[1]
         fits = needed <= min(_AT_ONCE, self._device.info.memory_bytes // 4)
-        if fits or is_together(self._shape) or max(region.shape) <= least:
+        if fits or self._stored.together or max(region.shape) <= least:
             return None
         if region.shape[0] >= region.shape[1]:
             middle = (top + bottom) // 2 // least * least
@@ -109,39 +111,31 @@ class UnitReader:
     def _decode(self, region: Region, window: Window, weight_jc: NDArray[np.float32] | None) -> DeviceArray:
         """Return values of indices, or sums, in a window at the region's level; what the region needs is in them."""
         _, height, width, _ = self._shape
-        together = is_together(self._shape)
+        together = self._stored.together
         chosen = list(range(len(self._units))) if together else self._needed(region)
         cover = Window(0, 0, height, width) if together else _cover([self._units[t] for t in chosen], height, width)
-        expect_streams(self._body, self._parsed, [0] if together else chosen)
+        self._stored.expect(self._body, self._stored.numbers(self._units, chosen))
         if self._salvage is None:
-            streams = [self._read(t) for t in ([0] if together else chosen)]
-            values, fault_t = self._run(chosen, cover, streams, window, region.level, weight_jc)
+            numbers = self._stored.numbers(self._units, chosen)
+            values, fault_t, _ = self._run(chosen, cover, window, region.level, weight_jc)
             if fault_t.any():
-                raise PayloadError(f"unit {chosen[int(np.argmax(fault_t))]} of the klt body cannot be decoded")
+                number = numbers[int(np.argmax(fault_t))]
+                raise PayloadError(f"unit {number} of the {self._stored.name} body cannot be decoded")
             return values
         while True:
-            kept, streams = self._salvage.keep(chosen, self._read)
-            values, fault_t = self._run(kept, cover, streams, window, region.level, weight_jc)
+            kept = self._salvage.keep(chosen, self._body)
+            values, fault_t, layout = self._run(kept, cover, window, region.level, weight_jc)
             if not fault_t.any():
-                return self._salvage.filled(values, window, chosen, self._read, self._device, weight_jc)
-            self._salvage.fault(np.array(kept)[fault_t != 0].tolist())
-
-    def _read(self, stream: int) -> bytes:
-        return read_stream(self._body, self._parsed, stream)
+                return self._salvage.filled(values, window, chosen, self._body, self._device, weight_jc)
+            self._salvage.fault([kept[u] for u in layout.part_t4[fault_t != 0, 0]])
 
     def _run(
-        self,
-        numbers: list[int],
-        cover: Window,
-        streams: list[bytes],
-        window: Window,
-        level: int,
-        weight_jc: NDArray[np.float32] | None,
-    ) -> tuple[DeviceArray, NDArray[np.int32]]:
-        """Decode units' streams into planes of a window at a level, or sums of them; return those, and which fail."""
+        self, chosen: list[int], cover: Window, window: Window, level: int, weight_jc: NDArray[np.float32] | None
+    ) -> tuple[DeviceArray, NDArray[np.int32], Layout]:
+        """Decode units into planes of a window at a level, or sums of them; return those, and which streams fail."""
         _, height, width, _ = self._shape
-        count = self._parsed.head.n_plane
-        units = [self._units[t] for t in numbers]
+        stored, count = self._stored, self._stored.n_plane
+        units = [self._units[t] for t in chosen]
         sides = (
             low_side(window.bottom, level) - (window.top >> level),
             low_side(window.right, level) - (window.left >> level),
@@ -149,13 +143,16 @@ class UnitReader:
         n_values = count if weight_jc is None else weight_jc.shape[1]
         # Memory that is not there before something is written to it.
         values = self._device.hold(np.zeros((n_values, sides[0], padded_width(sides[1])), np.float32))
-        if not streams:
-            return values, np.zeros(0, np.int32)
         known = (count, low_side(cover.shape[0], 1), low_side(cover.shape[1], 1))
-        layout = lay_out(units, height, width, cover, known[-1], is_together(self._shape))
+        layout = lay_out(units, (height, width), cover, known[-1], stored.together, stored.groups)
+        if not units:
+            return values, np.zeros(0, np.int32), layout
+        streams = [stored.read(self._body, t) for t in stored.numbers(self._units, chosen)]
         places, tables = place_units(units, height, width, window, level), default_tables()
-        fault_t = decode_streams(self._device, layout, places, streams, tables, values, known, weight_jc)
-        return values, fault_t
+        fault_t = decode_streams(
+            self._device, layout, places, streams, tables, values, known, weight_jc, stored.coarse_jl
+        )
+        return values, fault_t, layout
 
     def _needed(self, region: Region) -> list[int]:
         """Return the numbers of the units that a region's samples hang on."""

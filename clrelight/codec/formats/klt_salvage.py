@@ -1,4 +1,4 @@
-"""What is left of body 4 of the codec `klt` where units of it are damaged.
+"""What is left of a body in units where some of them are damaged.
 
 A unit of HL, LH and HH that is lost leaves zeros, so that its place shows what the coarser level holds; units that know
 their parents by it are lost with it. A unit of LL is filled from the samples around it, as smoothly as there is.
@@ -6,12 +6,14 @@ their parents by it are lost with it. A unit of LL is filled from the samples ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec.bodies import Body
 from clrelight.codec.damage import Damage, Lost
+from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
 from clrelight.codec.entropy.units import LEVELS, Unit, Window, lay_out, list_units, low_side, place_units, unit_side
 from clrelight.codec.rooms import Shape
@@ -20,9 +22,6 @@ from clrelight.device import Device
 from clrelight.errors import PayloadError, StoreFormatError
 from clrelight.opencl.arguments import DeviceArray
 
-Read = Callable[[int], bytes]
-"""Gives the stream of a unit, or raises PayloadError or StoreFormatError."""
-
 
 class Salvage:
     """Knows which units of a body are damaged, and what takes their place.
@@ -30,35 +29,33 @@ class Salvage:
     Parameters
     ----------
     shape : tuple of int
-        (n_coeff, height, width, channel), of more pixels than are one stream.
-    count : int
-        Planes.
+        (n_coeff, height, width, channel).
+    stored : Stored
+        Where the streams of units lie, each alone.
     damage : Damage
         Told of each unit that is asked for and damaged.
     """
 
-    def __init__(self, shape: Shape, count: int, damage: Damage) -> None:
-        self._height, self._width, self._count, self._damage = shape[1], shape[2], count, damage
+    def __init__(self, shape: Shape, stored: Stored, damage: Damage) -> None:
+        self._height, self._width, self._stored, self._damage = shape[1], shape[2], stored, damage
         self._units = list_units(self._height, self._width)
         self._number = {unit: t for t, unit in enumerate(self._units)}
         self._faulty: set[int] = set()
         self._low_jyx: NDArray[np.int32] | None = None
 
-    def keep(self, chosen: Sequence[int], read: Read) -> tuple[list[int], list[bytes]]:
-        """Return those of the units, from coarse to fine, that can be decoded, and their streams."""
-        kept, streams, gone = [], [], set()
+    def keep(self, chosen: Sequence[int], body: Body) -> list[int]:
+        """Return those of the units, from coarse to fine, that can be decoded; of all planes, or they are lost."""
+        kept, gone = [], set()
         for t in chosen:
             if self._parent(t) in gone:
                 gone.add(t)
                 continue
-            stream = self._stream(t, read)
-            if stream is None:
+            if self._is_whole(t, body):
+                kept.append(t)
+            else:
                 gone.add(t)
                 self._tell(t)
-            else:
-                kept.append(t)
-                streams.append(stream)
-        return kept, streams
+        return kept
 
     def fault(self, numbers: Sequence[int]) -> None:
         """Take note of units that cannot be decoded although their checksums fit."""
@@ -69,7 +66,7 @@ class Salvage:
         values: DeviceArray,
         window: Window,
         chosen: Sequence[int],
-        read: Read,
+        body: Body,
         device: Device,
         weight_jc: NDArray[np.float32] | None,
     ) -> DeviceArray:
@@ -78,7 +75,7 @@ class Salvage:
         if not lost:
             return values
         if self._low_jyx is None:
-            self._low_jyx = self._make_low(read, device)
+            self._low_jyx = self._make_low(body, device)
         values_jyx = device.download(values)
         top, left = window.top >> LEVELS, window.left >> LEVELS
         bottom, right = low_side(window.bottom, LEVELS), low_side(window.right, LEVELS)
@@ -93,14 +90,16 @@ class Salvage:
             values_jyx[:, rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = low_jyx
         return device.hold(values_jyx)
 
-    def _stream(self, t: int, read: Read) -> bytes | None:
+    def _is_whole(self, t: int, body: Body) -> bool:
         if t in self._faulty:
-            return None
+            return False
         try:
-            return read(t)
+            for stream in self._stored.numbers(self._units, [t]):
+                self._stored.read(body, stream)
         except (PayloadError, StoreFormatError):
             self._faulty.add(t)
-            return None
+            return False
+        return True
 
     def _parent(self, t: int) -> int:
         """Return the unit that a unit knows its parents by; -1 where there is none."""
@@ -118,31 +117,29 @@ class Salvage:
         bottom, right = (place + (unit.side << depth) for place in (top, left))
         self._damage.lost[t] = Lost(unit.level, top, left, min(bottom, self._height), min(right, self._width))
 
-    def _make_low(self, read: Read, device: Device) -> NDArray[np.int32]:
+    def _make_low(self, body: Body, device: Device) -> NDArray[np.int32]:
         """Return LL of all planes, with what is lost of it filled."""
         height, width = low_side(self._height, LEVELS), low_side(self._width, LEVELS)
-        numbers = [t for t, unit in enumerate(self._units) if unit.level == 0]
-        found = {t: stream for t in numbers if (stream := self._stream(t, read)) is not None}
-        window = Window(0, 0, self._height, self._width)
+        kept = [t for t, unit in enumerate(self._units) if unit.level == 0 and self._is_whole(t, body)]
+        window, sides = Window(0, 0, self._height, self._width), (self._height, self._width)
+        stored, count = self._stored, self._stored.n_plane
         while True:
-            kept = sorted(found)
-            values = device.hold(np.zeros((self._count, height, padded_width(width)), np.float32))
-            if kept:
-                units, sides = [self._units[t] for t in kept], (self._height, self._width)
-                layout, places = lay_out(units, *sides, window, 1, False), place_units(units, *sides, window, LEVELS)
-                streams, known = [found[t] for t in kept], (self._count, 1, 1)  # LL is no parent
+            values = device.hold(np.zeros((count, height, padded_width(width)), np.float32))
+            units = [self._units[t] for t in kept]
+            if units:
+                layout = lay_out(units, sides, window, 1, False, stored.groups)
+                places = place_units(units, *sides, window, LEVELS)
+                streams = [stored.read(body, t) for t in stored.numbers(self._units, kept)]
+                known = (count, 1, 1)  # LL is no parent
                 fault_t = decode_streams(device, layout, places, streams, default_tables(), values, known)
                 if fault_t.any():
-                    for t in np.array(kept)[fault_t != 0].tolist():
-                        self._faulty.add(t)
-                        del found[t]
+                    self._faulty.update(kept[u] for u in layout.part_t4[fault_t != 0, 0])
+                    kept = [t for t in kept if t not in self._faulty]
                     continue
-            low_jyx = device.download(values)[:, :, :width].astype(np.int32)
             is_known = np.zeros((height, width), np.bool_)
-            for t in kept:
-                unit = self._units[t]
+            for unit in units:
                 is_known[unit.row : unit.row + unit.side, unit.column : unit.column + unit.side] = True
-            return fill_smoothly(low_jyx, is_known)
+            return fill_smoothly(device.download(values)[:, :, :width].astype(np.int32), is_known)
 
 
 def fill_smoothly(planes_jyx: NDArray[np.int32], is_known_yx: NDArray[np.bool_]) -> NDArray[np.int32]:

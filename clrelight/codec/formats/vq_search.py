@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from clrelight.codec.slabs import group_size, round_up, slabs
 from clrelight.codec.transforms.vectors import spread_sample
 from clrelight.device import Device
+from clrelight.threads import on_one_thread
 
 SAMPLES, SAMPLES_PER_WORD = 16384, 16
 """Vectors that the design looks at: the larger of the first, and of the second for each codeword."""
@@ -16,6 +17,9 @@ SPLIT_PASSES, FINAL_PASSES = 4, 32
 LEAST_GAIN = 5e-4
 """Relative gain of a pass below which no more are made."""
 
+LEFT_OUT, FEW = 0.03, 1024
+"""Part of the vectors' variance that the design does not look at, where there are not few of them."""
+
 ROWS = 4
 
 
@@ -23,9 +27,29 @@ def design_codebook(vectors_dp: NDArray[np.float32], bits: int, device: Device) 
     """Return ``2**bits`` codewords (j, d) for the vectors, always the same ones.
 
     From one codeword, the mean, each round splits all along their dimension of largest variance and improves them by
-    Lloyd's algorithm. The last pass sees all vectors, those before a sample.
+    Lloyd's algorithm: for a sample, along the axes that it needs. The last pass sees all of all vectors.
     """
     sample_dp = vectors_dp[:, spread_sample(vectors_dp.shape[1], max(SAMPLES, SAMPLES_PER_WORD << bits))]
+    axes_rd = _principal_axes(sample_dp)
+    codebook_jr = _design_by_sample(np.ascontiguousarray(axes_rd @ sample_dp), bits, device)
+    codes_p, squares_p = search_codebook(axes_rd @ vectors_dp, codebook_jr, device)
+    return _improve(vectors_dp, len(codebook_jr), codes_p, squares_p).astype(np.float32)
+
+
+def _principal_axes(sample_dp: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the axes (r, d) that hold all but a little of what vectors differ by: distances are those along them."""
+    if sample_dp.shape[1] < FEW:
+        return np.eye(len(sample_dp), dtype=np.float32)
+    with on_one_thread():
+        deviation_dp = sample_dp - sample_dp.mean(axis=1, dtype=np.float64)[:, None].astype(np.float32)
+        energy_r, axes_dr = np.linalg.eigh((deviation_dp @ deviation_dp.T).astype(np.float64))
+    left_r = np.cumsum(np.maximum(energy_r, 0.0))
+    first = min(int(np.searchsorted(left_r, LEFT_OUT * left_r[-1], side="right")), len(left_r) - 1)
+    return np.ascontiguousarray(axes_dr[:, first:].T[::-1], np.float32)
+
+
+def _design_by_sample(sample_dp: NDArray[np.float32], bits: int, device: Device) -> NDArray[np.float32]:
+    """Return ``2**bits`` codewords (j, d) for a sample."""
     codebook_jd = sample_dp.mean(axis=1, dtype=np.float64)[None]
     codes_p = np.zeros(sample_dp.shape[1], np.uint16)
     for step in range(bits):
@@ -43,13 +67,12 @@ def design_codebook(vectors_dp: NDArray[np.float32], bits: int, device: Device) 
             if not error < (1.0 - LEAST_GAIN) * before:
                 break
             before = error
-            codebook_jd = _improve(sample_dp, codebook_jd, codes_p, squares_p)
+            codebook_jd = _improve(sample_dp, len(codebook_jd), codes_p, squares_p)
         codes_p = search_codebook(sample_dp, codebook_jd.astype(np.float32), device)[0]
         # For the variances of the next round, means and cells have to belong together.
         means_jd, counts_j = _cell_means(sample_dp, codes_p, len(codebook_jd))
         codebook_jd = np.where(counts_j[:, None] > 0, means_jd, codebook_jd)
-    codes_p, squares_p = search_codebook(vectors_dp, codebook_jd.astype(np.float32), device)
-    return _improve(vectors_dp, codebook_jd, codes_p, squares_p).astype(np.float32)
+    return codebook_jd.astype(np.float32)
 
 
 def search_codebook(
@@ -99,12 +122,12 @@ def _cell_means(
 
 def _improve(
     vectors_dp: NDArray[np.float32],
-    codebook_jd: NDArray[np.float64],
+    n_word: int,
     codes_p: NDArray[np.uint16],
     squares_p: NDArray[np.float32],
 ) -> NDArray[np.float64]:
     """Return the mean of each cell; a codeword without vectors goes to one of the vectors that are worst off."""
-    means_jd, counts_j = _cell_means(vectors_dp, codes_p, len(codebook_jd))
+    means_jd, counts_j = _cell_means(vectors_dp, codes_p, n_word)
     empty = np.flatnonzero(counts_j == 0)
     worst = np.argsort(-squares_p, kind="stable")[: empty.size]
     means_jd[empty[: worst.size]] = vectors_dp[:, worst].T

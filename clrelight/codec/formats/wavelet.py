@@ -1,52 +1,36 @@
-"""The wavelet codec: CDF 9/7, a uniform quantiser, adaptive range coding, at a rate asked for."""
+"""The wavelet codec: CDF 9/7, a uniform quantiser and units of rANS, at a rate asked for."""
 
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
 from clrelight.codec.bodies import Body, BodyWriter
-from clrelight.codec.entropy.subband_kernel import decoder_for
-from clrelight.codec.entropy.subbands import Statistics, code_indices
-from clrelight.codec.rate.allocation import (
-    ABSENT,
-    BIAS_SCALE,
-    TransformedMaps,
-    coding_order,
-    spend_alike,
-    spend_by_one_step,
-    statistics_for,
-)
-from clrelight.codec.rate.expectation import expect_codes, expect_moments
+from clrelight.codec.damage import Damage
+from clrelight.codec.entropy.units import MARGIN, PRECINCT
+from clrelight.codec.formats.wavelet_encode import Encoder
+from clrelight.codec.formats.wavelet_few import MOST_BYTES, decode_few, encode_few, is_few, least_bytes
+from clrelight.codec.formats.wavelet_old import decode_maps
+from clrelight.codec.formats.wavelet_units import LEAST_STREAM, is_in_units, parse_body, table_bytes
+from clrelight.codec.formats.wavelet_view import WaveletView
 from clrelight.codec.rate.noise import Noise
-from clrelight.codec.rate.step_search import step_of
 from clrelight.codec.registry import PartsCodec, register
+from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Source, Target
-from clrelight.codec.transforms.lifting import (
-    dequantise_map,
-    empty_planes,
-    forward_transform,
-    inverse_transform,
-    list_subbands,
-    padded_width,
-)
 from clrelight.device import Device
-from clrelight.errors import InputError, PayloadError
+from clrelight.errors import InputError
 
 ALLOCATIONS = ("map", "global")
-MAX_LEVELS = 5  # more would pass 31 bits at the finest step
 
 
 @register
 @dataclass(frozen=True)
 class Wavelet(PartsCodec):
-    """CDF 9/7 subbands, one quantiser step per map, context-modelled range coding.
+    """Principal axes of each map's channels, CDF 9/7 subbands, one quantiser step per map, units of rANS.
 
     Attributes
     ----------
@@ -55,141 +39,120 @@ class Wavelet(PartsCodec):
     allocation : str
         ``"map"``: every map gets the same rate (the paper's setting, section III-B). Maps that cannot use theirs
         even at float32's own precision hand the rest equally to the others. ``"global"``: one step for all maps.
-    levels : int
-        Wavelet levels, 1 to 5; 3 make the paper's 10 subbands.
 
     Notes
     -----
-    The 1% holds from about 1 kB of body up; below that the range coder's 4-byte words are coarser. Where all maps are
-    coded to full precision (step 2**-22 of the largest magnitude; with one step for all: of the largest map) the
-    size stays below the rate. Side tables too large for the rate are an InputError.
+    The 1% holds from about 1 kB of body up; below that whole bytes and words of streams are coarser. Where all maps are
+    coded to full precision (step 2**-20 of the largest magnitude or finer) the size stays below the rate. Side tables
+    too large for the rate are an InputError.
 
-    Body: levels (1 byte), two reconstruction biases (2); an exponent of each map (1 each), their step codes (2 each);
-    range-coded indices. Maps with the finest step come first, then the others, both in index order.
+    Indices are chosen by what they cost, as in `klt`; units hold some maps each, so that regions are decoded alone.
+    Up to half a kilobyte each number may be written alone instead, where that leaves less error: tables and the
+    states of streams take tens of bytes.
     """
 
     id: ClassVar[str] = "wavelet"
-    summary: ClassVar[str] = "9/7 wavelet, uniform quantiser and range coding at a given rate"
+    summary: ClassVar[str] = "9/7 wavelet, uniform quantiser and units of rANS at a given rate of every map"
 
     rate: float = 4.0
     allocation: str = "map"
-    levels: int = 3
 
     def __post_init__(self) -> None:
         if not (isinstance(self.rate, int | float) and 0.0 < self.rate < float("inf")):
             raise InputError(f"the wavelet rate must be a positive number of bits per coefficient, got {self.rate!r}")
         if self.allocation not in ALLOCATIONS:
             raise InputError(f"the wavelet allocation must be one of {', '.join(ALLOCATIONS)}, got {self.allocation!r}")
-        if not (isinstance(self.levels, int) and 1 <= self.levels <= MAX_LEVELS):
-            raise InputError(f"wavelet levels must be 1 to {MAX_LEVELS}, got {self.levels!r}")
+
+    def bytes_to_encode(self, shape: Shape) -> int:
+        """See `Codec`: the planes of one tile."""
+        side = PRECINCT + 2 * MARGIN
+        return 8 * shape[0] * shape[3] * min(shape[1], side) * min(shape[2], side)
+
+    @classmethod
+    def bytes_to_decode(cls, body: Body, shape: Shape) -> int:
+        """See `Codec`."""
+        side = PRECINCT + 2 * MARGIN
+        return 8 * shape[0] * shape[3] * min(shape[1], side) * min(shape[2], side)
 
     def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
-        """See `Codec`; `entropy_bits` is the zero-order entropy, subband by subband, of the indices coded."""
-        asked, budget = self._spendable(source.shape)
-        maps, exponents = self._transform(source)
-        spend = spend_alike if self.allocation == "map" else spend_by_one_step
-        codes, payload = spend(maps, exponents, asked, budget)
-        biases, entropy = maps.measure(codes)
-        coded = _Tables(self.levels, biases, exponents, codes).to_bytes() + payload
-        body.write_all(add_ballast(coded, source.shape, self._bound(source.shape)))
-        return {"entropy_bits": entropy / maps.size}
+        """See `Codec`."""
+        few = self._encode_few(source)
+        try:
+            content = self._encoder(source).encode()
+        except InputError:
+            if few is None:
+                raise
+            content = few
+        if few is not None and self._loss(few, source) < self._loss(content, source):
+            content = few
+        body.write_all(add_ballast(content, source.shape, self._bound(source.shape)))
+        return {}
 
-    def predict_noise(self, source: Source) -> Noise:
-        """See `Codec`; quantiser noise and what dead zones swallow, at the steps that the rate should ask for."""
-        asked, budget = self._spendable(source.shape)
-        maps, exponents = self._transform(source)
-        codes, spread = expect_codes(maps, exponents, asked, budget, self.allocation)
-        return Noise.of_coefficients(expect_moments(maps, codes, spread, exponents))
-
-    def _bound(self, shape: tuple[int, int, int, int]) -> int:
-        """Return the bytes asked for in all."""
+    def _bound(self, shape: Shape) -> int:
+        """Return the bytes asked for."""
         return int(self.rate * math.prod(shape) / 8)
 
-    def _spendable(self, shape: tuple[int, int, int, int]) -> tuple[int, int]:
-        """Return the bits asked for in all, and what side tables leave of them."""
-        available = self._bound(shape) - ballast_overhead(shape)
-        tables = _Tables.size(shape[0])
-        if available < tables:
-            least = 8.0 * tables / math.prod(shape)
+    def _encode_few(self, source: Source) -> bytes | None:
+        """Return the body that holds each number alone, where so few are asked for that it may be better."""
+        budget = self._bound(source.shape)
+        return encode_few(source.whole(), budget, self.allocation == "map") if budget <= MOST_BYTES else None
+
+    def _loss(self, body: bytes, source: Source) -> float:
+        """Return squared errors of a body; those of every map as parts of its largest number, if maps are alike."""
+        exact_khwc = source.whole().astype(np.float64)
+        errors_kp = (self.decode_body(body, source.shape, source.device) - exact_khwc).reshape(len(exact_khwc), -1)
+        if self.allocation == "map":
+            largest_k = np.abs(exact_khwc).reshape(len(exact_khwc), -1).max(axis=1, keepdims=True)
+            errors_kp = errors_kp / np.where(largest_k > 0, largest_k, 1.0)
+        return float((errors_kp**2).sum())
+
+    def predict_noise(self, source: Source) -> Noise:
+        """See `Codec`; what is lost of a sample at the steps that trials find."""
+        n_coeff = source.shape[0]
+        try:
+            errors_mcp, present_m = self._encoder(source).expect()
+        except InputError:
+            if (few := self._encode_few(source)) is None:
+                raise
+            errors_mcp = decode_few(few, source.shape).astype(np.float64) - source.whole()
+            present_m = np.arange(n_coeff)
+        moments_kk = np.zeros((n_coeff, n_coeff))
+        if len(present_m):
+            errors_mq = errors_mcp.reshape(len(present_m), -1)
+            moments_kk[np.ix_(present_m, present_m)] = errors_mq @ errors_mq.T / errors_mq.shape[1]
+        return Noise.of_coefficients(moments_kk)
+
+    def _encoder(self, source: Source) -> Encoder:
+        """Return an encoder; InputError where tables alone pass the rate."""
+        shape = source.shape
+        budget = self._bound(shape) - ballast_overhead(shape)
+        tables = table_bytes(shape[0]) + LEAST_STREAM
+        if budget < tables:
+            tables = min(tables, least_bytes(shape))
             raise InputError(
                 f"{self.rate:g} bits per coefficient are too few for maps of shape {shape}: "
-                f"their side tables alone take {least:.4g}"
+                f"their side tables alone take {8.0 * tables / math.prod(shape):.4g}"
             )
-        return 8 * available, 8 * (available - tables)
-
-    def _transform(self, source: Source) -> tuple[TransformedMaps, NDArray[np.int32]]:
-        """Return the maps in subbands, and the powers of two that they were divided by."""
-
-        def transform() -> tuple[TransformedMaps, NDArray[np.int32]]:
-            n_coeff, height, width, channel = source.shape
-            planes = source.room.make_planes((n_coeff, channel, height, padded_width(width)))
-            exponents = np.empty(n_coeff, np.int32)
-            for part in source.map_parts():
-                coeffs_khwc = source.maps(part.start, part.stop)
-                exponents[part] = _exponents(coeffs_khwc)
-                scale_k = np.ldexp(np.float32(1.0), -exponents[part])
-                transformed = forward_transform(coeffs_khwc, scale_k, self.levels, source.device)
-                planes.put_maps(part.start, source.device.download(transformed).reshape(-1, *planes.shape[1:]))
-            return TransformedMaps(planes, source, list_subbands(height, width, self.levels)), exponents
-
-        return source.remember(("wavelet", self.levels), transform)
+        return Encoder(source, budget, self.allocation == "map")
 
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
-        """See `Codec`; map by map."""
-        tables, payload = _Tables.from_bytes(drop_ballast(body, target.shape)[:], target.shape[0])
-        n_coeff, height, width, channels = target.shape
-        bands = list_subbands(height, width, tables.levels)
-        biases = (tables.biases[0] / BIAS_SCALE, tables.biases[1] / BIAS_SCALE)
-        decoder, shared = decoder_for(payload, device), Statistics()
-        one = (1, height, width, channels)
-        for done, k in enumerate(coding_order(tables.codes)):
-            code = int(tables.codes[k])
-            if code == ABSENT:
-                target.put_maps(k, np.zeros(one, np.float32))
-                continue
-            index = code_indices(decoder, statistics_for(code, shared), bands, (channels, height, width), None)
-            planes = empty_planes(one, device)
-            dequantise_map(planes, 0, index, step_of(code), biases, device)
-            scale_k = np.ldexp(np.float32(1.0), tables.exponents[k : k + 1])
-            target.put_maps(k, inverse_transform(planes, one, scale_k, tables.levels, device))
-            target.room.tell(done + 1, n_coeff)
-        decoder.finish()
-        target.finish()
-
-
-@dataclass(frozen=True)
-class _Tables:
-    """What stands in front of the range-coded bytes."""
-
-    levels: int
-    biases: tuple[int, int]
-    exponents: NDArray[np.integer]
-    codes: NDArray[np.integer]
-
-    @staticmethod
-    def size(n_coeff: int) -> int:
-        return 3 + 3 * n_coeff
-
-    def to_bytes(self) -> bytes:
-        head = struct.pack("<Bbb", self.levels, *self.biases)
-        return head + self.exponents.astype("<i1").tobytes() + self.codes.astype("<u2").tobytes()
+        """See `Codec`."""
+        regions = cls.decode_regions(body, target.shape)
+        if regions is not None:
+            regions.put_rows(target, device)
+        elif is_few(body):
+            target.put_rows(0, decode_few(drop_ballast(body, target.shape)[:], target.shape))
+        else:
+            decode_maps(drop_ballast(body, target.shape)[:], target, device)
 
     @classmethod
-    def from_bytes(cls, body: bytes, n_coeff: int) -> tuple[_Tables, bytes]:
-        if len(body) < cls.size(n_coeff):
-            raise PayloadError(f"the wavelet side tables need {cls.size(n_coeff)} bytes, the body has {len(body)}")
-        levels, *biases = struct.unpack_from("<Bbb", body)
-        if not 1 <= levels <= MAX_LEVELS:
-            raise PayloadError(f"wavelet levels must be 1 to {MAX_LEVELS}, the body says {levels}")
-        exponents = np.frombuffer(body, "<i1", n_coeff, 3).astype(np.int32)
-        codes = np.frombuffer(body, "<u2", n_coeff, 3 + n_coeff).astype(np.int64)
-        if exponents.min() < -126:
-            raise PayloadError(f"wavelet exponents must be -126 to 127, the body has {exponents.min()}")
-        return cls(levels, (biases[0], biases[1]), exponents, codes), body[cls.size(n_coeff) :]
+    def decode_view(cls, body: Body, shape: Shape, device: Device) -> WaveletView | None:
+        """See `Codec`; None of old bodies."""
+        return cls.decode_regions(body, shape)
 
-
-def _exponents(coeffs_khwc: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Return e of each map with ``2**e <= max|map| < 2**(e+1)``, within what float32 can scale by and back."""
-    largest = np.maximum(coeffs_khwc.max(axis=(1, 2, 3)), -coeffs_khwc.min(axis=(1, 2, 3)))
-    return np.clip(np.frexp(largest)[1] - 1, -126, 126).astype(np.int32)
+    @classmethod
+    def decode_regions(cls, body: Body, shape: Shape, damage: Damage | None = None) -> WaveletView | None:
+        """See `Codec`; None of old bodies."""
+        content = drop_ballast(body, shape)
+        return WaveletView(content, *parse_body(content, shape), shape, damage) if is_in_units(content) else None

@@ -165,23 +165,6 @@ def padded_width(width: int) -> int:
     return round_up(width, _LANES)
 
 
-def quantise_map(
-    planes: DeviceArray, k: int, shape: tuple[int, int, int, int], step: float, rounding: float, device: Device
-) -> NDArray[np.int32]:
-    """Return the (channel, height, width) int32 indices ``sign(v) floor(|v|/step + rounding)`` of map `k`."""
-    _, height, width, channels = shape
-    index = device.empty((channels, height, width), np.int32)
-    _launch(
-        device,
-        "quantise",
-        (width, height, channels),
-        index,
-        planes,
-        *(np.float32(1.0 / step), rounding, k * channels, height, width, *planes.shape[1:]),
-    )
-    return device.download(index)
-
-
 def dequantise_map(
     planes: DeviceArray,
     k: int,
