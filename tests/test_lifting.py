@@ -8,7 +8,6 @@ from clrelight.codec.transforms.lifting import (
     forward_transform,
     inverse_transform,
     list_subbands,
-    quantise_map,
 )
 from tests.styles import both_styles
 
@@ -60,16 +59,11 @@ def test_subbands_tile_the_plane():
 
 
 @both_styles
-def test_quantiser_and_its_inverse(device):
+def test_dequantiser(device):
+    """Of bodies of before."""
     shape = (2, 9, 11, 3)
-    coeffs = random_maps(shape)
-    planes = forward_transform(coeffs, np.ones(2, np.float32), 3, device)
-    values = device.download(planes)[3:6, :, :11].copy()
-    step, rounding = 0.25, 0.4
-    index = quantise_map(planes, 1, shape, step, rounding, device)
-    expected = np.sign(values) * np.floor(np.abs(values.astype(np.float64)) / step + rounding)
-    assert index.dtype == np.int32
-    np.testing.assert_array_equal(index, expected)
+    index = np.random.default_rng(0).integers(-9, 10, (3, 9, 11), dtype=np.int32)
+    step = 0.25
     rebuilt = empty_planes(shape, device)
     dequantise_map(rebuilt, 1, index, step, (0.125, 0.0625), device)
     bias = np.where(np.abs(index) == 1, 0.125, 0.0625)
