@@ -8,13 +8,7 @@ the same for both metrics, so that differences between metrics are far more cert
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
-from benchmarks.pages import replace_block
-from benchmarks.quality_per_byte import HOLDOUT, Found, draw_ways
-from clrelight.cli.progress import progress_bar
-from clrelight.cli.tables import print_table
+from benchmarks.quality_per_byte import HOLDOUT, Found, draw_ways, print_stacks
 from clrelight.codec.transforms.colour import METRICS
 from clrelight.dataset import LightStack
 from clrelight.device import open_device
@@ -23,7 +17,6 @@ from clrelight.jobs.decode import decode
 from clrelight.jobs.encode import encode
 from clrelight.jobs.fit import fit
 from clrelight.jobs.measure import measure
-from clrelight.store import open_stack
 
 RATES = (0.005, 0.02, 0.05)
 METHOD, DEGREE = "spectrum", 9
@@ -33,22 +26,7 @@ HEADERS = ["stack", "bit", "metric", "kB", "PSNR (dB)", "FLIP", "CIEDE2000"]
 
 def main() -> None:
     """Measure the stacks named and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("stacks", nargs="+", metavar="STACK.h5")
-    parser.add_argument("--markdown", metavar="FILE", help=f"replace what stands between {BEGIN} and {END} there")
-    parser.add_argument("--picture", metavar="FILE.png", help="draw the first stack's metrics at the lowest rate")
-    arguments = parser.parse_args()
-    rows: list[list[str]] = []
-    with progress_bar("measuring") as bar:
-        for index, path in enumerate(arguments.stacks):
-            with open_stack(path) as stack:
-                rows += _rows(stack, arguments.picture if index == 0 else None)
-            bar(index + 1, len(arguments.stacks))
-    print_table(HEADERS, rows)
-    if arguments.markdown:
-        lines = ["| " + " | ".join(HEADERS) + " |", "|---|---:|---|" + "---:|" * 4]
-        lines += ["| " + " | ".join(row) + " |" for row in rows]
-        replace_block(Path(arguments.markdown), "\n".join(lines), BEGIN, END)
+    print_stacks(__doc__, HEADERS, "|---|---:|---|" + "---:|" * 4, _rows, (BEGIN, END))
 
 
 def _rows(stack: LightStack, picture: str | None) -> list[list[str]]:

@@ -10,6 +10,7 @@ through JPEG). All bytes are counted, tables included.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -48,22 +49,36 @@ class Found:
 
 def main() -> None:
     """Measure the stacks named and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    print_stacks(__doc__, HEADERS, "|---|---|" + "---:|" * 4, _rows, (BEGIN, END))
+
+
+def print_stacks(
+    about: str | None,
+    headers: list[str],
+    rule: str,
+    rows_of: Callable[[LightStack, str | None], list[list[str]]],
+    markers: tuple[str, str],
+) -> None:
+    """Measure the stacks that the command line names, print a table, and put it and a picture where it says.
+
+    `rule` is the line under the heads in Markdown; `rows_of` is given each stack, and the first where to draw.
+    """
+    begin, end = markers
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("stacks", nargs="+", metavar="STACK.h5")
-    parser.add_argument("--markdown", metavar="FILE", help=f"replace what stands between {BEGIN} and {END} there")
-    parser.add_argument("--picture", metavar="FILE.png", help="draw the first stack's ways at about equal bytes")
+    parser.add_argument("--markdown", metavar="FILE", help=f"replace what stands between {begin} and {end} there")
+    parser.add_argument("--picture", metavar="FILE.png", help="draw the first stack at about equal bytes")
     arguments = parser.parse_args()
     rows: list[list[str]] = []
     with progress_bar("measuring") as bar:
         for index, path in enumerate(arguments.stacks):
             with open_stack(path) as stack:
-                rows += _rows(stack, arguments.picture if index == 0 else None)
+                rows += rows_of(stack, arguments.picture if index == 0 else None)
             bar(index + 1, len(arguments.stacks))
-    print_table(HEADERS, rows)
+    print_table(headers, rows)
     if arguments.markdown:
-        lines = ["| " + " | ".join(HEADERS) + " |", "|---|---|" + "---:|" * 4]
-        lines += ["| " + " | ".join(row) + " |" for row in rows]
-        replace_block(Path(arguments.markdown), "\n".join(lines), BEGIN, END)
+        lines = ["| " + " | ".join(row) + " |" for row in [headers, *rows]]
+        replace_block(Path(arguments.markdown), "\n".join([lines[0], rule, *lines[1:]]), begin, end)
 
 
 def _rows(stack: LightStack, picture: str | None) -> list[list[str]]:

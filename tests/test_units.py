@@ -48,7 +48,7 @@ def decode(device, streams, tables, found, together):
     units, window = list_units(*sides), Window(0, 0, *sides)
     known = tuple(low_side(side, 1) for side in sides)
     layout = lay_out(units, sides, window, known[1], together, [(0, count)])
-    return decode_streams(device, layout, place_units(units, *sides, window), streams, tables, found, (count, *known))
+    return decode_streams(device, layout, place_units(units, window), streams, tables, found, (count, *known))
 
 
 def random_values(shape, scale, seed=0):

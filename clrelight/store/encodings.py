@@ -131,19 +131,19 @@ def _write_payload(draft: Draft, encoded: Encoded) -> None:
 def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
     """Read encoded coefficients and the record of their fit; errors as of `open_fit`, also where the two disagree."""
     with opening(path, "encoded") as opened, refusing(opened.path):
-        return encoded_of(opened)
+        return whole_of(opened)
 
 
-def stage_encoded(opened: Opened, room: ScratchRoom) -> tuple[Encoded, FitRecord]:
-    """Return what `encoded_of` does, a payload that is large for the room copied to a file."""
-    with refusing(opened.path):
-        stored, body = body_of(opened), None
-        if not room.holds(len(stored)):
-            body = ScratchBody(room)
-            body.reserve(len(stored))
-            for start in range(0, len(stored), _PIECE_BYTES):
-                body.write(start, np.frombuffer(stored[start : start + _PIECE_BYTES], np.uint8))
-        return encoded_of(opened, body)
+def whole_of(opened: Opened, room: ScratchRoom | None = None) -> tuple[Encoded, FitRecord]:
+    """Return what `encoded_of` does with the payload read: to a file where it is large for a room."""
+    header, stored = parts_of(opened)
+    if room is None or room.holds(len(stored)):
+        return encoded_of(opened, header, stored[:])
+    body = ScratchBody(room)
+    body.reserve(len(stored))
+    for start in range(0, len(stored), _PIECE_BYTES):
+        body.write(start, np.frombuffer(stored[start : start + _PIECE_BYTES], np.uint8))
+    return encoded_of(opened, header, body)
 
 
 class StoredBody:
@@ -199,14 +199,18 @@ class PlacedBody(StoredBody):
             start, at = end, at + 1
 
 
-def body_of(opened: Opened, *, compared: bool = True) -> StoredBody:
-    """Return the payload of an open file behind its header, to be read as it is sliced.
+def parts_of(opened: Opened, *, compared: bool = True) -> tuple[bytes, StoredBody]:
+    """Return the header of what an open file holds, and the payload behind it, to be read as it is sliced.
 
     It is `compared` with the checksums of its blocks where they are read whole: not of a file on another machine, of
     which only what is sliced is fetched.
     """
     payload = _payload_of(opened, compared)
-    return payload.behind(header_size(payload[:MAX_HEADER_BYTES])) if opened.schema is ENCODED else payload
+    if opened.schema is not ENCODED:
+        return opened.arrays["header"][...].tobytes(), payload
+    start = payload[:MAX_HEADER_BYTES]
+    size = header_size(start)
+    return start[:size], payload.behind(size)
 
 
 def _payload_of(opened: Opened, compared: bool) -> StoredBody:
@@ -217,21 +221,13 @@ def _payload_of(opened: Opened, compared: bool) -> StoredBody:
     return PlacedBody(stored, place, extents) if extents else StoredBody(stored if compared else stored.unchecked())
 
 
-def encoded_of(
-    opened: Opened, body: Body | None = None, *, compared: bool = True, summed: bool = True
-) -> tuple[Encoded, FitRecord]:
+def encoded_of(opened: Opened, header: bytes, body: Body, *, summed: bool = True) -> tuple[Encoded, FitRecord]:
     """Return what an open file holds; StoreFormatError or InputError if it is not sound.
 
-    `body` is its payload, where that is read already or not to be read yet; `compared` as of `body_of`, `summed` as of
-    `Encoded.from_parts`.
+    `summed` is as of `Encoded.from_parts`.
     """
     held = opened.attributes()
-    if opened.schema is ENCODED:
-        start = _payload_of(opened, compared)[:MAX_HEADER_BYTES]
-        header = start[: header_size(start)]
-    else:
-        header = opened.arrays["header"][...].tobytes()
-    encoded = Encoded.from_parts(header, body_of(opened)[:] if body is None else body, summed=summed)
+    encoded = Encoded.from_parts(header, body, summed=summed)
     if opened.schema is ENCODED:
         facts, directions_i3 = _parse_record(held["record"], opened)
         about = {name: facts[name] for name in ("degree", "method", "peak", "transfer", "name")}

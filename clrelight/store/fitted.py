@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from clrelight.codec.encoded import Encoded
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import StoreFormatError
-from clrelight.store.encodings import body_of, encoded_of, stage_encoded
+from clrelight.store.encodings import encoded_of, parts_of, whole_of
 from clrelight.store.fits import fit_of
 from clrelight.store.opening import Opened, opening, refusing
 from clrelight.store.schemas import ENCODED, FIT
@@ -47,16 +47,13 @@ class OpenFitted:
 
     def whole(self, room: ScratchRoom | None = None) -> tuple[Encoded, FitRecord]:
         """Return the encoding and its record; where the payload is large for a room, in a file of that."""
-        if room is not None:
-            return stage_encoded(self._opened, room)
         with refusing(self._opened.path):
-            return encoded_of(self._opened)
+            return whole_of(self._opened, room)
 
     def parts(self, *, compared: bool = True) -> tuple[Encoded, FitRecord]:
-        """Return the same of a payload that is read as it is sliced, and not summed up; `compared` as of `body_of`."""
+        """Return the same of a payload that is read as it is sliced, and not summed up; `compared` as of `parts_of`."""
         with refusing(self._opened.path):
-            body = body_of(self._opened, compared=compared)
-            return encoded_of(self._opened, body, compared=compared, summed=False)
+            return encoded_of(self._opened, *parts_of(self._opened, compared=compared), summed=False)
 
 
 @contextmanager

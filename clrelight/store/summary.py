@@ -6,7 +6,7 @@ import math
 import os
 from typing import Any
 
-from clrelight.store.encodings import body_of, encoded_of
+from clrelight.store.encodings import encoded_of, parts_of
 from clrelight.store.fits import fit_of
 from clrelight.store.lights import light_of
 from clrelight.store.opening import Opened, opening, parse_config, refusing
@@ -64,7 +64,7 @@ def _checked(opened: Opened) -> dict[str, Any]:
         case "fit":
             fit_of(opened, opened.arrays.get)
         case "encoded":
-            encoded, record = encoded_of(opened, body_of(opened), summed=opened.place.remote is None)
+            encoded, record = encoded_of(opened, *parts_of(opened), summed=opened.place.remote is None)
             info = {key: value if math.isfinite(value) else None for key, value in encoded.info.items()}
             facts = {
                 **{name: getattr(record, name) for name in ("method", "degree", "peak", "transfer", "name")},

@@ -89,7 +89,7 @@ class World:
 
     def places(self) -> NDArray[np.int32]:
         """Return where the decoder puts values."""
-        return place_units(self.units, self.height, self.width, self.window, self.level)
+        return place_units(self.units, self.window, self.level)
 
 
 @cache

@@ -48,6 +48,10 @@ class Window:
         """Height and width."""
         return self.bottom - self.top, self.right - self.left
 
+    def sides_at(self, level: int) -> tuple[int, int]:
+        """Return the height and width of its planes at a level."""
+        return low_side(self.bottom, level) - (self.top >> level), low_side(self.right, level) - (self.left >> level)
+
 
 @dataclass(frozen=True)
 class Unit:
@@ -124,18 +128,15 @@ def _bands(height: int, width: int, level: int, window: Window) -> list[tuple[in
     ]
 
 
-def place_units(units: list[Unit], height: int, width: int, window: Window, level: int = 0) -> NDArray[np.int32]:
+def place_units(units: list[Unit], window: Window, level: int = 0) -> NDArray[np.int32]:
     """Return where units' subbands lie in planes of a window at a level, (n_unit, 3, 6).
 
     Of HL, LH and HH, or of LL first: row and column of its first sample, which may lie outside; the first row of the
     window's subband and that behind its last, and the same of columns.
     """
     places = np.zeros((len(units), 3, 6), np.int32)
-    sides = (
-        low_side(window.bottom, level) - (window.top >> level),
-        low_side(window.right, level) - (window.left >> level),
-    )
-    bands = {(band.name, band.level + level): band for band in list_subbands(*sides, LEVELS - level)}
+    found = list_subbands(*window.sides_at(level), LEVELS - level)
+    bands = {(band.name, band.level + level): band for band in found}
     for at, unit in zip(places, units, strict=True):
         depth = unit.level or LEVELS
         for place, name in zip(at, ("HL", "LH", "HH") if unit.level else ("LL",), strict=False):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,7 +37,7 @@ def _planes_of(reader: UnitReader, region: Region, count: int) -> NDArray[np.flo
 
 
 class _Maker:
-    """Makes coefficients of planes."""
+    """See `Maker`."""
 
     def __init__(self, parsed: Parsed, shape: Shape, device: Device) -> None:
         self._device, self._transfer = device, parsed.head.transfer
@@ -43,7 +46,7 @@ class _Maker:
         self._packed = pack_operator(device, parsed.operator_kcj.reshape(n_value, -1))
 
     def coefficients(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return coefficients (n_coeff, height, width, channel) of planes in steps, (n_plane, height, width)."""
+        """See `Maker`."""
         count, height, width = planes_jyx.shape
         coeffs_khwc = np.empty((self._n_coeff, height, width, self._channel), np.float32)
         n_value, pitch = self._n_coeff * self._channel, padded_width(width)
@@ -106,34 +109,60 @@ def bytes_at_once(shape: Shape, count: int) -> int:
     return 4 * count * (min(height, PRECINCT) * width + 2 * min(height, side) * min(width, side))
 
 
-class UnitView:
-    """A body that is relit without its coefficients: light by light, only sums of planes are transformed back.
+class Maker(Protocol):
+    """Makes coefficients of planes."""
 
-    See `clrelight.codec.views.Regions`. Behind a curve, the code values that the body holds are evaluated at a light,
-    and become radiance then.
+    def coefficients(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return coefficients (n_coeff, height, width, channel) of planes in steps, (n_plane, height, width)."""
+        ...
+
+
+class UnitsView(ABC):
+    """A body in units that is relit without its coefficients: light by light, only sums of planes are transformed back.
+
+    See `clrelight.codec.views.Regions`.
     """
 
-    def __init__(self, body: Body, parsed: Parsed, shape: Shape, damage: Damage | None = None) -> None:
-        self._parsed, self._shape = parsed, shape
-        self._planes = UnitPlanes(body, parsed.stored, shape, damage)
+    def __init__(self, body: Body, stored: Stored, shape: Shape, damage: Damage | None) -> None:
+        self._stored, self._shape = stored, shape
+        self._planes = UnitPlanes(body, stored, shape, damage)
+
+    @abstractmethod
+    def _maker(self, device: Device) -> Maker:
+        """Return what makes coefficients."""
+
+    @abstractmethod
+    def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
+        """Return a part of the images at a level."""
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
         return self.coefficients(Region(0, 0, *self._shape[1:3]), device)
 
     def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
-        """Return those of a part, at its level."""
-        return _Maker(self._parsed, self._shape, device).coefficients(self._planes.of(region, device))
+        """Return those of a part, at its level; only units that it hangs on are read."""
+        return self._maker(device).coefficients(self._planes.of(region, device))
 
     def put_rows(self, target: Target, device: Device) -> None:
         """Put all coefficients, strip by strip."""
-        maker, strips = _Maker(self._parsed, self._shape, device), self._planes.strips(target.room.memory_bytes, device)
+        maker, strips = self._maker(device), self._planes.strips(target.room.memory_bytes, device)
         for part in target.row_parts():
             target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
 
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""
         return self.relight_region(directions_i3, Region(0, 0, *self._shape[1:3]), device)
+
+
+class UnitView(UnitsView):
+    """Body 4 of `klt`. Behind a curve, its code values are evaluated at a light, and become radiance then."""
+
+    def __init__(self, body: Body, parsed: Parsed, shape: Shape, damage: Damage | None = None) -> None:
+        super().__init__(body, parsed.stored, shape, damage)
+        self._parsed = parsed
+
+    def _maker(self, device: Device) -> Maker:
+        return _Maker(self._parsed, self._shape, device)
 
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
         """Return a part of the images at a level."""

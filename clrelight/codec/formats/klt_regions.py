@@ -79,9 +79,8 @@ class UnitReader:
             return np.concatenate(parts, axis=1 if halves[0].shape[1] == region.shape[1] else 2)
         window = _around(region, *self._shape[1:3])
         values = self._decode(region, window, weight_jc)
-        width = low_side(window.right, level) - (window.left >> level)
         if level < LEVELS:
-            transform_planes("synthesise", values, width, LEVELS - level, self._device)
+            transform_planes("synthesise", values, window.sides_at(level)[1], LEVELS - level, self._device)
         found = self._device.download(values)
         top, left = region.top - (window.top >> level), region.left - (window.left >> level)
         part = found[:, top : top + region.shape[0], left : left + region.shape[1]]
@@ -136,19 +135,16 @@ class UnitReader:
         _, height, width, _ = self._shape
         stored, count = self._stored, self._stored.n_plane
         units = [self._units[t] for t in chosen]
-        sides = (
-            low_side(window.bottom, level) - (window.top >> level),
-            low_side(window.right, level) - (window.left >> level),
-        )
+        rows, columns = window.sides_at(level)
         n_values = count if weight_jc is None else weight_jc.shape[1]
         # Memory that is not there before something is written to it.
-        values = self._device.hold(np.zeros((n_values, sides[0], padded_width(sides[1])), np.float32))
+        values = self._device.hold(np.zeros((n_values, rows, padded_width(columns)), np.float32))
         known = (count, low_side(cover.shape[0], 1), low_side(cover.shape[1], 1))
         layout = lay_out(units, (height, width), cover, known[-1], stored.together, stored.groups)
         if not units:
             return values, np.zeros(0, np.int32), layout
         streams = [stored.read(self._body, t) for t in stored.numbers(self._units, chosen)]
-        places, tables = place_units(units, height, width, window, level), default_tables()
+        places, tables = place_units(units, window, level), default_tables()
         fault_t = decode_streams(
             self._device, layout, places, streams, tables, values, known, weight_jc, stored.coarse_jl
         )

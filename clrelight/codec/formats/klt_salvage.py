@@ -128,7 +128,7 @@ class Salvage:
             units = [self._units[t] for t in kept]
             if units:
                 layout = lay_out(units, sides, window, 1, False, stored.groups)
-                places = place_units(units, *sides, window, LEVELS)
+                places = place_units(units, window, LEVELS)
                 streams = [stored.read(body, t) for t in stored.numbers(self._units, kept)]
                 known = (count, 1, 1)  # LL is no parent
                 fault_t = decode_streams(device, layout, places, streams, default_tables(), values, known)

@@ -64,15 +64,13 @@ class Wavelet(PartsCodec):
             raise InputError(f"the wavelet allocation must be one of {', '.join(ALLOCATIONS)}, got {self.allocation!r}")
 
     def bytes_to_encode(self, shape: Shape) -> int:
-        """See `Codec`: the planes of one tile."""
-        side = PRECINCT + 2 * MARGIN
-        return 8 * shape[0] * shape[3] * min(shape[1], side) * min(shape[2], side)
+        """See `Codec`."""
+        return _tile_bytes(shape)
 
     @classmethod
     def bytes_to_decode(cls, body: Body, shape: Shape) -> int:
         """See `Codec`."""
-        side = PRECINCT + 2 * MARGIN
-        return 8 * shape[0] * shape[3] * min(shape[1], side) * min(shape[2], side)
+        return _tile_bytes(shape)
 
     def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`."""
@@ -156,3 +154,9 @@ class Wavelet(PartsCodec):
         """See `Codec`; None of old bodies."""
         content = drop_ballast(body, shape)
         return WaveletView(content, *parse_body(content, shape), shape, damage) if is_in_units(content) else None
+
+
+def _tile_bytes(shape: Shape) -> int:
+    """Return the bytes of the planes of one tile, before and behind the transform."""
+    side = PRECINCT + 2 * MARGIN
+    return 8 * shape[0] * shape[3] * min(shape[1], side) * min(shape[2], side)
