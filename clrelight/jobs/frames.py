@@ -78,7 +78,8 @@ class DirectedFrames:
         for first in range(0, self.count, step):
             since = time.perf_counter()
             pictures_ihwc = view.light(self._directions_i3[first : first + step])
-            pictures_ihwc *= np.float32(2.0**self._exposure)
+            if self._exposure != 0.0:
+                pictures_ihwc *= np.float32(2.0**self._exposure)
             report.add("relight", since)
             yield from pictures_ihwc
 
@@ -120,7 +121,8 @@ class LightFrames:
             image_hwc = relight_under(coefficients, turned, device=device)
             if exposure is None:
                 exposure = automatic_exposure(image_hwc)  # of the first image, for all of them
-            image_hwc *= np.float32(2.0**exposure)
+            if exposure != 0.0:
+                image_hwc *= np.float32(2.0**exposure)
             report.add("relight", since)
             yield image_hwc
         report.facts |= {"exposure": exposure, "below": below}

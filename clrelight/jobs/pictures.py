@@ -59,7 +59,8 @@ def check_animation() -> None:
 
 def show(image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> NDArray[np.uint8]:
     """Return 8-bit display values of linear radiance."""
-    return to_display(map_tones(image_hwc, tonemap or "clip"), transfer)
+    clips = tonemap in (None, "clip")  # display values are clipped anyway
+    return to_display(image_hwc if clips else map_tones(image_hwc, str(tonemap)), transfer)
 
 
 def write_view(name: str, image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> None:

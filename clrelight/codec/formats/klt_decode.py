@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 import numpy as np
@@ -153,6 +154,26 @@ class UnitsView(ABC):
         """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""
         return self.relight_region(directions_i3, Region(0, 0, *self._shape[1:3]), device)
 
+    def _relit(
+        self,
+        region: Region,
+        operator_mj: NDArray[np.float64],
+        device: Device,
+        finish: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    ) -> NDArray[np.float32]:
+        """Return images of which `finish` makes what is shown; a row of the operator is a light's channel.
+
+        Band by band: an image of many megapixels is held once.
+        """
+        channel = self._shape[3]
+        n_light = len(operator_mj) // channel
+        images_ihwc = np.empty((n_light, *region.shape, channel), np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):  # what no encoder wrote: it is refused here
+            for rows, sums in self._planes.sums(region, operator_mj, device):
+                band = sums.reshape(n_light, channel, *sums.shape[1:]).transpose(0, 2, 3, 1)
+                images_ihwc[:, rows] = finite_images(finish(band))
+        return images_ihwc
+
 
 class UnitView(UnitsView):
     """Body 4 of `klt`. Behind a curve, its code values are evaluated at a light, and become radiance then."""
@@ -170,15 +191,13 @@ class UnitView(UnitsView):
         basis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))
         operator_mj = np.einsum("ik,kcj->icj", basis_ik, self._parsed.operator_kcj).reshape(len(basis_ik) * channel, -1)
         count = self._parsed.head.n_plane
-        sums = np.zeros((len(operator_mj), *region.shape), np.float32)
-        if count:
-            sums = self._planes.sums(region, operator_mj[:, :count], device)
-        with np.errstate(over="ignore"):  # what no encoder wrote: it is refused below
-            sums += operator_mj[:, count, None, None].astype(np.float32)
-        images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
-        if self._parsed.head.transfer == "srgb":
-            images = bent(images, device, decode=True)
-        return np.ascontiguousarray(finite_images(images))
+
+        def finish(images: NDArray[np.float32]) -> NDArray[np.float32]:
+            with np.errstate(over="ignore"):  # what no encoder wrote: it is refused afterwards
+                images += operator_mj[:, count].astype(np.float32).reshape(-1, 1, 1, channel)
+            return bent(images, device, decode=True) if self._parsed.head.transfer == "srgb" else images
+
+        return self._relit(region, operator_mj[:, :count], device, finish)
 
 
 class UnitPlanes:
@@ -213,22 +232,28 @@ class UnitPlanes:
     def _reader(self, device: Device) -> UnitReader:
         return UnitReader(self._body, self._stored, self._shape, device, self._salvage)
 
-    def sums(self, region: Region, operator_mj: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
-        """Return (n_sum, height, width), by whichever is less work: sums of wavelet coefficients, or planes first."""
+    def sums(
+        self, region: Region, operator_mj: NDArray[np.float64], device: Device
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """Yield rows of the region and their sums (n_sum, rows, width), from top to bottom.
+
+        By whichever is less work: sums of wavelet coefficients, or planes first.
+        """
         n_sum, count = operator_mj.shape
         reader = self._reader(device)
-        if region == reader.whole and 4 * count * region.shape[0] * region.shape[1] <= _KEPT_BYTES:
+        height, width = region.shape
+        if not count:
+            yield slice(0, height), np.zeros((n_sum, height, width), np.float32)
+        elif region == reader.whole and 4 * count * height * width <= _KEPT_BYTES:
             if self._planes_jyx is None:
                 self._planes_jyx = reader.planes(region)
-            return _sum_planes(self._planes_jyx, operator_mj, device)
-        if n_sum < count:
-            result = np.empty((n_sum, *region.shape), np.float32)
-            step = PRECINCT * 2
-            for top in range(region.top, region.bottom, step):
-                rows = Region(top, region.left, min(top + step, region.bottom), region.right, region.level)
-                result[:, top - region.top : rows.bottom - region.top] = reader.sums(rows, operator_mj)
-            return result
-        return _sum_planes(reader.planes(region), operator_mj, device)
+            yield slice(0, height), _sum_planes(self._planes_jyx, operator_mj, device)
+        elif n_sum >= count:
+            yield slice(0, height), _sum_planes(reader.planes(region), operator_mj, device)
+        else:
+            for top in range(region.top, region.bottom, 2 * PRECINCT):
+                rows = Region(top, region.left, min(top + 2 * PRECINCT, region.bottom), region.right, region.level)
+                yield slice(top - region.top, rows.bottom - region.top), reader.sums(rows, operator_mj)
 
 
 def _sum_planes(

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.unit_index import Stored
-from clrelight.codec.factored import finite_images
 from clrelight.codec.formats.klt_decode import UnitsView
 from clrelight.codec.formats.wavelet_planes import planes_to_maps
 from clrelight.codec.formats.wavelet_units import ABSENT, Tables, step_of
@@ -58,13 +57,7 @@ class WaveletView(UnitsView):
 
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
         """Return a part of the images at a level."""
-        n_coeff, _, _, channel = self._shape
-        basis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))
-        count = self._stored.n_plane
-        images = np.zeros((len(basis_ik), *region.shape, channel), np.float32)
-        if count:
-            operator_mj = self._maker(device).operator(basis_ik, count)
-            with np.errstate(over="ignore", invalid="ignore"):  # what no encoder wrote: it is refused below
-                sums = self._planes.sums(region, operator_mj, device)
-            images = sums.reshape(len(basis_ik), channel, *region.shape).transpose(0, 2, 3, 1)
-        return np.ascontiguousarray(finite_images(images))
+        basis_ik = evaluate_basis(directions_i3, degree_of(self._shape[0]))
+        count, channel = self._stored.n_plane, self._shape[3]
+        operator_mj = self._maker(device).operator(basis_ik, count) if count else np.zeros((len(basis_ik) * channel, 0))
+        return self._relit(region, operator_mj, device, lambda images: images)
