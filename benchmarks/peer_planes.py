@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from benchmarks.peer_coders import SCALES, PlaneCoder
 from benchmarks.peer_search import CODING, Point
 from benchmarks.peer_stacks import FittedStack
-from clrelight.codec.ballast import drop_ballast
 from clrelight.codec.encoded import Encoded
 from clrelight.codec.formats.klt_units import HEAD_SIZE, parse_body
+from clrelight.codec.minimum_size import drop_padding
 from clrelight.codec.transforms.metric import hemisphere_metric
 
 THREADS = 2
@@ -79,7 +79,7 @@ def principal_planes(stack: FittedStack, encoded: Encoded) -> PlaneSet:
     """Return the planes of a klt file before quantisation: by least squares against the axes that the file holds."""
     shape = stack.coeffs_khwc.shape
     n_coeff, height, width, channel = shape
-    parsed = parse_body(drop_ballast(encoded.body, shape), shape)
+    parsed = parse_body(drop_padding(encoded.body, shape), shape)
     forward_jk = hemisphere_metric(n_coeff, "damped").forward_jk
     # Errors of all channels cost alike: their rotation does not matter here.
     turned = np.einsum("jk,kcn->jcn", forward_jk, parsed.operator_kcj).reshape(-1, parsed.operator_kcj.shape[2])

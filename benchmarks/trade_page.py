@@ -19,7 +19,7 @@ from benchmarks.pages import check_markdown, replace_block
 from clrelight.cli.progress import progress_bar
 from clrelight.device import open_device
 from clrelight.experiment.axes import Axes
-from clrelight.experiment.front import Trial
+from clrelight.experiment.pareto import Trial
 from clrelight.experiment.trade import sweep_trade
 from clrelight.ingest import ingest_folder
 from clrelight.report import canvas

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import codec_class, decode, decode_view, encode
-from clrelight.codec.rooms import Room, Shape
 from clrelight.codec.streams import Linear, Source
 from clrelight.codec.transforms.code_values import bent, node_matrices
 from clrelight.codec.transforms.pixels import Pixels
+from clrelight.codec.workspace import Shape, Workspace
 from clrelight.conventions import TRANSFERS, linear_to_srgb, srgb_to_linear
 from clrelight.device import Device
 from clrelight.harmonics.basis import evaluate_basis
@@ -39,7 +39,7 @@ class _Photographs(Source):
     sample_type: np.dtype = np.dtype(np.uint8)
 
     def __init__(self, device: Device, shape: Shape, linear: Linear) -> None:
-        super().__init__(shape, device, Room())
+        super().__init__(shape, device, Workspace())
         self.linear = linear
         rng = np.random.default_rng(3)
         self.samples_ihwc = rng.integers(0, 256, (linear.analysis_ri.shape[1], *shape[1:]), np.uint8)

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from clrelight.codec import codec_class, codec_ids, decode, encode
-from clrelight.codec.ballast import add_ballast
 from clrelight.codec.entropy import batches, planes, range_coding, subbands
 from clrelight.codec.entropy.symbols import class_floor, classify, geometric_prior
 from clrelight.codec.formats import codestream, klt_regions, klt_units
-from clrelight.codec.padding import pad_body
+from clrelight.codec.minimum_size import pad_body, pad_to_minimum
 from clrelight.codec.transforms import principal
 from clrelight.codec.transforms.lifting import list_subbands
 from clrelight.codec.transforms.metric import hemisphere_metric
@@ -22,7 +21,7 @@ from tests.reference.bc6h import decode_bc6h
 from tests.reference.cpca import decode_cpca
 from tests.reference.klt import PlaneTables, decode_klt, decode_planes, decode_vectors, hemisphere_axes
 from tests.reference.klt4 import START, crc, decode_klt4, read_streams
-from tests.reference.payload import Refused, open_payload, without_ballast, without_padding
+from tests.reference.payload import Refused, open_payload, without_minimum_padding, without_padding
 from tests.reference.s3tc import decode_s3tc
 from tests.reference.uniform import decode_uniform
 from tests.reference.vq import decode_vq
@@ -383,12 +382,12 @@ def test_the_page_counts_the_components():
 
 
 @pytest.mark.parametrize("shape", [(1, 1 << 12, 1 << 12, 1), (4, 1 << 11, 1 << 11, 2), (1, 1 << 13, 1 << 13, 1)])
-def test_ballast_and_padding_are_those_of_the_page(shape):
+def test_least_sizes_are_those_of_the_page(shape):
     for body in (b"", bytes(range(1, 100)), b"\1" * 5000):
-        assert without_ballast(add_ballast(body, shape), shape) == body
+        assert without_minimum_padding(pad_to_minimum(body, shape), shape) == body
         assert without_padding(pad_body(body, 4096), len(body), (1, 64, 64, 1)) == body
     with pytest.raises(Refused):
-        without_ballast(b"\1\0\0\0\2\0\0\0" * 1000, (1, 1 << 13, 1 << 13, 1))
+        without_minimum_padding(b"\1\0\0\0\2\0\0\0" * 1000, (1, 1 << 13, 1 << 13, 1))
 
 
 @pytest.mark.parametrize("codec", ["wavelet", "klt"])

@@ -6,7 +6,7 @@ import pytest
 
 from clrelight.codec import decode, encode
 from clrelight.codec.formats.jpeg2000 import Jpeg2000
-from clrelight.codec.padding import FLOOR
+from clrelight.codec.minimum_size import FLOOR
 from clrelight.errors import InputError, PayloadError
 from tests.mutations import check_large_claims
 

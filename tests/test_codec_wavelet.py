@@ -4,9 +4,9 @@ from scipy.ndimage import gaussian_filter
 
 from clrelight.codec import Encoded, Wavelet, decode, decode_regions, encode
 from clrelight.codec.bodies import MemoryBody
-from clrelight.codec.rooms import BoundedRoom
 from clrelight.codec.streams import ArraySource, ArrayTarget
 from clrelight.codec.views import Region
+from clrelight.codec.workspace import BoundedWorkspace
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
 
@@ -183,13 +183,13 @@ def test_regions_and_levels_are_those_of_the_whole(device, rate):
 def test_maps_of_many_tiles_meet_the_rate_too(device):
     coeffs = make_maps((4, 700, 1100, 3))
     source = ArraySource(coeffs, device)
-    source.room = BoundedRoom(16 << 20)
+    source.workspace = BoundedWorkspace(16 << 20)
     body = MemoryBody()
     Wavelet(rate=0.5).encode_parts(source, body)
     content = body.to_bytes()
     assert 0.99 * 0.5 <= 8 * len(content) / coeffs.size <= 0.5
     target = ArrayTarget(coeffs.shape)
-    target.room = BoundedRoom(16 << 20)
+    target.workspace = BoundedWorkspace(16 << 20)
     Wavelet.decode_parts(content, target, device)
     found = target.coeffs()
     np.testing.assert_array_equal(found, decode_body(content, coeffs.shape, device))

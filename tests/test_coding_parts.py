@@ -20,13 +20,13 @@ from clrelight.codec import (
     predict_noise,
     predict_noise_of,
 )
-from clrelight.codec.rooms import PARTS
+from clrelight.codec.workspace import PARTS
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.index import degree_of
 from clrelight.store import create_fit, open_fit, scratch, write_fit, write_stack
 from clrelight.store.coding import PlanesTarget, RowTarget, StoredSource
-from clrelight.store.scratch import ScratchBody, scratch_room
+from clrelight.store.scratch import ScratchBody, scratch_workspace
 from tests.commands import ROOT, arrays, call, contents, environment, succeed
 from tests.stacks import make_stack
 
@@ -65,8 +65,8 @@ def opened(tmp_path, shape, device):
     made = make_map(shape)
     write_fit(tmp_path / "fit.h5", made)
     rows_bytes = 4 * 4 * shape[0] * shape[2] * shape[3]
-    with open_fit(tmp_path / "fit.h5") as fit, scratch_room(tmp_path, PARTS * rows_bytes) as room:
-        yield made.coeffs_khwc, StoredSource(fit.coeffs_khwc, device, room)
+    with open_fit(tmp_path / "fit.h5") as fit, scratch_workspace(tmp_path, PARTS * rows_bytes) as workspace:
+        yield made.coeffs_khwc, StoredSource(fit.coeffs_khwc, device, workspace)
 
 
 def test_every_codec_is_tried():
@@ -83,19 +83,19 @@ def test_parts_change_nothing(tmp_path, device, name, options, shape):
         assert (noise is None) == (noise_there is None)
         if noise is not None:
             np.testing.assert_array_equal(noise.covariance_jj, noise_there.covariance_jj)
-        body = ScratchBody(source.room)
+        body = ScratchBody(source.workspace)
         assert encode_stream(source, codec, body) == expected.info
         assert body[:] == expected.body
         there = Encoded(name, {}, shape, body)
         assert there.header() == expected.header()
         values, rows = decode(expected, device), []
         target = RowTarget(
-            shape, device, source.room, lambda first, part: rows.append((first, part)), codec_id=name, row_step=3
+            shape, device, source.workspace, lambda first, part: rows.append((first, part)), codec_id=name, row_step=3
         )
         decode_stream(there, target, device)
         np.testing.assert_array_equal(np.concatenate([part for _, part in rows], axis=1), values)
         assert [first for first, _ in rows] == [0, *np.cumsum([part.shape[1] for _, part in rows])[:-1]]
-        kept = PlanesTarget(shape, device, source.room, codec_id=name)
+        kept = PlanesTarget(shape, device, source.workspace, codec_id=name)
         decode_stream(there, kept, device)
         np.testing.assert_array_equal(kept.planes.maps(0, shape[0]), values)
 
@@ -103,8 +103,8 @@ def test_parts_change_nothing(tmp_path, device, name, options, shape):
 def test_parts_keep_to_the_room(tmp_path, device):
     shape = SHAPES[0]
     with opened(tmp_path, shape, device) as (_, source):
-        room = source.room
-        assert room.part_rows(shape, 1) == room.part_rows(shape, 4) == 4
+        workspace = source.workspace
+        assert workspace.part_rows(shape, 1) == workspace.part_rows(shape, 4) == 4
         with source.rows(4) as parts:
             assert [(first, rows.shape[1]) for first, rows in parts] == [(r, min(4, 37 - r)) for r in range(0, 37, 4)]
         assert [part.stop - part.start for part in source.map_parts()] == [1] * 9
@@ -113,10 +113,10 @@ def test_parts_keep_to_the_room(tmp_path, device):
 @pytest.mark.parametrize("name", ["half", "s3tc", "uniform", "wavelet"])
 def test_a_row_that_is_no_part_is_refused(tmp_path, device, name):
     write_fit(tmp_path / "fit.h5", make_map(SHAPES[0]))
-    with open_fit(tmp_path / "fit.h5") as fit, scratch_room(tmp_path, 1000) as room:
-        source = StoredSource(fit.coeffs_khwc, device, room)
+    with open_fit(tmp_path / "fit.h5") as fit, scratch_workspace(tmp_path, 1000) as workspace:
+        source = StoredSource(fit.coeffs_khwc, device, workspace)
         with pytest.raises(InputError, match="memory budget"):
-            encode_stream(source, codec_class(name)(), ScratchBody(room))
+            encode_stream(source, codec_class(name)(), ScratchBody(workspace))
 
 
 @pytest.mark.parametrize("name", ["half", "bc6h"])
@@ -124,20 +124,20 @@ def test_a_coefficient_that_overflows_is_named_by_its_own_row(tmp_path, device, 
     made = make_map(SHAPES[0])
     made.coeffs_khwc[2, 30, 5, 1] = 70000.0
     write_fit(tmp_path / "fit.h5", made)
-    with open_fit(tmp_path / "fit.h5") as fit, scratch_room(tmp_path, 30000) as room:
-        source = StoredSource(fit.coeffs_khwc, device, room)
+    with open_fit(tmp_path / "fit.h5") as fit, scratch_workspace(tmp_path, 30000) as workspace:
+        source = StoredSource(fit.coeffs_khwc, device, workspace)
         with pytest.raises(InputError, match=r"\(2, 30, 5, 1\) is 70000"):
-            encode_stream(source, codec_class(name)(), ScratchBody(room))
+            encode_stream(source, codec_class(name)(), ScratchBody(workspace))
 
 
 @pytest.mark.parametrize("name", ["half", "bc6h"])
 def test_a_map_that_vanishes_is_refused(tmp_path, device, name):
     made = make_map(SHAPES[0])
     write_fit(tmp_path / "fit.h5", replace(made, coeffs_khwc=made.coeffs_khwc * np.float32(1e-12)))
-    with open_fit(tmp_path / "fit.h5") as fit, scratch_room(tmp_path, 30000) as room:
-        source = StoredSource(fit.coeffs_khwc, device, room)
+    with open_fit(tmp_path / "fit.h5") as fit, scratch_workspace(tmp_path, 30000) as workspace:
+        source = StoredSource(fit.coeffs_khwc, device, workspace)
         with pytest.raises(InputError, match="all would be 0"):
-            encode_stream(source, codec_class(name)(), ScratchBody(room))
+            encode_stream(source, codec_class(name)(), ScratchBody(workspace))
 
 
 @pytest.mark.parametrize("name", ["half", "jpeg2000", "whitened"])
@@ -145,10 +145,10 @@ def test_a_coefficient_that_is_not_finite_is_named(tmp_path, device, name):
     made = make_map(SHAPES[0])
     made.coeffs_khwc[8, 35, 5, 1] = np.nan
     write_fit(tmp_path / "fit.h5", made)
-    with open_fit(tmp_path / "fit.h5") as fit, scratch_room(tmp_path, 30000) as room:
-        source = StoredSource(fit.coeffs_khwc, device, room)
+    with open_fit(tmp_path / "fit.h5") as fit, scratch_workspace(tmp_path, 30000) as workspace:
+        source = StoredSource(fit.coeffs_khwc, device, workspace)
         with pytest.raises(InputError, match=r"\(8, 35, 5, 1\) is nan"):
-            encode_stream(source, codec_class(name).from_config(CODECS[name]), ScratchBody(room))
+            encode_stream(source, codec_class(name).from_config(CODECS[name]), ScratchBody(workspace))
 
 
 def test_values_that_are_not_finite_are_not_handed_on(tmp_path, device):
@@ -156,9 +156,11 @@ def test_values_that_are_not_finite_are_not_handed_on(tmp_path, device):
     blocks_gjb = np.zeros((4, 7, 1), np.uint32)
     blocks_gjb[:, :6] = np.float32(3e38).view(np.uint32)
     encoded = Encoded("whitened", {}, (4, 4, 4, 3), b"\x04s3tc" + blocks_gjb.tobytes())
-    with scratch_room(tmp_path, 1 << 20) as room:
-        kept = PlanesTarget(encoded.shape, device, room, codec_id="whitened")
-        rows = RowTarget(encoded.shape, device, room, lambda first, part: pytest.fail("it came"), codec_id="whitened")
+    with scratch_workspace(tmp_path, 1 << 20) as workspace:
+        kept = PlanesTarget(encoded.shape, device, workspace, codec_id="whitened")
+        rows = RowTarget(
+            encoded.shape, device, workspace, lambda first, part: pytest.fail("it came"), codec_id="whitened"
+        )
         for target in (kept, rows):
             with pytest.raises(PayloadError, match="not finite: codec whitened"):
                 decode_stream(encoded, target, device)

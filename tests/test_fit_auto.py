@@ -10,8 +10,8 @@ from clrelight.conventions import linear_to_srgb
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import collect_fit, method_class, prepare_fit
+from clrelight.fit.leave_out_error import Trials, try_method
 from clrelight.fit.places import spread_points
-from clrelight.fit.prediction import Trials, try_method
 from clrelight.fit.samples import Samples
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.holdout import split_chosen

@@ -22,7 +22,7 @@ from clrelight.jobs.measure_parts import measure_parts, sample_windows
 from clrelight.jobs.report import Report
 from clrelight.sampling import make_pattern
 from clrelight.store import open_stack, write_stack
-from clrelight.store.scratch import scratch_room
+from clrelight.store.scratch import scratch_workspace
 from tests.commands import call, succeed
 from tests.stacks import make_samples
 
@@ -121,9 +121,9 @@ def test_pieces_of_a_narrow_image_are_all_its_own(tmp_path, monkeypatch):
     monkeypatch.setattr(packing, "_MOSAIC_VALUES", 16 * 3 * 20 * 32 * 6)
     stack = LightStack(codes(700, 20), make_pattern("uniform", LIGHTS), 255.0)
     prepared = prepare_fit(stack, "spline", 3)
-    with scratch_room(tmp_path, 1 << 20) as room, fitted_source(prepared, room) as source:
+    with scratch_workspace(tmp_path, 1 << 20) as workspace, fitted_source(prepared, workspace) as source:
         split = (np.arange(LIGHTS), np.arange(0))
-        job = packing.Pack(stack, split, prepared, packing.Size(), "radiance", room, Report(), None)
+        job = packing.Pack(stack, split, prepared, packing.Size(), "radiance", workspace, Report(), None)
         fitted, mosaic = job._mosaic(source)
     windows = sample_windows(stack, 20 * 32 * 6)
     assert len(windows) > 3

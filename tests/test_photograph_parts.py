@@ -5,10 +5,10 @@ import tempfile
 import numpy as np
 import pytest
 
-from clrelight.codec.rooms import Room
 from clrelight.codec.streams import ArraySource
 from clrelight.codec.transforms.code_values import bent, code_values_of
 from clrelight.codec.transforms.pixels import Pixels
+from clrelight.codec.workspace import Workspace
 from clrelight.conventions import linear_to_srgb, srgb_to_linear
 from clrelight.dataset import LightStack
 from clrelight.fit import prepare_fit
@@ -127,7 +127,7 @@ def test_planes_are_those_of_coefficients(device, transfer, coded, method, dtype
     operator = np.random.default_rng(0).standard_normal((5, 16 * 3))
     offset = np.array([0.5, 0.0, -1.0, 2.0, 0.25])
     wanted = np.einsum("jkc,khwc->jhw", operator.reshape(5, 16, 3), expected.astype(np.float64)) - offset[:, None, None]
-    with fitted_source(prepared, Room()) as source:
+    with fitted_source(prepared, Workspace()) as source:
         assert (source.linear is not None) == (method != "cls" and np.issubdtype(dtype, np.integer))
         pixels = Pixels(source, coded)
         np.testing.assert_allclose(pixels.coefficients((2, 9), (3, 31)), expected[:, 2:9, 3:31], atol=2e-4)

@@ -14,8 +14,8 @@ from clrelight.dataset import split_lights
 from clrelight.errors import InputError
 from clrelight.experiment import load_experiment, make_settings
 from clrelight.experiment.axes import Axes
-from clrelight.experiment.front import Limits, Model, Trial, front, near_front
 from clrelight.experiment.grid import CodecSetting, Experiment
+from clrelight.experiment.pareto import Limits, Model, Trial, near_pareto_front, pareto_front
 from clrelight.experiment.toml import experiment_text
 from clrelight.fit import method_class
 from clrelight.holdout import split_chosen
@@ -43,8 +43,8 @@ def test_fronts_are_what_nothing_beats(drawn):
     for cost, value, sign in (("seconds", "psnr", -1), ("size", "psnr", -1), ("seconds", "size", 1)):
         pairs = {(getattr(t, cost), sign * getattr(t, value)) for t in trials}
         best = {p for p in pairs if not any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in pairs)}
-        assert {(getattr(t, cost), sign * getattr(t, value)) for t in front(trials, cost, value)} == best
-    kept = near_front(trials, 2.0)
+        assert {(getattr(t, cost), sign * getattr(t, value)) for t in pareto_front(trials, cost, value)} == best
+    kept = near_pareto_front(trials, 2.0)
     for each in trials:
         beaten = any(o.seconds <= each.seconds and o.size <= each.size and o.psnr >= each.psnr + 2.0 for o in trials)
         assert (each in kept) == (not beaten)
@@ -81,8 +81,8 @@ def test_the_nearest_is_named_and_what_was_refused_is_never_taken():
     assert Limits(size=50).excess(refused) == math.inf
     with pytest.raises(InputError, match=r"the nearest is cls newton degree 2, .*: 20.00 dB, 100 bytes, 10 s"):
         Limits(size=50).choose(trials)
-    assert near_front(trials, 0.3) == [trials[2], trials[1]]
-    assert front(trials, "size", "psnr") == trials[1:]
+    assert near_pareto_front(trials, 0.3) == [trials[2], trials[1]]
+    assert pareto_front(trials, "size", "psnr") == trials[1:]
     for bad in ({"seconds": 0.0}, {"seconds": math.nan}, {"size": 0}, {"psnr": math.inf}):
         with pytest.raises(InputError):
             Limits(**bad)

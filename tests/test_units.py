@@ -27,7 +27,7 @@ def decode_region(body, parsed, shape, region, device):
     return UnitView(body, parsed, shape).coefficients(region, device)
 
 
-def code(device, values, *, together=True, price=0.0, tables=None):
+def code(device, values, *, together=True, multiplier=0.0, tables=None):
     """Encode wavelet coefficients in steps, and return the streams with what they decode to and what was chosen."""
     tables = tables or default_tables()
     count, height, width = values.shape
@@ -35,7 +35,7 @@ def code(device, values, *, together=True, price=0.0, tables=None):
     layout = lay_out(list_units(height, width), (height, width), window, width, together, groups)
     taken = device.empty(values.shape, np.float32, np.ascontiguousarray(values, np.float32))
     index = device.empty(values.shape, np.int32)
-    coded = encode_streams(device, layout, taken, index, tables, price)
+    coded = encode_streams(device, layout, taken, index, tables, multiplier)
     found = device.hold(np.zeros(values.shape, np.float32))
     fault = decode(device, coded.streams, tables, found, together)
     assert not fault.any()
@@ -78,15 +78,15 @@ def test_the_largest_numbers_pass(device):
 def test_bits_that_save_too_little_are_not_spent(device):
     values = random_values((4, 96, 96), 0.4)
     sizes, errors = [], []
-    for price in (0.0, 0.1, 0.3):
-        coded, _, found, _ = code(device, values, price=price)
+    for multiplier in (0.0, 0.1, 0.3):
+        coded, _, found, _ = code(device, values, multiplier=multiplier)
         sizes.append(coded.size)
         errors.append(float(((found - values) ** 2).sum()))
         np.testing.assert_allclose(coded.error_j.sum(), errors[-1], rtol=1e-3)
         assert abs(coded.bits_j.sum() / 8 - coded.size) < 0.02 * coded.size + 40
     assert sizes[0] > sizes[1] > sizes[2]
     assert errors[0] < errors[1] < errors[2]
-    # What was saved is worth its price at the least.
+    # What was saved is worth its multiplier at the least.
     assert errors[1] - errors[0] < 0.1 * 8 * (sizes[0] - sizes[1])
 
 

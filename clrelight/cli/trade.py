@@ -26,8 +26,8 @@ from clrelight.errors import InputError
 
 if TYPE_CHECKING:
     from clrelight.experiment.axes import Axes
-    from clrelight.experiment.front import Trial
     from clrelight.experiment.grid import CodecSetting
+    from clrelight.experiment.pareto import Trial
 
 _MARK = "# The setting that clrelight trade chose:"
 
@@ -83,7 +83,7 @@ def trade(
     """
     from clrelight.device import open_device
     from clrelight.experiment.axes import Axes
-    from clrelight.experiment.front import Limits
+    from clrelight.experiment.pareto import Limits
     from clrelight.experiment.trade import sweep_trade
     from clrelight.holdout import describe_distance
     from clrelight.report.folder import check_report

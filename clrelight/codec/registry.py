@@ -35,10 +35,10 @@ class Codec(Configurable, ABC):
     summary: ClassVar[str]
     encoding_holds: ClassVar[float] = 4.0
     decoding_holds: ClassVar[float] = 3.0
-    """Times the bytes of a float32 map that the two take at least, whatever the room; 0 for codecs that take parts."""
+    """Times the bytes of a float32 map that the two take in any workspace; 0 for codecs that take parts."""
 
     def bytes_to_encode(self, shape: tuple[int, int, int, int]) -> int:
-        """Return about how many bytes of memory encoding takes at least, beside those of a room."""
+        """Return about how many bytes of memory encoding takes at least, beside those of a workspace."""
         return int(4 * self.encoding_holds * math.prod(shape))
 
     @classmethod
@@ -225,7 +225,7 @@ def encode_stream(source: Source, codec: Codec, body: BodyWriter) -> dict[str, f
     Raises
     ------
     InputError
-        As `encode` does, and where a part does not fit the source's room.
+        As `encode` does, and where a part does not fit the source's workspace.
     """
     try:
         check_shape(source.shape)

@@ -1,7 +1,7 @@
 """Where codecs take coefficients from and where they put them: whole arrays, or some rows or some maps at a time.
 
 A codec that works in parts is written once, against `Source`, `BodyWriter` and `Target`. In memory all rows and all
-maps are one part; the same calls on what lies in files take as much memory as a `Room` allows.
+maps are one part; the same calls on what lies in files take as much memory as a `Workspace` allows.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.finite import check_sums
-from clrelight.codec.rooms import ArrayPlanes, Planes, Room, Shape
+from clrelight.codec.workspace import ArrayPlanes, Planes, Shape, Workspace
 from clrelight.device import Device
 from clrelight.matmul import SampleCurve, multiply_columns
 from clrelight.streaming import Buffer, reading_ahead
@@ -31,9 +31,9 @@ def parts_of(count: int, step: int) -> list[slice]:
     return [slice(start, min(start + step, count)) for start in range(0, count, step)]
 
 
-def _row_parts(room: Room, shape: Shape, multiple: int, row_step: int) -> list[slice]:
-    """Return the rows of each part, which begin at a multiple of `multiple`, and of `row_step` where there is room."""
-    step, together = room.part_rows(shape, multiple), math.lcm(multiple, row_step)
+def _row_parts(workspace: Workspace, shape: Shape, multiple: int, row_step: int) -> list[slice]:
+    """Return the rows of each part, which begin at a multiple of `multiple`, and of `row_step` where it fits."""
+    step, together = workspace.part_rows(shape, multiple), math.lcm(multiple, row_step)
     if together <= step < shape[1]:
         step -= step % together
     return parts_of(shape[1], step)
@@ -64,7 +64,7 @@ class Source(ABC):
     shape : tuple of int
         (n_coeff, height, width, channel).
     device : Device
-    room : Room
+    workspace : Workspace
     """
 
     row_step = 1
@@ -74,8 +74,8 @@ class Source(ABC):
     sample_type: np.dtype = np.dtype(np.float32)
     """Of those."""
 
-    def __init__(self, shape: Shape, device: Device, room: Room) -> None:
-        self.shape, self.device, self.room = shape, device, room
+    def __init__(self, shape: Shape, device: Device, workspace: Workspace) -> None:
+        self.shape, self.device, self.workspace = shape, device, workspace
         self._known: dict[Hashable, Any] = {}
 
     @abstractmethod
@@ -93,14 +93,14 @@ class Source(ABC):
     @contextmanager
     def rows(self, multiple: int = 1) -> Iterator[Iterator[tuple[int, NDArray[np.float32]]]]:
         """Lend all rows in parts, each with its first row, which is a multiple of `multiple`."""
-        height, parts = self.shape[1], _row_parts(self.room, self.shape, multiple, self.row_step)
+        height, parts = self.shape[1], _row_parts(self.workspace, self.shape, multiple, self.row_step)
         with reading_ahead(lambda part: self.read_rows(part.start, part.stop), parts) as read:
 
             def told() -> Iterator[tuple[int, NDArray[np.float32]]]:
                 for part, coeffs_khwc in zip(parts, read, strict=True):
                     self.check(coeffs_khwc, part.start)
                     yield part.start, coeffs_khwc
-                    self.room.tell(part.stop, height)
+                    self.workspace.tell(part.stop, height)
 
             yield told()
 
@@ -109,7 +109,7 @@ class Source(ABC):
 
     def map_parts(self) -> list[slice]:
         """Return the parts in which maps are taken."""
-        return parts_of(self.shape[0], self.room.part_maps(self.shape))
+        return parts_of(self.shape[0], self.workspace.part_maps(self.shape))
 
     def maps(self, first: int, end: int) -> NDArray[np.float32]:
         """Return some maps (end - first, height, width, channel), C-contiguous, not to be written to."""
@@ -117,7 +117,7 @@ class Source(ABC):
 
     def _as_planes(self) -> Planes:
         with self.rows() as parts:
-            planes = self.room.make_planes(self.shape)
+            planes = self.workspace.make_planes(self.shape)
             for first, coeffs_khwc in parts:
                 planes.put_rows(first, coeffs_khwc)
         return planes
@@ -146,7 +146,7 @@ class ArraySource(Source):
     """Coefficients in memory, C-contiguous."""
 
     def __init__(self, coeffs_khwc: NDArray[np.float32], device: Device) -> None:
-        super().__init__(coeffs_khwc.shape, device, Room())
+        super().__init__(coeffs_khwc.shape, device, Workspace())
         self._coeffs = coeffs_khwc
 
     def read_rows(self, first: int, end: int) -> NDArray[np.float32]:
@@ -170,7 +170,7 @@ class _MappedSource(Source):
     """Sums of another source's maps."""
 
     def __init__(self, source: Source, operator_jk: NDArray[np.float64]) -> None:
-        super().__init__((len(operator_jk), *source.shape[1:]), source.device, source.room)
+        super().__init__((len(operator_jk), *source.shape[1:]), source.device, source.workspace)
         self._source, self._operator, self.row_step = source, operator_jk, source.row_step
 
     @contextmanager
@@ -201,19 +201,19 @@ class Target(ABC):
     ----------
     shape : tuple of int
         (n_coeff, height, width, channel).
-    room : Room
+    workspace : Workspace
     """
 
     row_step = 1
     """Rows that are best put together."""
 
-    def __init__(self, shape: Shape, room: Room) -> None:
-        self.shape, self.room = shape, room
+    def __init__(self, shape: Shape, workspace: Workspace) -> None:
+        self.shape, self.workspace = shape, workspace
         self._planes: Planes | None = None
 
     def row_parts(self, multiple: int = 1) -> list[slice]:
         """Return the rows to put together, each part beginning at a multiple of `multiple`."""
-        return _row_parts(self.room, self.shape, multiple, self.row_step)
+        return _row_parts(self.workspace, self.shape, multiple, self.row_step)
 
     @abstractmethod
     def put_rows(self, first: int, coeffs_khwc: NDArray[np.float32]) -> None:
@@ -222,7 +222,7 @@ class Target(ABC):
     def put_maps(self, first: int, maps_khwc: NDArray[np.float32]) -> None:
         """Take whole maps, not to be changed any more."""
         if self._planes is None:
-            self._planes = self.room.make_planes(self.shape)
+            self._planes = self.workspace.make_planes(self.shape)
         self._planes.put_maps(first, maps_khwc)
 
     def finish(self) -> None:
@@ -244,7 +244,7 @@ class ArrayTarget(Target):
     """Coefficients in memory."""
 
     def __init__(self, shape: Shape) -> None:
-        super().__init__(shape, Room())
+        super().__init__(shape, Workspace())
         self._array = ArrayPlanes(shape)
 
     def put_rows(self, first: int, coeffs_khwc: NDArray[np.float32]) -> None:
@@ -264,7 +264,7 @@ class _MappedTarget(Target):
     """Maps that are summed up before another target takes them."""
 
     def __init__(self, target: Target, operator_kj: NDArray[np.float64], device: Device) -> None:
-        super().__init__((operator_kj.shape[1], *target.shape[1:]), target.room)
+        super().__init__((operator_kj.shape[1], *target.shape[1:]), target.workspace)
         self._target, self._operator, self._device, self.row_step = target, operator_kj, device, target.row_step
 
     def put_rows(self, first: int, coeffs_khwc: NDArray[np.float32]) -> None:

@@ -51,7 +51,7 @@ class Regions(View, Protocol):
         ...
 
     def put_rows(self, target: Target, device: Device) -> None:
-        """Put all of them, from top to bottom, in as little memory as the target's room has."""
+        """Put all of them, from top to bottom, in as little memory as the target's workspace has."""
         ...
 
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:

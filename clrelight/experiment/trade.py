@@ -13,8 +13,8 @@ from clrelight.durable import claiming, no_locks
 from clrelight.errors import InputError
 from clrelight.experiment.axes import HALF, LEAST_LIGHTS, Axes
 from clrelight.experiment.bench import Bench
-from clrelight.experiment.front import Model, Trial, near_front, storage_label
 from clrelight.experiment.grid import CodecSetting, Experiment, make_settings
+from clrelight.experiment.pareto import Model, Trial, near_pareto_front, storage_label
 from clrelight.experiment.row import row_key
 from clrelight.experiment.run import Progress, earlier_results
 from clrelight.experiment.scenes import survey_stack
@@ -38,7 +38,7 @@ _FALLEN = 0.1
 _LOST = 3.0
 """Decibels by which something no larger is better where a codec's rate is not lowered further."""
 _THINNED, _CODED, _RECKONED = 4, 2, 1
-"""Of the models near the front, how many are fitted to fewer lights, coded, fitted in each precision."""
+"""Of the models near the pareto_front, how many are fitted to fewer lights, coded, fitted in each precision."""
 REFERENCE_DEGREE = 6
 
 
@@ -230,7 +230,7 @@ class _Sweep:
                 if not self._has_room(fewer):
                     continue
                 yield fewer, CodecSetting()
-                if self.trials[-1] not in near_front(self._plain(), _NEAR) and model != self._reference():
+                if self.trials[-1] not in near_pareto_front(self._plain(), _NEAR) and model != self._reference():
                     models.remove(model)
 
     def _try_codecs(self) -> Iterator[tuple[Model, CodecSetting]]:
@@ -248,12 +248,12 @@ class _Sweep:
         return any(other.size <= trial.size and other.psnr >= trial.psnr + _LOST for other in self.trials)
 
     def _extended(self, count: int) -> list[Model]:
-        """Return the models that are worth more rows: the best `count` near the front, and the reference.
+        """Return the models that are worth more rows: the best `count` near the pareto_front, and the reference.
 
         Each with its usual search, or searches that agree would take all the places.
         """
         usual = [t for t in self._plain() if t.model.method == method_class(t.model.method.id)()]
-        models = [trial.model for trial in near_front(usual, _NEAR)[:count]]
+        models = [trial.model for trial in near_pareto_front(usual, _NEAR)[:count]]
         reference = self._reference()
         return models if reference in models else [*models, reference]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit.expectation import expect_at
-from clrelight.fit.prediction import Trials
+from clrelight.fit.leave_out_error import Trials
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
 from clrelight.fit.spectrum import SpectrumFit

@@ -9,10 +9,10 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.fit.leave_out_error import LEAST_ERROR, Trials, krige_left_out
 from clrelight.fit.left_out import solve_zones
 from clrelight.fit.places import find_zones, list_unseen, mutual_angles, nearest_angles, spread_points
 from clrelight.fit.plan import is_sphere
-from clrelight.fit.prediction import LEAST_ERROR, Trials, krige_left_out
 from clrelight.fit.zonal import LARGEST_DEGREE, ZonalModel
 from clrelight.harmonics.basis import evaluate_basis
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.fit.expectation import Expectation, expect_unseen, least_degree
-from clrelight.fit.prediction import LEAST_ERROR, Trials, krige_left_out, try_method
+from clrelight.fit.leave_out_error import LEAST_ERROR, Trials, krige_left_out, try_method
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
 from clrelight.fit.spectrum import SpectrumFit

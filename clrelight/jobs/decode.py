@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec import Encoded, bytes_to_decode, decode_stream
 from clrelight.codec import decode as decode_payload
-from clrelight.codec.rooms import Room
+from clrelight.codec.workspace import Workspace
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.jobs.inputs import Packed, lend_encoded, opened_on, paths_among
@@ -26,7 +26,7 @@ from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import create_fit, write_fit
 from clrelight.store.coding import RowTarget
-from clrelight.store.scratch import ScratchRoom, scratch_room
+from clrelight.store.scratch import ScratchWorkspace, scratch_workspace
 from clrelight.streaming import writing_behind
 
 
@@ -121,12 +121,12 @@ def decode(
             kept.add("decode", since)
             return coefficients
         with (
-            scratch_room(Path(os.fsdecode(out)).parent, limit or DEFAULT_MEMORY) as room,
-            lend_encoded(source, kept, salvage=salvage, room=room) as packed,
+            scratch_workspace(Path(os.fsdecode(out)).parent, limit or DEFAULT_MEMORY) as workspace,
+            lend_encoded(source, kept, salvage=salvage, workspace=workspace) as packed,
         ):
             kept.add("read", since)
             _tell(packed.encoded, limit, kept)
-            _write(out, packed, opened, room, kept, progress)
+            _write(out, packed, opened, workspace, kept, progress)
     kept.facts = {"file": os.fsdecode(out), **kept.facts}
     return kept
 
@@ -163,7 +163,7 @@ def _write(
     out: str | os.PathLike[str],
     packed: Packed,
     device: Device,
-    room: ScratchRoom,
+    workspace: ScratchWorkspace,
     report: Report,
     progress: Progress | None,
 ) -> None:
@@ -176,7 +176,7 @@ def _write(
             sink.write_rows(*rows, None, None)
 
         since = time.perf_counter()
-        with stage(progress, f"decoding {encoded.codec}") as room.progress, writing_behind(write) as put:
+        with stage(progress, f"decoding {encoded.codec}") as workspace.progress, writing_behind(write) as put:
 
             def hand_on(first: int, coeffs_khwc: NDArray[np.float32]) -> None:
                 put((first, coeffs_khwc))
@@ -184,7 +184,7 @@ def _write(
             target = RowTarget(
                 encoded.shape,
                 device,
-                Room() if fits(room, encoded.shape) else room,
+                Workspace() if fits(workspace, encoded.shape) else workspace,
                 hand_on,
                 codec_id=encoded.codec,
                 row_step=sink.coeffs_khwc.chunks[1],

@@ -16,7 +16,7 @@ import numpy as np
 from clrelight import codec as codecs
 from clrelight.codec import Codec, Encoded
 from clrelight.codec.rate.noise import Noise
-from clrelight.codec.rooms import Shape
+from clrelight.codec.workspace import Shape
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -32,7 +32,7 @@ from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import write_encoded
 from clrelight.store.encodings import container_bytes
-from clrelight.store.scratch import ScratchRoom, scratch_room
+from clrelight.store.scratch import ScratchWorkspace, scratch_workspace
 
 BASES = ("sh", "whitened", "klt")
 """Coordinates that are coded: as fitted; in the metric of the image; its principal axes."""
@@ -145,13 +145,13 @@ def encode(
         claimed([out], paths_among(source, stack), kept),
         opened_on(device, kept) as opened,
         lend_fit(source) as coefficients,
-        scratch_room(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, held) as room,
+        scratch_workspace(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, held) as workspace,
     ):
         if out is not None and wanted.byte_budget is not None:
             shape = tuple(coefficients.coeffs_khwc.shape)
             overhead = container_bytes(FitRecord.of(coefficients), shape)
             wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead, shape))
-        encoded = _Encode(coefficients, wanted, opened, room, limit, kept, progress).run(stack)
+        encoded = _Encode(coefficients, wanted, opened, workspace, limit, kept, progress).run(stack)
         if out is None:
             return replace(encoded, body=encoded.body[:], record=FitRecord.of(coefficients))
         since = time.perf_counter()
@@ -235,7 +235,7 @@ class _Encode:
     coefficients: CoefficientMap
     wanted: _Wanted
     device: Device
-    room: ScratchRoom
+    workspace: ScratchWorkspace
     memory: int | None
     report: Report
     progress: Progress | None
@@ -271,17 +271,17 @@ class _Encode:
         return encoded
 
     def _by_codec(self) -> tuple[Encoded, Noise | None]:
-        report, room, shape = self.report, self.room, tuple(self.coefficients.coeffs_khwc.shape)
+        report, workspace, shape = self.report, self.workspace, tuple(self.coefficients.coeffs_khwc.shape)
         since = time.perf_counter()
         codec = self.wanted.make(shape).for_transfer(self.coefficients.transfer)
         needed = codec.bytes_to_encode(shape)
         report.note(*check_memory(f"encoding by {codec.id}", needed, self.memory, _IN_PARTS))
-        maps = take_source(self.coefficients, codec, self.device, room)
+        maps = take_source(self.coefficients, codec, self.device, workspace)
         since = report.add("read", since)
-        with stage(self.progress, f"encoding {codec.id}") as room.progress:
+        with stage(self.progress, f"encoding {codec.id}") as workspace.progress:
             noise = codecs.predict_noise_of(maps, codec)
             since = report.add("predict", since)
-            encoded = encode_source(maps, codec, room)
+            encoded = encode_source(maps, codec, workspace)
         report.add("encode", since)
         return encoded, noise
 
@@ -289,8 +289,8 @@ class _Encode:
         report, held = self.report, self.coefficients
         with lend_stack(stack, report) as source:
             since = time.perf_counter()
-            with stage(self.progress, "decoding") as self.room.progress:
-                decoded = decode_again(encoded, held, self.device, self.room)
+            with stage(self.progress, "decoding") as self.workspace.progress:
+                decoded = decode_again(encoded, held, self.device, self.workspace)
             since = report.add("decode", since)
             report.facts["coding_noise"] = coding_psnr(noise, held.coeffs_khwc, decoded.coeffs_khwc)
             report.psnr = measure_split(decoded, source, self.device, progress=self.progress)

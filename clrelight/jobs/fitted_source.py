@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.registry import check_coefficients
-from clrelight.codec.rooms import Room
 from clrelight.codec.streams import Linear, Source, parts_of
+from clrelight.codec.workspace import Workspace
 from clrelight.fit.precision import DOUBLE, compute_dtype
 from clrelight.fit.prepare import PreparedFit
 from clrelight.fit.scaling import TileScaling
@@ -24,9 +24,9 @@ from clrelight.streaming import Buffer
 class FittedSource(Source):
     """The coefficients of a prepared fit, fitted anew whenever they are read; see `fitted_source`."""
 
-    def __init__(self, prepared: PreparedFit, room: Room, bands: Bands) -> None:
+    def __init__(self, prepared: PreparedFit, workspace: Workspace, bands: Bands) -> None:
         shape = (coefficient_count(prepared.degree), *prepared.stack.image_shape)
-        super().__init__(shape, prepared.device, room)
+        super().__init__(shape, prepared.device, workspace)
         self._report, self._bands = prepared.report, bands
         self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.precision))
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
@@ -61,7 +61,7 @@ class FittedSource(Source):
     @contextmanager
     def rows(self, multiple: int = 1) -> Iterator[Iterator[tuple[int, NDArray[np.float32]]]]:
         """See `Source`; nothing is fitted ahead: the device has other work meanwhile."""
-        parts = parts_of(self.shape[1], self.room.part_rows(self.shape, multiple))
+        parts = parts_of(self.shape[1], self.workspace.part_rows(self.shape, multiple))
         yield ((part.start, self.read_rows(part.start, part.stop)) for part in parts)
 
     def check(self, coeffs_khwc: NDArray[np.float32], first_row: int) -> None:
@@ -70,7 +70,7 @@ class FittedSource(Source):
 
 
 @contextmanager
-def fitted_source(prepared: PreparedFit, room: Room) -> Iterator[FittedSource]:
+def fitted_source(prepared: PreparedFit, workspace: Workspace) -> Iterator[FittedSource]:
     """Lend the coefficients of a prepared fit to a codec."""
     with bands_of(prepared.stack) as bands:
-        yield FittedSource(prepared, room, bands)
+        yield FittedSource(prepared, workspace, bands)

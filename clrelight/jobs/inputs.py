@@ -25,7 +25,7 @@ from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.light_files import read_light_file
 from clrelight.store import open_fit, open_fitted, open_stack
-from clrelight.store.scratch import ScratchRoom
+from clrelight.store.scratch import ScratchWorkspace
 
 Path = str | os.PathLike[str]
 StackLike = Path | LightStack
@@ -148,7 +148,7 @@ def lend_fitted(
     *kinds: str,
     parts: bool = False,
     salvage: bool = False,
-    room: ScratchRoom | None = None,
+    workspace: ScratchWorkspace | None = None,
 ) -> Iterator[CoefficientMap | Packed]:
     """Lend a fit, or an encoding and its record.
 
@@ -163,7 +163,7 @@ def lend_fitted(
         Of an encoding parts are wanted, not all of it: it is read as it is sliced.
     salvage : bool
         Let parts be damaged.
-    room : ScratchRoom, optional
+    workspace : ScratchWorkspace, optional
         Where a payload goes that is large for its memory.
     """
     damage = Damage() if salvage else None
@@ -180,7 +180,7 @@ def lend_fitted(
         if not opened.is_encoded:
             yield opened.fit()
         else:
-            held = opened.parts(compared=not salvage) if parts or salvage else opened.whole(room)
+            held = opened.parts(compared=not salvage) if parts or salvage else opened.whole(workspace)
             yield Packed(*held, damage)
         _tell_damage(damage, report)
         if traffic := opened.traffic():
@@ -200,11 +200,11 @@ def lend_encoded(
     *,
     parts: bool = False,
     salvage: bool = False,
-    room: ScratchRoom | None = None,
+    workspace: ScratchWorkspace | None = None,
 ) -> Iterator[Packed]:
     """Lend an encoding alone, as `lend_fitted` does."""
     _is_path(source, Encoded, "the path of an encoded file, or an Encoded")
-    with lend_fitted(source, report, "encoded", parts=parts, salvage=salvage, room=room) as held:
+    with lend_fitted(source, report, "encoded", parts=parts, salvage=salvage, workspace=workspace) as held:
         yield held  # type: ignore[misc]
 
 

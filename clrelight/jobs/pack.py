@@ -28,7 +28,7 @@ from clrelight.jobs.written import count_bytes
 from clrelight.memory import IMAGE_MEMORY
 from clrelight.perception import check_perception
 from clrelight.store import check_output, write_encoded
-from clrelight.store.scratch import scratch_room
+from clrelight.store.scratch import scratch_workspace
 
 MEASURES = ("auto", "all", "sample", "none")
 """At which pixels quality is measured; auto: all of a small image, a sample of a large one."""
@@ -123,7 +123,7 @@ def pack(
         claimed([out, keep_stack], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
         _photographs(source, out, keep_stack, budget, options, look, kept, progress) as stack,
-        scratch_room(Path(os.fsdecode(out)).parent, budget) as room,
+        scratch_workspace(Path(os.fsdecode(out)).parent, budget) as workspace,
     ):
         split = rule.split(stack.directions_i3)
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
@@ -131,7 +131,7 @@ def pack(
         with stage(progress, "choosing a model"):
             prepared = prepare_fit(chosen, method, wanted, within=within, device=opened, unseen_t3=unseen)
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
-        job = Pack(stack, split, prepared, size, metric, room, kept, progress)
+        job = Pack(stack, split, prepared, size, metric, workspace, kept, progress)
         job.tell_facts()
         encoded = job.encode(measure, perceptual)
         since = time.perf_counter()

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec import Encoded, array_source, codec_class, decode_regions, encode_stream
-from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Source
 from clrelight.codec.transforms.principal import STEP_RANGE
 from clrelight.codec.views import Regions
+from clrelight.codec.workspace import Shape
 from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.errors import InputError
 from clrelight.fit import PreparedFit
@@ -33,7 +33,7 @@ from clrelight.jobs.split_quality import Split
 from clrelight.jobs.target import TOLERANCE, encode_to_quality
 from clrelight.search import search_falling
 from clrelight.store.encodings import container_bytes
-from clrelight.store.scratch import ScratchBody, ScratchRoom
+from clrelight.store.scratch import ScratchBody, ScratchWorkspace
 
 DEFAULT_BYTES = 1.0
 """Of a file for each pixel that counts, where no size or quality is asked for."""
@@ -100,7 +100,7 @@ class Pack:
     prepared: PreparedFit
     size: Size
     metric: str
-    room: ScratchRoom
+    workspace: ScratchWorkspace
     report: Report
     progress: Progress | None
 
@@ -150,19 +150,19 @@ class Pack:
         """Lend the coefficients: in memory where they are few."""
         prepared, since = self.prepared, time.perf_counter()
         n_value = coefficient_count(prepared.degree) * math.prod(self.stack.image_shape)
-        if 4 * n_value * _IN_MEMORY_SHARE <= self.room.memory_bytes:
+        if 4 * n_value * _IN_MEMORY_SHARE <= self.workspace.memory_bytes:
             with stage(self.progress, f"fitting {prepared.method.title}") as tell:
-                fitted = collect_fit(prepared, memory_bytes=self.room.memory_bytes, progress=tell)
+                fitted = collect_fit(prepared, memory_bytes=self.workspace.memory_bytes, progress=tell)
             self.report.add("fit", since)
             yield array_source(fitted.coeffs_khwc, prepared.device)
         else:
-            with fitted_source(prepared, self.room) as source:
+            with fitted_source(prepared, self.workspace) as source:
                 yield source
 
     def _code(self, source: Source, options: dict[str, Any]) -> Encoded:
         codec = codec_class("klt").from_config({**options, "metric": self.metric}).for_transfer(self.stack.transfer)
-        since, body = time.perf_counter(), ScratchBody(self.room)
-        with stage(self.progress, "fitting and coding") as self.room.progress:
+        since, body = time.perf_counter(), ScratchBody(self.workspace)
+        with stage(self.progress, "fitting and coding") as self.workspace.progress:
             info = encode_stream(source, codec, body)
         self.report.add("code", since)
         return Encoded(codec.id, codec.to_config(), source.shape, body, info, self.prepared.record)

@@ -9,19 +9,19 @@ import numpy as np
 
 from clrelight.codec import Codec, Encoded, array_source, decode, decode_stream, encode_stream
 from clrelight.codec.bodies import MemoryBody
-from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import ArraySource, Source
+from clrelight.codec.workspace import Shape
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store.coding import PlanesTarget, StoredSource
-from clrelight.store.scratch import ScratchBody, ScratchRoom
+from clrelight.store.scratch import ScratchBody, ScratchWorkspace
 
 
-def fits(room: ScratchRoom, shape: Shape) -> bool:
-    """Return whether a room's memory holds whole maps and what is made of them."""
-    return room.holds(4 * math.prod(shape))
+def fits(workspace: ScratchWorkspace, shape: Shape) -> bool:
+    """Return whether a workspace's memory holds whole maps and what is made of them."""
+    return workspace.holds(4 * math.prod(shape))
 
 
 def check_memory(work: str, needed: int, memory: int | None, otherwise: str = "") -> list[str]:
@@ -38,30 +38,32 @@ def check_memory(work: str, needed: int, memory: int | None, otherwise: str = ""
     return [text]
 
 
-def take_source(coefficients: CoefficientMap, codec: Codec, device: Device, room: ScratchRoom) -> Source:
-    """Return the coefficients of a fit: in memory where they are, or the room, or else the codec, holds them whole."""
+def take_source(coefficients: CoefficientMap, codec: Codec, device: Device, workspace: ScratchWorkspace) -> Source:
+    """Return the coefficients of a fit: in memory where they, or the workspace, or else the codec hold them whole."""
     shape = tuple(coefficients.coeffs_khwc.shape)
     in_memory = isinstance(coefficients.coeffs_khwc, np.ndarray)
-    if in_memory or fits(room, shape) or codec.encoding_holds:
+    if in_memory or fits(workspace, shape) or codec.encoding_holds:
         return array_source(coefficients.to_float32().coeffs_khwc, device)
-    return StoredSource(coefficients.coeffs_khwc, device, room)
+    return StoredSource(coefficients.coeffs_khwc, device, workspace)
 
 
-def encode_source(source: Source, codec: Codec, room: ScratchRoom) -> Encoded:
-    """Return an encoding whose body is in memory where its source is, else in a file of the room."""
+def encode_source(source: Source, codec: Codec, workspace: ScratchWorkspace) -> Encoded:
+    """Return an encoding whose body is in memory where its source is, else in a file of the workspace."""
     if isinstance(source, ArraySource):
         written = MemoryBody()
         info = encode_stream(source, codec, written)
         return Encoded(codec.id, codec.to_config(), source.shape, written.to_bytes(), info)
-    body = ScratchBody(room)
+    body = ScratchBody(workspace)
     info = encode_stream(source, codec, body)
     return Encoded(codec.id, codec.to_config(), source.shape, body, info)
 
 
-def decode_again(encoded: Encoded, coefficients: CoefficientMap, device: Device, room: ScratchRoom) -> CoefficientMap:
+def decode_again(
+    encoded: Encoded, coefficients: CoefficientMap, device: Device, workspace: ScratchWorkspace
+) -> CoefficientMap:
     """Return what the bytes alone decode to, as ``decode`` does it, in memory where the body is."""
     if isinstance(encoded.body, bytes):
         return replace(coefficients, coeffs_khwc=decode(encoded.to_bytes(), device))
-    target = PlanesTarget(encoded.shape, device, room, codec_id=encoded.codec)
+    target = PlanesTarget(encoded.shape, device, workspace, codec_id=encoded.codec)
     decode_stream(Encoded.from_parts(encoded.header(), encoded.body), target, device)
     return replace(coefficients, coeffs_khwc=target.planes)

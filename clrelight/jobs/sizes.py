@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from clrelight.codec import Encoded
-from clrelight.codec.ballast import ballast_bytes
-from clrelight.codec.rooms import Shape
+from clrelight.codec.minimum_size import minimum_bytes
+from clrelight.codec.workspace import Shape
 from clrelight.errors import InputError
 
 
@@ -26,7 +26,7 @@ _LEAST_PAYLOAD = 22
 
 def payload_budget(file_bytes: int, overhead: int, shape: Shape) -> int:
     """Return what a file of so many bytes leaves for its payload; InputError where no image takes as little."""
-    least = overhead + max(_LEAST_PAYLOAD, ballast_bytes(shape))
+    least = overhead + max(_LEAST_PAYLOAD, minimum_bytes(shape))
     if file_bytes < least:
         raise InputError(
             f"--bytes: a file of these lights and this size takes at least {least} bytes, got {file_bytes}"

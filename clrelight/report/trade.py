@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clrelight.experiment.axes import HALF
-from clrelight.experiment.front import Trial, front, search_label, storage_label
+from clrelight.experiment.pareto import Trial, pareto_front, search_label, storage_label
 from clrelight.experiment.trade import find_reference
 from clrelight.fit.cls import ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED
@@ -146,7 +146,7 @@ def half_table(trials: Sequence[Trial]) -> Table:
 
 def front_table(trials: Sequence[Trial]) -> Table:
     """Return the settings that are optimal in bytes and PSNR, or in time and PSNR, the smallest first."""
-    by_size, by_time = front(trials, "size", "psnr"), front(trials, "seconds", "psnr")
+    by_size, by_time = pareto_front(trials, "size", "psnr"), pareto_front(trials, "seconds", "psnr")
     rows: list[tuple[Cell, ...]] = []
     for trial in sorted({*by_size, *by_time}, key=lambda t: (t.size, t.seconds)):
         row = trial.row
@@ -176,7 +176,7 @@ def trade_chart(trials: Sequence[Trial], name: str) -> Any:
             axes.plot(
                 x, y, _marker(trial), color=colour, markerfacecolor=colour if trial.model.lights is None else "white"
             )
-        edge = [(_shown(t, cost), _shown(t, value)) for t in front(usable, cost, value)]
+        edge = [(_shown(t, cost), _shown(t, value)) for t in pareto_front(usable, cost, value)]
         axes.step(*zip(*edge, strict=True), where="post", color=canvas.FAINT, linewidth=5, alpha=0.6, zorder=0)
         axes.set_xscale("log")
         if value == "psnr":

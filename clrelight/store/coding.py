@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from clrelight.arrays import read_rows_into
 from clrelight.codec.registry import check_coefficients, check_decoded
-from clrelight.codec.rooms import Room
 from clrelight.codec.streams import Source, Target, buffers
+from clrelight.codec.workspace import Workspace
 from clrelight.device import Device
 from clrelight.store.stored import StoredArray
 
@@ -19,8 +19,8 @@ from clrelight.store.stored import StoredArray
 class StoredSource(Source):
     """The coefficients of an open fit, read as they are needed and looked at before they are used."""
 
-    def __init__(self, stored_khwc: StoredArray, device: Device, room: Room) -> None:
-        super().__init__(stored_khwc.shape, device, room)
+    def __init__(self, stored_khwc: StoredArray, device: Device, workspace: Workspace) -> None:
+        super().__init__(stored_khwc.shape, device, workspace)
         self._stored, self._buffers = stored_khwc, buffers()
         if stored_khwc.chunks:
             self.row_step = stored_khwc.chunks[1]
@@ -60,28 +60,30 @@ class RowTarget(Target):
         self,
         shape: tuple[int, int, int, int],
         device: Device,
-        room: Room,
+        workspace: Workspace,
         write: Callable[[int, NDArray[np.float32]], None],
         *,
         codec_id: str,
         row_step: int = 1,
     ) -> None:
-        super().__init__(shape, room)
+        super().__init__(shape, workspace)
         self._device, self._write, self._codec_id, self.row_step = device, write, codec_id, row_step
 
     def put_rows(self, first: int, coeffs_khwc: NDArray[np.float32]) -> None:
         """See `Target`."""
         check_decoded(coeffs_khwc, self._codec_id, self._device)
         self._write(first, coeffs_khwc)
-        self.room.tell(first + coeffs_khwc.shape[1], self.shape[1])
+        self.workspace.tell(first + coeffs_khwc.shape[1], self.shape[1])
 
 
 class PlanesTarget(Target):
-    """Keeps decoded coefficients in maps of the room, for them to be read again."""
+    """Keeps decoded coefficients in maps of the workspace, for them to be read again."""
 
-    def __init__(self, shape: tuple[int, int, int, int], device: Device, room: Room, *, codec_id: str) -> None:
-        super().__init__(shape, room)
-        self.planes = room.make_planes(shape)
+    def __init__(
+        self, shape: tuple[int, int, int, int], device: Device, workspace: Workspace, *, codec_id: str
+    ) -> None:
+        super().__init__(shape, workspace)
+        self.planes = workspace.make_planes(shape)
         self._device, self._codec_id = device, codec_id
 
     def put_rows(self, first: int, coeffs_khwc: NDArray[np.float32]) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
 from clrelight.codec.encoded import MAX_HEADER_BYTES, Encoded, header_size
-from clrelight.codec.rooms import Shape
+from clrelight.codec.workspace import Shape
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.directions import MOST_PACKED, pack_directions, unpack_directions
 from clrelight.errors import InputError, StoreFormatError
@@ -25,7 +25,7 @@ from clrelight.store.fits import read_record
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.places import Place
 from clrelight.store.schemas import ENCODED
-from clrelight.store.scratch import ScratchBody, ScratchRoom
+from clrelight.store.scratch import ScratchBody, ScratchWorkspace
 from clrelight.store.stored import StoredArray
 from clrelight.store.writing import (
     CHUNK_BYTES,
@@ -134,12 +134,12 @@ def read_encoded(path: str | os.PathLike) -> tuple[Encoded, FitRecord]:
         return whole_of(opened)
 
 
-def whole_of(opened: Opened, room: ScratchRoom | None = None) -> tuple[Encoded, FitRecord]:
-    """Return what `encoded_of` does with the payload read: to a file where it is large for a room."""
+def whole_of(opened: Opened, workspace: ScratchWorkspace | None = None) -> tuple[Encoded, FitRecord]:
+    """Return what `encoded_of` does with the payload read: to a file where it is large for a workspace."""
     header, stored = parts_of(opened)
-    if room is None or room.holds(len(stored)):
+    if workspace is None or workspace.holds(len(stored)):
         return encoded_of(opened, header, stored[:])
-    body = ScratchBody(room)
+    body = ScratchBody(workspace)
     body.reserve(len(stored))
     for start in range(0, len(stored), _PIECE_BYTES):
         body.write(start, np.frombuffer(stored[start : start + _PIECE_BYTES], np.uint8))

@@ -14,7 +14,7 @@ from clrelight.store.encodings import encoded_of, parts_of, whole_of
 from clrelight.store.fits import fit_of
 from clrelight.store.opening import Opened, opening, refusing
 from clrelight.store.schemas import ENCODED, FIT
-from clrelight.store.scratch import ScratchRoom
+from clrelight.store.scratch import ScratchWorkspace
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class OpenFitted:
         with refusing(self._opened.path):
             return fit_of(self._opened, self._opened.arrays.get)
 
-    def whole(self, room: ScratchRoom | None = None) -> tuple[Encoded, FitRecord]:
-        """Return the encoding and its record; where the payload is large for a room, in a file of that."""
+    def whole(self, workspace: ScratchWorkspace | None = None) -> tuple[Encoded, FitRecord]:
+        """Return the encoding and its record; where the payload is large for a workspace, in a file of that."""
         with refusing(self._opened.path):
-            return whole_of(self._opened, room)
+            return whole_of(self._opened, workspace)
 
     def parts(self, *, compared: bool = True) -> tuple[Encoded, FitRecord]:
         """Return the same of a payload that is read as it is sliced, and not summed up; `compared` as of `parts_of`."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import BodyWriter
-from clrelight.codec.rooms import BoundedRoom, Planes, Progress
+from clrelight.codec.workspace import BoundedWorkspace, Planes, Progress
 from clrelight.durable import Part, naming
 from clrelight.interrupts import holding
 
@@ -93,9 +93,9 @@ class ScratchPlanes:
 class ScratchBody(BodyWriter):
     """A codec's body in a file: written, then read by slices."""
 
-    def __init__(self, room: ScratchRoom) -> None:
+    def __init__(self, workspace: ScratchWorkspace) -> None:
         super().__init__()
-        self._room, self._length = room, 0
+        self._workspace, self._length = workspace, 0
         self._scratch: Scratch | None = None
 
     def __len__(self) -> int:
@@ -109,7 +109,7 @@ class ScratchBody(BodyWriter):
         return found.tobytes()
 
     def _allocate(self, n_bytes: int) -> None:
-        self._scratch, self._length = self._room.make_scratch(n_bytes), n_bytes
+        self._scratch, self._length = self._workspace.make_scratch(n_bytes), n_bytes
 
     def _put(self, at: int, values_b: NDArray[np.uint8]) -> None:
         if self._scratch is None:
@@ -117,19 +117,19 @@ class ScratchBody(BodyWriter):
         self._scratch.write(at, values_b)
 
 
-class ScratchRoom(BoundedRoom):
-    """A bounded room whose intermediate maps lie in files; see `scratch_room`."""
+class ScratchWorkspace(BoundedWorkspace):
+    """A bounded workspace whose intermediate maps lie in files; see `scratch_workspace`."""
 
     def __init__(self, folder: str | os.PathLike, memory_bytes: int, progress: Progress | None = None) -> None:
         super().__init__(memory_bytes, progress)
         self._folder, self._files = folder, ExitStack()
 
     def make_planes(self, shape: tuple[int, ...]) -> Planes:
-        """See `Room`."""
+        """See `Workspace`."""
         return ScratchPlanes(shape, self.make_scratch(4 * math.prod(shape)))
 
     def make_scratch(self, n_bytes: int) -> Scratch:
-        """Return a file that lasts as long as the room."""
+        """Return a file that lasts as long as the workspace."""
         scratch = Scratch(self._folder, n_bytes)
         self._files.callback(scratch.close)
         return scratch
@@ -140,12 +140,12 @@ class ScratchRoom(BoundedRoom):
 
 
 @contextmanager
-def scratch_room(
+def scratch_workspace(
     folder: str | os.PathLike, memory_bytes: int, progress: Progress | None = None
-) -> Iterator[ScratchRoom]:
-    """Lend a room that keeps to `memory_bytes`; what is put down in files in `folder` is gone when the block ends."""
-    room = ScratchRoom(folder, memory_bytes, progress)
+) -> Iterator[ScratchWorkspace]:
+    """Lend a workspace that keeps to `memory_bytes`; its files in `folder` are gone when the block ends."""
+    workspace = ScratchWorkspace(folder, memory_bytes, progress)
     try:
-        yield room
+        yield workspace
     finally:
-        room.close()
+        workspace.close()

@@ -164,10 +164,10 @@ INLINE long floor_mean(const long sum, const int count)
     return mean - (sum % count < 0);
 }
 
-/* Offsets of the neighbours of a sample that are coded in earlier phases. */
-INLINE void list_neighbours(const band_t *band, const int phase, int *offsets)
+/* Offsets of the neighbours of a sample that are coded in earlier cosets. */
+INLINE void list_neighbours(const band_t *band, const int coset, int *offsets)
 {
-    const int diagonal = phase == 1, pitch = band->pitch;
+    const int diagonal = coset == 1, pitch = band->pitch;
     offsets[0] = diagonal ? -pitch - 1 : -1;
     offsets[1] = diagonal ? -pitch + 1 : 1;
     offsets[2] = diagonal ? pitch - 1 : -pitch;
@@ -175,22 +175,22 @@ INLINE void list_neighbours(const band_t *band, const int phase, int *offsets)
 }
 
 /* Which of them lie inside the subband, as bits. */
-INLINE int find_inside(const band_t *band, const int phase, const int y, const int x)
+INLINE int find_inside(const band_t *band, const int coset, const int y, const int x)
 {
     const int left = x > 0, right = x + 1 < band->columns, up = y > 0, down = y + 1 < band->rows;
-    if (phase == 1)
+    if (coset == 1)
         return (up & left) | (up & right) << 1 | (down & left) << 2 | (down & right) << 3;
     return left | right << 1 | up << 2 | down << 3;
 }
 
 /* The mean of the neighbours' differences, rounded down. */
-INLINE long expect_low(const band_t *band, const int phase, const int y, const int x)
+INLINE long expect_low(const band_t *band, const int coset, const int y, const int x)
 {
     const size_t at = (size_t)y * band->pitch + x;
-    const int inside = find_inside(band, phase, y, x);
+    const int inside = find_inside(band, coset, y, x);
     long sum = 0;
     int offsets[4];
-    list_neighbours(band, phase, offsets);
+    list_neighbours(band, coset, offsets);
     for (int n = 0; n < 4; ++n)
         if (inside >> n & 1)
             sum += (long)band->index[at + offsets[n]] - predict(band, at + offsets[n]);
@@ -198,12 +198,12 @@ INLINE long expect_low(const band_t *band, const int phase, const int y, const i
 }
 
 /* Four times the neighbours' mean size. */
-INLINE uint find_nearby(const band_t *band, const int phase, const int y, const int x, const int *offsets)
+INLINE uint find_nearby(const band_t *band, const int coset, const int y, const int x, const int *offsets)
 {
     __global const int *size = band->size + (size_t)y * band->pitch + x;
     if (y > 0 && x > 0 && y + 1 < band->rows && x + 1 < band->columns)
         return size[offsets[0]] + size[offsets[1]] + size[offsets[2]] + size[offsets[3]];
-    const int inside = find_inside(band, phase, y, x);
+    const int inside = find_inside(band, coset, y, x);
     uint sum = 0;
     for (int n = 0; n < 4; ++n)
         if (inside >> n & 1)
@@ -257,16 +257,16 @@ INLINE uint find_hinted(const band_t *band, const hints_t *hints, const int x)
 }
 
 #define EACH_ROW(from, to)                        \
-    for (int phase = from; phase <= to; ++phase) \
-        for (int y = phase == 1 || phase == 3; y < band->rows; y += 2)
-#define EACH_SAMPLE_OF_ROW for (int x = phase == 1 || phase == 2; x < band->columns; x += 2, ++i)
+    for (int coset = from; coset <= to; ++coset) \
+        for (int y = coset == 1 || coset == 3; y < band->rows; y += 2)
+#define EACH_SAMPLE_OF_ROW for (int x = coset == 1 || coset == 2; x < band->columns; x += 2, ++i)
 
 /* What is to be coded, in LL less what the samples before tell: the one to the left, or the neighbours. */
-INLINE long expect_difference(const band_t *band, const int phase, const int y, const int x)
+INLINE long expect_difference(const band_t *band, const int coset, const int y, const int x)
 {
     const size_t at = (size_t)y * band->pitch + x;
-    if (phase)
-        return expect_low(band, phase, y, x);
+    if (coset)
+        return expect_low(band, coset, y, x);
     if (x + y == 0)
         return 0;
     const size_t before = x ? at - 2 : at - 2 * (size_t)band->pitch;
@@ -290,13 +290,13 @@ INLINE void gather_batch(const band_t *band, batch_t *batch, const int from, con
     {
         const hints_t hints = find_hints(band, y);
         int offsets[4];
-        list_neighbours(band, phase, offsets);
+        list_neighbours(band, coset, offsets);
         EACH_SAMPLE_OF_ROW
         {
             const size_t at = (size_t)y * band->pitch + x;
             const int expected = predict(band, at), near = clamp(expected, -2, 2);
             const uint hinted = find_hinted(band, &hints, x);
-            const uint activity = phase ? 3 * find_nearby(band, phase, y, x, offsets) + hinted : 4 * hinted;
+            const uint activity = coset ? 3 * find_nearby(band, coset, y, x, offsets) + hinted : 4 * hinted;
             const int m = (int)abs(near) * CLASSES + class_of(activity);
             batch->context[i] = m | (near + 2) << 16;
             batch->ends[m]++;
@@ -387,7 +387,7 @@ INLINE void keep_batch(const band_t *band, const batch_t *batch, coder_t *coder,
     {
         const size_t at = (size_t)y * band->pitch + x;
         band->size[at] = (int)min(abs(batch->residual[i]), (uint)MAX_SIZE);
-        long value = batch->residual[i] + (band->site ? 0 : expect_difference(band, phase, y, x));
+        long value = batch->residual[i] + (band->site ? 0 : expect_difference(band, coset, y, x));
         if (value > MAX_DIFFERENCE || value < -MAX_DIFFERENCE) {
             coder->fault = coder->fault ? coder->fault : TOO_LARGE;
             value = 0;

@@ -10,7 +10,7 @@ typedef struct {
     uint raw_size, raw_room;
     ulong bits;
     int held;
-    float price, scale;
+    float multiplier, scale;
     int coarse; /* bits of every magnitude that contexts do not look at */
     int full;
 } encoder_t;
@@ -79,14 +79,14 @@ INLINE void encode_symbol(encoder_t *e, __global work_t *work, const int context
         work->due[(*due)++] = (ushort)context;
 }
 
-/* What is lost at best of a sample of size `a`, in squared steps: its error, and its bits at their price. */
-INLINE float least_loss(__global const float *cost, const float price, const float a, int *chosen)
+/* What is lost at best of a sample of size `a`, in squared steps: its error, and its bits at their multiplier. */
+INLINE float least_loss(__global const float *cost, const float multiplier, const float a, int *chosen)
 {
     const int nearest = LEAST((int)(a + 0.5f), LAST - 1);
-    float least = a * a + price * cost[0];
+    float least = a * a + multiplier * cost[0];
     *chosen = 0;
     for (int m = MOST(nearest - 1, 1); m <= nearest; ++m) {
-        const float loss = (a - m) * (a - m) + price * (cost[m] + 1.0f);
+        const float loss = (a - m) * (a - m) + multiplier * (cost[m] + 1.0f);
         if (loss < least) {
             least = loss;
             *chosen = m;
@@ -123,7 +123,7 @@ INLINE float sum_of(const float8 value)
     return (four.x + four.y) + (four.z + four.w);
 }
 
-/* What a cell saves in squared error less the price of its bits: judged by hints, and by what the samples to the left
+/* What a cell saves in squared error less the multiplier of its bits: judged by hints, and by what the samples to the left
  * and above would be. */
 INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global const float *value, const int plane,
                        const int top, const int left, const int rows, const int columns, const int pitch)
@@ -146,11 +146,11 @@ INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global
             if (size[x] >= 0.5f) {
                 __global const float *cost = work->cost + of[x];
                 int chosen;
-                const float loss = least_loss(cost, e->price, size[x], &chosen);
-                gain += size[x] * size[x] - loss + e->price * cost[0];
+                const float loss = least_loss(cost, e->multiplier, size[x], &chosen);
+                gain += size[x] * size[x] - loss + e->multiplier * cost[0];
             }
         }
-        gain -= e->price * bits;
+        gain -= e->multiplier * bits;
     }
     return gain;
 }
@@ -176,10 +176,10 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
             const float largest = MOST(MOST(four.x, four.y), MOST(four.z, four.w));
             const int row = top / CELL, column = left / CELL;
             int kept = largest >= 0.55f;
-            if (kept && largest < 12.0f && e->price > 0.0f && !e->coarse) {
+            if (kept && largest < 12.0f && e->multiplier > 0.0f && !e->coarse) {
                 const int flag = cell_flag(work, row, column);
                 kept = find_gain(e, work, value, plane, top, left, bottom, columns, pitch) >
-                       e->price * (flag_bits(work, flag, 1) - flag_bits(work, flag, 0));
+                       e->multiplier * (flag_bits(work, flag, 1) - flag_bits(work, flag, 0));
             }
             work->flag[(row + 1) * 10 + column + 1] = (uchar)kept;
             if (kept)
@@ -237,7 +237,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
                 __global const float *cost = work->cost + context * SYMBOLS;
                 int magnitude = a < 0.5f ? 0 : (int)LEAST(a + 0.5f, (float)(MAX_MAGNITUDE >> 1));
                 if (magnitude && magnitude < LAST && !shift)
-                    least_loss(cost, e->price, a, &magnitude);
+                    least_loss(cost, e->multiplier, a, &magnitude);
                 error += (a - magnitude) * (a - magnitude);
                 const int symbol = LEAST(magnitude >> shift, LAST);
                 taken += cost[symbol] + (symbol || (e->coarse && magnitude) ? 1.0f : 0.0f);
@@ -361,7 +361,7 @@ __kernel void encode_units(__global int *index_jyx, __global const float *value_
                            __global float *bits_tj, __global const int *part_t4, __global const int *unit_uf,
                            __global const ushort *count_ms, __global const ushort *flag_q2, __global uchar *work_wd,
                            __global uint *item_wi, __global uchar *raw_wr, __global uint *seen_wn,
-                           __global const float *scale_j, __global const int *coarse_jl, const float price, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
+                           __global const float *scale_j, __global const int *coarse_jl, const float multiplier, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
                            const int size_n, const int size_j, const int size_y, const int size_x)
 {
     const int worker = get_global_id(0);
@@ -369,7 +369,7 @@ __kernel void encode_units(__global int *index_jyx, __global const float *value_
     __global uint *seen = size_n > 1 ? seen_wn + (size_t)worker * size_n : 0;
     const size_t plane_size = (size_t)size_y * size_x;
     for (int t = begin + worker; t < end; t += get_global_size(0)) {
-        encoder_t e = {item_wi + (size_t)worker * size_i, 0, size_i, raw_wr + (size_t)worker * size_r, 0, size_r, 0, 0, price,
+        encoder_t e = {item_wi + (size_t)worker * size_i, 0, size_i, raw_wr + (size_t)worker * size_r, 0, size_r, 0, 0, multiplier,
                        0.0f, 0, 0};
         begin_tables(work, count_ms, flag_q2, 1);
         for (int u = part_t4[4 * t]; u < part_t4[4 * t + 1]; ++u) {

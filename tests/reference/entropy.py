@@ -201,12 +201,12 @@ class Band:
     def view(self, planes):
         return planes[..., self.top : self.top + self.height, self.left : self.left + self.width]
 
-    def samples(self, phase):
-        row, column = STARTS[phase]
+    def samples(self, coset):
+        row, column = STARTS[coset]
         return [(y, x) for y in range(row, self.height, 2) for x in range(column, self.width, 2)]
 
-    def neighbours(self, phase, y, x):
-        near = [(-1, -1), (-1, 1), (1, -1), (1, 1)] if phase == 1 else [(0, -1), (0, 1), (-1, 0), (1, 0)]
+    def neighbours(self, coset, y, x):
+        near = [(-1, -1), (-1, 1), (1, -1), (1, 1)] if coset == 1 else [(0, -1), (0, 1), (-1, 0), (1, 0)]
         return [(y + v, x + u) for v, u in near if 0 <= y + v < self.height and 0 <= x + u < self.width]
 
 
@@ -237,14 +237,14 @@ def size_of(relative, halved, sizes, y, x):
     return int(sizes[relative.top + y, relative.left + x]) if inside else 0
 
 
-def restore_low(band, phases, residuals, values):
+def restore_low(band, cosets, residuals, values):
     """Turn the residuals of a batch of one plane's LL, by (y, x), into values."""
-    for phase in phases:
-        for y, x in band.samples(phase):
-            if phase == 0:
+    for coset in cosets:
+        for y, x in band.samples(coset):
+            if coset == 0:
                 before = values[y, x - 2] if x else values[y - 2, x] if y else 0
             else:
-                near = band.neighbours(phase, y, x)
+                near = band.neighbours(coset, y, x)
                 before = sum(int(values[place]) for place in near) // max(len(near), 1)
             values[y, x] = before + residuals[y, x]
 

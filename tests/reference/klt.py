@@ -25,7 +25,7 @@ from tests.reference.entropy import (
     take_magnitudes,
     take_symbols,
 )
-from tests.reference.payload import require, without_ballast
+from tests.reference.payload import require, without_minimum_padding
 from tests.reference.wavelet_decoder import Learnt, decode_indices
 
 Decoded = namedtuple("Decoded", "mean axes indices coeffs")
@@ -68,7 +68,7 @@ class BandOfPlanes:
         self.before = np.zeros((band.height, band.width), np.int64)
         self.values = np.zeros((shape[0], band.height, band.width), np.int64)
 
-    def activity(self, sizes, first, plane, phase, y, x):
+    def activity(self, sizes, first, plane, coset, y, x):
         band = self.band
         weight = len(self.relatives) + (6 if first else 0)
         hinted = 4 * sum(size_of(r, halved, sizes[plane], y, x) for r, halved in self.relatives)
@@ -76,17 +76,17 @@ class BandOfPlanes:
             hinted += 6 * (int(self.before[y, x]) >> 2)
         if weight == 0:
             hinted = 32
-        if phase == 0:
+        if coset == 0:
             return hinted * 36 // max(weight, 1)
-        around = band.neighbours(phase, y, x)
+        around = band.neighbours(coset, y, x)
         known = sum(int(band.view(sizes)[(plane, *place)]) for place in around)
         return hinted * 12 // max(weight, 1) + known * (96 // max(len(around), 1))
 
-    def site(self, first, phase):
-        return 2 * (0 if self.low else 1 if first == 0 else 2) + (phase > 0)
+    def site(self, first, coset):
+        return 2 * (0 if self.low else 1 if first == 0 else 2) + (coset > 0)
 
-    def keep(self, sizes, planes, phase, residuals):
-        """Note the residuals {(plane, y, x): residual} of a group's phase."""
+    def keep(self, sizes, planes, coset, residuals):
+        """Note the residuals {(plane, y, x): residual} of a group's coset."""
         found = np.zeros_like(self.values)
         for place, residual in residuals.items():
             found[place] = residual
@@ -94,9 +94,9 @@ class BandOfPlanes:
             if not self.low:
                 self.values[place] = residual
         for plane in planes if self.low else []:
-            restore_low(self.band, (phase,), found[plane], self.values[plane])
+            restore_low(self.band, (coset,), found[plane], self.values[plane])
         require(np.abs(self.values).max(initial=0) <= 2**30, "value")
-        for y, x in self.band.samples(phase):
+        for y, x in self.band.samples(coset):
             total = sum(int(self.band.view(sizes)[plane, y, x]) for plane in planes)
             mean = 16 * total // len(planes)
             self.before[y, x] = int(self.before[y, x]) + mean >> 1 if planes[0] else mean
@@ -107,7 +107,7 @@ def decode_planes(decoder, shape, levels):
     bands = list_bands(*shape[1:], levels)
     sizes = np.zeros(shape, np.int64)
     coded = [BandOfPlanes(band, bands, shape) for band in bands]
-    steps = [(state, phases) for state in coded for phases in BATCHES]
+    steps = [(state, cosets) for state in coded for cosets in BATCHES]
     groups = []
     while not groups or groups[-1].stop < shape[0]:
         first = groups[-1].stop if groups else 0
@@ -117,20 +117,20 @@ def decode_planes(decoder, shape, levels):
         cells = []
         for g, planes in enumerate(groups):
             if 0 <= stage - g < len(steps):
-                state, phases = steps[stage - g]
-                for phase in phases:
-                    places = [(plane, y, x) for plane in planes for y, x in state.band.samples(phase)]
-                    cells.append((state, planes, phase, places))
+                state, cosets = steps[stage - g]
+                for coset in cosets:
+                    places = [(plane, y, x) for plane in planes for y, x in state.band.samples(coset)]
+                    cells.append((state, planes, coset, places))
         samples = [
-            (state.activity(sizes, planes[0], plane, phase, y, x), state.site(planes[0], phase))
-            for state, planes, phase, places in cells
+            (state.activity(sizes, planes[0], plane, coset, y, x), state.site(planes[0], coset))
+            for state, planes, coset, places in cells
             for plane, y, x in places
         ]
         if not samples:
             continue
         residuals = iter(decode_batch(decoder, tables, samples))
-        for state, planes, phase, places in cells:
-            state.keep(sizes, planes, phase, {place: next(residuals) for place in places})
+        for state, planes, coset, places in cells:
+            state.keep(sizes, planes, coset, {place: next(residuals) for place in places})
     indices = np.zeros(shape, np.int64)
     for state in coded:
         state.band.view(indices)[...] = state.values
@@ -209,7 +209,7 @@ def decode_klt(body, shape):
     """Return the mean, axes and indices as coded, and the coefficients (k, row, column, channel)."""
     k, height, width, channels = shape
     degree = round(k**0.5) - 1
-    body = without_ballast(body, shape)
+    body = without_minimum_padding(body, shape)
     require(len(body) >= 12 + channels**2, "length")
     version, levels, exponent, step, n, *biases = struct.unpack_from("<BBhfHbb", body)
     require(version in (2, 3) and 1 <= levels <= 5 and abs(exponent) <= 150, "head")

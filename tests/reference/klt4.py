@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.reference.entropy import RangeDecoder, class_of, join_plane, list_bands
 from tests.reference.klt import Decoded, decode_vectors, hemisphere_axes, radiance_of
-from tests.reference.payload import require, without_ballast
+from tests.reference.payload import require, without_minimum_padding
 
 START = Path(__file__).resolve().parents[2] / "clrelight" / "codec" / "entropy" / "units.tables"
 CONTEXTS, SYMBOLS, FLAGS, ONE = 592, 16, 144, 1 << 14
@@ -299,7 +299,7 @@ def decode_klt4(body, shape):
     """Return the mean, axes and indices as coded, and the coefficients (k, row, column, channel)."""
     k, height, width, channels = shape
     degree = round(k**0.5) - 1
-    body = without_ballast(body, shape)
+    body = without_minimum_padding(body, shape)
     require(len(body) >= 15 and degree <= 40, "head")
     version, levels, exponent, step, n, transfer, size = struct.unpack_from("<BBhfHBI", body)
     require((version, levels) == (4, 5) and abs(exponent) <= 150 and transfer in (0, 1), "head")

@@ -30,15 +30,15 @@ def open_payload(payload):
     return Payload(payload[6:at].decode("ascii"), shape, body)
 
 
-def without_ballast(body, shape):
+def without_minimum_padding(body, shape):
     beyond = math.prod(shape) - 2**24
     if beyond <= 0:
         return body
     least = max(4, -(-beyond // 2**17))
-    require(len(body) >= least, "ballast")
+    require(len(body) >= least, "least size")
     zeros = int.from_bytes(body[-4:], "little")
     end = len(body) - 4 - zeros
-    require(end >= 0 and not any(body[end:-4]) and (zeros == 0 or len(body) == least), "ballast")
+    require(end >= 0 and not any(body[end:-4]) and (zeros == 0 or len(body) == least), "least size")
     return body[:end]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.reference.entropy import join_plane, list_bands
 from tests.reference.klt4 import SIDES, Stream, UnitTables, decode_details, decode_low, list_units, read_streams
-from tests.reference.payload import require, without_ballast
+from tests.reference.payload import require, without_minimum_padding
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
@@ -15,7 +15,7 @@ FLOAT32_MAX = float(np.finfo(np.float32).max)
 def decode_wavelet6(body, shape):
     """Return the indices (plane, row, column) as coded, and the coefficients (k, row, column, channel)."""
     n, height, width, channels = shape
-    body = without_ballast(body, shape)
+    body = without_minimum_padding(body, shape)
     require(len(body) >= 5 + 2 * n, "tables")
     version, levels, flags, group = struct.unpack_from("<BBBH", body)
     together, coarse, rotated, each, fine = (flags >> bit & 1 for bit in range(5))

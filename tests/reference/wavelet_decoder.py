@@ -19,7 +19,7 @@ from tests.reference.entropy import (
     take_magnitudes,
     take_symbols,
 )
-from tests.reference.payload import require, without_ballast
+from tests.reference.payload import require, without_minimum_padding
 
 PER_CENT = ((80, 80, 80), (80, 80, 80), (50, 50, 50), (80, 80, 80), (30, 45, 55), (55, 75, 85))
 AT_REST = ((200, 200, 200), (20, 50, 100), (5, 5, 5), (2, 2, 2), (2, 20, 40), (2, 15, 30))
@@ -72,22 +72,22 @@ def decode_band(decoder, learnt, bands, band, channels, indices, sizes, pairs):
             expected = round(int(band.view(indices)[(first - 1, *place)]) * slope)
             predicted[(0, *place)] = min(max(expected, -(2**29)), 2**29)
     values = np.zeros(predicted.shape, np.int64)
-    for phases in BATCHES:
+    for cosets in BATCHES:
         places, contexts, near = [], [], []
-        for phase in phases:
+        for coset in cosets:
             for i, channel in enumerate(channels):
-                for y, x in band.samples(phase):
+                for y, x in band.samples(coset):
                     hints = [size_of(r, halved, sizes[channel], y, x) for r, halved in relatives]
                     if channel >= step:
                         hints.append(int(band.view(sizes)[channel - step, y, x]))
                     hinted = 4 * sum(hints) // len(hints) if hints else 0
                     activity = 4 * hinted
-                    if phase:
-                        around = band.neighbours(phase, y, x)
+                    if coset:
+                        around = band.neighbours(coset, y, x)
                         known = sum(int(band.view(sizes)[(channel, *place)]) for place in around)
                         activity = 3 * (4 * known // max(len(around), 1)) + hinted
                     expected = int(predicted[i, y, x])
-                    site = 2 * (0 if low else 1 if first == 0 else 2) + (phase > 0)
+                    site = 2 * (0 if low else 1 if first == 0 else 2) + (coset > 0)
                     contexts.append((site * 3 + min(abs(expected), 2)) * 64 + class_of(activity))
                     near.append(min(max(expected, -2), 2) + 2)
                     places.append((i, y, x))
@@ -102,7 +102,7 @@ def decode_band(decoder, learnt, bands, band, channels, indices, sizes, pairs):
             band.view(sizes)[channels[i], y, x] = min(abs(residual), 2**22)
             values[i, y, x] = residual
         for i in range(len(channels) if low else 0):
-            restore_low(band, phases, found[i], values[i])
+            restore_low(band, cosets, found[i], values[i])
         require(np.abs(values).max() <= 2**30, "difference")
     for i, channel in enumerate(channels):
         band.view(indices)[channel] = predicted[i] + values[i]
@@ -113,7 +113,7 @@ def decode_band(decoder, learnt, bands, band, channels, indices, sizes, pairs):
 def decode_wavelet(body, shape):
     """Return the indices (k, channel, row, column) and the coefficients (k, row, column, channel)."""
     n, height, width, channels = shape
-    body = without_ballast(body, shape)
+    body = without_minimum_padding(body, shape)
     require(len(body) >= 3 + 3 * n and 1 <= body[0] <= 5, "tables")
     levels, biases = body[0], np.frombuffer(body, "i1", 2, 1)
     exponents, codes = np.frombuffer(body, "i1", n, 3), np.frombuffer(body, "<u2", n, 3 + n)

@@ -1,6 +1,6 @@
 """Code the quantiser indices of wavelet-transformed planes that follow each other from important to unimportant.
 
-Subbands go from coarse to fine, and the samples of each in the batches of `phases`. Planes go in groups that grow, a
+Subbands go from coarse to fine, and the samples of each in the batches of `cosets`. Planes go in groups that grow, a
 later plane having less to tell to the next. Each (subband, batch) of a group needs what comes before it in the group,
 and the same (subband, batch) of the group before. So they are coded in stages, like a wave front: in stage t the
 (subband, batch) t of the first group, t - 1 of the second, and so on, all at once (see `batches`).
@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.batches import Tables, code_batch
-from clrelight.codec.entropy.phases import (
+from clrelight.codec.entropy.cosets import (
     BATCHES,
-    PHASES,
+    COSETS,
     crop,
     differentiate,
     gather,
@@ -33,7 +33,7 @@ from clrelight.codec.entropy.symbols import class_means, geometric_prior
 from clrelight.codec.transforms.lifting import Subband
 from clrelight.errors import PayloadError
 
-# Sites: LL, details of the first group, details of others; of each the first phase, and the others.
+# Sites: LL, details of the first group, details of others; of each the first coset, and the others.
 # Their mean size in hundredths of the activity, and where that is 0 in hundredths. Only to start from.
 _SIZE_TO_EXPECT = (80, 80, 50, 80, 35, 65)
 _SIZE_AT_REST = 2
@@ -81,7 +81,7 @@ def code_planes(
     for band in bands:
         relatives = [by_name[key] for key in relatives_of(band) if key in by_name]
         coded = by_name[band.name, band.level] = _Coded(band, relatives, indices_jhw)
-        steps += [(coded, phases) for phases in BATCHES]
+        steps += [(coded, cosets) for cosets in BATCHES]
     groups = _grow_groups(shape[0])
     for stage in range(len(steps) + len(groups) - 1):
         first, last = max(stage - len(steps) + 1, 0), min(stage + 1, len(groups))
@@ -128,14 +128,14 @@ class _Coded:
         self.values = np.zeros((n_plane, height + 2, width + 2) if self.low else (0, 2, 2), np.int64)
 
 
-def _cells(coded: _Coded, phases: tuple[int, ...], planes: slice) -> list[_Cell]:
+def _cells(coded: _Coded, cosets: tuple[int, ...], planes: slice) -> list[_Cell]:
     """Return the cells of a batch that have samples."""
     height, width = coded.band.shape
-    return [_Cell(coded, phase, planes) for phase in phases if PHASES[phase][0] < height and PHASES[phase][1] < width]
+    return [_Cell(coded, coset, planes) for coset in cosets if COSETS[coset][0] < height and COSETS[coset][1] < width]
 
 
 class _Cell:
-    """The samples of one subband, phase, and group of planes.
+    """The samples of one subband, coset, and group of planes.
 
     Attributes
     ----------
@@ -145,12 +145,12 @@ class _Cell:
         The size to expect, times `_UNIT`.
     """
 
-    def __init__(self, coded: _Coded, phase: int, planes: slice) -> None:
-        self._coded, self._phase, self._planes = coded, phase, planes
-        row, column = PHASES[phase]
+    def __init__(self, coded: _Coded, coset: int, planes: slice) -> None:
+        self._coded, self._coset, self._planes = coded, coset, planes
+        row, column = COSETS[coset]
         self._grid = (slice(row, None, 2), slice(column, None, 2))
         self._part = (planes, *self._grid)
-        self.site = 2 * (0 if coded.low else 1 if planes.start == 0 else 2) + (phase > 0)
+        self.site = 2 * (0 if coded.low else 1 if planes.start == 0 else 2) + (coset > 0)
         self.activity = self._find_activity()
 
     def _find_activity(self) -> NDArray[np.int32]:
@@ -166,12 +166,12 @@ class _Cell:
             np.multiply(sum(hints[1:], start=hints[0]), 4, out=hinted, dtype=np.int32)
         if self._planes.start:
             hinted += _BEFORE * (coded.before[self._grid] >> 2)
-        hinted *= _UNIT // (4 if self._phase == 0 else 12)
+        hinted *= _UNIT // (4 if self._coset == 0 else 12)
         hinted //= max(weight, 1)
-        if self._phase == 0:
+        if self._coset == 0:
             return hinted
-        share = _UNIT * 2 // 3 // neighbour_count(self._phase, *coded.band.shape)
-        nearby = gather(coded.sizes[self._planes], self._phase)
+        share = _UNIT * 2 // 3 // neighbour_count(self._coset, *coded.band.shape)
+        nearby = gather(coded.sizes[self._planes], self._coset)
         return np.add(hinted, np.multiply(nearby, share, dtype=np.int32), out=hinted)
 
     def residual(self) -> NDArray[np.integer]:
@@ -179,7 +179,7 @@ class _Cell:
         index = self._coded.index[self._part]
         if not self._coded.low:
             return index
-        return differentiate(index) if self._phase == 0 else index - self._expect()
+        return differentiate(index) if self._coset == 0 else index - self._expect()
 
     def keep(self, residual: NDArray[np.int32]) -> None:
         """Note what was coded."""
@@ -191,13 +191,13 @@ class _Cell:
         mean = 16 * sizes.sum(axis=0, dtype=np.int32) // len(sizes)
         before[...] = (before + mean) >> 1 if self._planes.start else mean
         if coded.low:
-            values = integrate(residual) if self._phase == 0 else residual + self._expect()
+            values = integrate(residual) if self._coset == 0 else residual + self._expect()
             if max(-int(values.min()), int(values.max())) > _MAX_VALUE:
                 raise PayloadError("the range-coded bytes are damaged: an index is too large")
             coded.values[:, 1:-1, 1:-1][self._part] = values
             coded.index[self._part] = values
 
     def _expect(self) -> NDArray[np.int64]:
-        count = neighbour_count(self._phase, *self._coded.band.shape)
-        sums: NDArray[np.int64] = gather(self._coded.values[self._planes], self._phase)
+        count = neighbour_count(self._coset, *self._coded.band.shape)
+        sums: NDArray[np.int64] = gather(self._coded.values[self._planes], self._coset)
         return sums // count

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.phases import PHASES, relatives_of
+from clrelight.codec.entropy.cosets import COSETS, relatives_of
 from clrelight.codec.entropy.range_coding import Decoder
 from clrelight.codec.entropy.symbols import ALPHABET, CLASSES
 from clrelight.codec.transforms.lifting import Subband
@@ -92,7 +92,7 @@ def _is_fit(device: Device) -> bool:
 
 def _largest_batch(band: Subband) -> int:
     height, width = band.shape
-    counts = [-(-(height - row) // 2) * -(-(width - column) // 2) for row, column in PHASES]
+    counts = [-(-(height - row) // 2) * -(-(width - column) // 2) for row, column in COSETS]
     return max(counts[0], counts[1], counts[2] + counts[3])
 
 

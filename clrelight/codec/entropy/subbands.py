@@ -1,11 +1,11 @@
 """Code the quantiser indices of a wavelet-transformed map: prediction and contexts from what is decoded already.
 
-Subbands go from coarse to fine, the channels of each one after another, and the samples of each in four phases
+Subbands go from coarse to fine, the channels of each one after another, and the samples of each in four cosets
 (even-even, odd-odd, then even-odd and odd-even rows and columns), so that three quarters of the samples know four
 neighbours and there are three vectorised batches. What is coded is the difference of an index from its prediction:
 
 * the index of the previous channel at the same place, times the regression slope seen so far;
-* in the LL subband also the mean of the neighbours' differences (in its first phase the sample to the left).
+* in the LL subband also the mean of the neighbours' differences (in its first coset the sample to the left).
 
 Its magnitude is coded in a context made of the neighbours', parents', sibling subbands' and previous channel's
 magnitudes; its sign in a context made of the prediction.
@@ -19,9 +19,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.phases import (
+from clrelight.codec.entropy.cosets import (
     BATCHES,
-    PHASES,
+    COSETS,
     crop,
     differentiate,
     gather,
@@ -36,7 +36,7 @@ from clrelight.codec.transforms.lifting import Subband
 from clrelight.errors import PayloadError
 
 _PREDICTED = 3  # |prediction| of 0, 1, more
-# Sites: LL, details of channel 0, details of other channels; of each the first phase, and the others.
+# Sites: LL, details of channel 0, details of other channels; of each the first coset, and the others.
 # By site and prediction: the mean size in hundredths of the activity, and where that is 0 in hundredths. Only to start
 # from.
 _SIZE_TO_EXPECT = (80, 80, 80, 80, 80, 80, 50, 50, 50, 80, 80, 80, 30, 45, 55, 55, 75, 85)
@@ -175,11 +175,11 @@ def _code_band(
     values = np.zeros((count, height + 2, width + 2), np.int64 if site == 0 else np.int32)
     sizes = np.zeros((count, height + 2, width + 2), np.int32)
     inner = (slice(None), slice(1, -1), slice(1, -1))
-    for phases in BATCHES:
-        first = phases == (0,)
+    for cosets in BATCHES:
+        first = cosets == (0,)
         parts = []
-        for phase in phases:
-            row, column = PHASES[phase]
+        for coset in cosets:
+            row, column = COSETS[coset]
             part = (slice(None), slice(row, None, 2), slice(column, None, 2))
             expected = predicted[part]
             if expected.size == 0:
@@ -188,9 +188,9 @@ def _code_band(
             nearby: NDArray | None = None
             offset: NDArray = np.zeros((), np.int64)
             if not first:
-                neighbours = neighbour_count(phase, height, width)
-                nearby = 4 * gather(sizes, phase) // neighbours
-                offset = gather(values, phase) // neighbours if site == 0 else offset
+                neighbours = neighbour_count(coset, height, width)
+                nearby = 4 * gather(sizes, coset) // neighbours
+                offset = gather(values, coset) // neighbours if site == 0 else offset
             residual = None
             if known is not None and site == 0:
                 residual = differentiate(known[part]) if first else known[part] - offset

@@ -86,7 +86,7 @@ def encode_streams(
     values: DeviceArray,
     index: DeviceArray,
     tables: Tables,
-    price: float,
+    multiplier: float,
     scale: float | NDArray[np.float32] = 1.0,
     coarse_jl: NDArray[np.int32] | None = None,
     count: bool = False,
@@ -104,7 +104,7 @@ def encode_streams(
         Where the chosen indices go; it may be the memory of `values`.
     tables : Tables
         What streams start from.
-    price : float
+    multiplier : float
         Squared steps of error that a bit must save.
     scale : float, or ndarray of shape (n_plane,), float32
         Steps of a unit of the values, of all planes or of each.
@@ -146,7 +146,7 @@ def encode_streams(
                 "encode_units",
                 (min(workers, end - begin),),
                 *(index, values, stream, *held, *given, work, item, raw, seen, scales, coarse),
-                *(price, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
+                *(multiplier, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
             )
         taken, place_t2, error_tj, bits_tj = (device.download(a) for a in held)
         if int(taken[0]) <= room:

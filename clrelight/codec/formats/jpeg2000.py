@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.formats import codestream
-from clrelight.codec.padding import check_padding, least_bytes, pad_body
+from clrelight.codec.minimum_size import check_padding, least_bytes, pad_body
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.streams import Source, Target
 from clrelight.device import Device
@@ -118,7 +118,7 @@ class Jpeg2000(PartsCodec):
             map_hwc[:, :, m % c] = plane_hw
             if m % c == c - 1:
                 target.put_maps(m // c, map_hwc[None])
-                target.room.tell(m // c + 1, k)
+                target.workspace.tell(m // c + 1, k)
         target.finish()
 
 
@@ -147,7 +147,7 @@ def _encode_maps(
     left = budget
     for done, m in enumerate(changing):
         left -= improve(m, left // (len(changing) - done))
-        source.room.tell(done + 1, len(changing))
+        source.workspace.tell(done + 1, len(changing))
     # What is left over after the last map goes to whoever can use it, the largest stream first.
     for m in sorted(changing, key=lambda m: -len(streams[m])):
         if left <= TOLERANCE * budget:

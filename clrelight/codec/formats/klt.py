@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
 from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.units import MARGIN, PRECINCT
@@ -17,14 +16,15 @@ from clrelight.codec.formats import klt_body
 from clrelight.codec.formats.klt_decode import UnitView, bytes_at_once
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, parse_body, parse_head
+from clrelight.codec.minimum_size import drop_padding, minimum_overhead, pad_to_minimum
 from clrelight.codec.registry import PartsCodec, register
-from clrelight.codec.rooms import Room, Shape
 from clrelight.codec.streams import ArraySource, Source, Target
 from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
 from clrelight.codec.transforms.colour import METRICS, RADIANCE, check_metric
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import STEP_RANGE
 from clrelight.codec.views import View
+from clrelight.codec.workspace import Shape, Workspace
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -105,7 +105,7 @@ class Klt(PartsCodec):
     @classmethod
     def bytes_to_decode(cls, body: Body, shape: Shape) -> int:
         """See `Codec`."""
-        front = drop_ballast(body, shape)
+        front = drop_padding(body, shape)
         if not _is_in_units(front):
             return 12 * math.prod(shape)
         return bytes_at_once(shape, parse_head(front[:HEAD_SIZE], shape).n_plane)
@@ -115,28 +115,28 @@ class Klt(PartsCodec):
         shape, device = source.shape, source.device
         check_metric(self.metric, shape[3])
         if self.transfer != "srgb":
-            content, info = self._encode_as(Pixels(source), source.room)
+            content, info = self._encode_as(Pixels(source), source.workspace)
         elif 4 * math.prod(shape) <= _WHOLE_BYTES:
-            content, info = self._encode_either(source.whole(), device, source.room)
+            content, info = self._encode_either(source.whole(), device, source.workspace)
         else:
             transfer = self._choose_transfer(source)
-            content, info = self._encode_as(Pixels(source, transfer), source.room)
+            content, info = self._encode_as(Pixels(source, transfer), source.workspace)
         body.write_all(content)
         return info
 
     def _encode_either(
-        self, coeffs_khwc: NDArray[np.float32], device: Device, room: Room
+        self, coeffs_khwc: NDArray[np.float32], device: Device, workspace: Workspace
     ) -> tuple[bytes, dict[str, float]]:
         """Return a map behind the curve, or without it, whichever leaves less error of code values."""
         shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device)
         there_and_back = code_value_error(radiance_of(values_khwc, device), coeffs_khwc, device)
         # The coefficients of code values are there already.
-        bent = self._encode_as(Pixels(ArraySource(values_khwc, device)), room, "srgb")
+        bent = self._encode_as(Pixels(ArraySource(values_khwc, device)), workspace, "srgb")
         lost = code_value_error(self.decode_body(bent[0], shape, device), coeffs_khwc, device)
         if lost > _CODED * there_and_back:
             return bent
         try:
-            plain = self._encode_as(Pixels(ArraySource(coeffs_khwc, device)), room)
+            plain = self._encode_as(Pixels(ArraySource(coeffs_khwc, device)), workspace)
         except InputError:  # the step or budget is none for this way
             return bent
         left = code_value_error(self.decode_body(plain[0], shape, device), coeffs_khwc, device)
@@ -154,19 +154,21 @@ class Klt(PartsCodec):
         mosaic_khwc = np.concatenate(pieces, axis=1)
         share = mosaic_khwc.size / math.prod(source.shape)
         codec = self if self.byte_budget is None else replace(self, byte_budget=max(int(self.byte_budget * share), 1))
-        content, _ = codec._encode_either(mosaic_khwc, source.device, Room())
-        return parse_body(drop_ballast(content, mosaic_khwc.shape), mosaic_khwc.shape).head.transfer
+        content, _ = codec._encode_either(mosaic_khwc, source.device, Workspace())
+        return parse_body(drop_padding(content, mosaic_khwc.shape), mosaic_khwc.shape).head.transfer
 
-    def _encode_as(self, pixels: Pixels, room: Room, transfer: str | None = None) -> tuple[bytes, dict[str, float]]:
+    def _encode_as(
+        self, pixels: Pixels, workspace: Workspace, transfer: str | None = None
+    ) -> tuple[bytes, dict[str, float]]:
         """Return the body; `transfer` is what it says of its values where they are bent already."""
         shape = pixels.shape
-        encoder = Encoder(pixels, transfer or pixels.transfer, self.metric, room.memory_bytes, room.tell)
+        encoder = Encoder(pixels, transfer or pixels.transfer, self.metric, workspace.memory_bytes, workspace.tell)
         if self.step is not None:
             body, info = encoder.encode(self.step)
-            return add_ballast(body, shape), info
+            return pad_to_minimum(body, shape), info
         budget = int(self.byte_budget if self.byte_budget is not None else (self.rate or 0.0) * math.prod(shape) / 8.0)
-        body, info = encoder.encode_within(budget - ballast_overhead(shape))
-        return add_ballast(body, shape, budget), info
+        body, info = encoder.encode_within(budget - minimum_overhead(shape))
+        return pad_to_minimum(body, shape, budget), info
 
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
@@ -175,7 +177,7 @@ class Klt(PartsCodec):
         if regions is not None:
             regions.put_rows(target, device)
             return
-        view, head = klt_body.decode_planes(drop_ballast(body, target.shape)[:], target.shape, device)
+        view, head = klt_body.decode_planes(drop_padding(body, target.shape)[:], target.shape, device)
         coeffs_khwc = view.to_coeffs(device)
         target.put_rows(0, radiance_of(coeffs_khwc, device) if head.transfer == "srgb" else coeffs_khwc)
 
@@ -185,7 +187,7 @@ class Klt(PartsCodec):
         regions = cls.decode_regions(body, shape)
         if regions is not None:
             return regions
-        content = drop_ballast(body, shape)[:]
+        content = drop_padding(body, shape)[:]
         if klt_body.parse_head(content, shape).transfer != "linear":
             return None
         return klt_body.decode_planes(content, shape, device)[0]
@@ -193,7 +195,7 @@ class Klt(PartsCodec):
     @classmethod
     def decode_regions(cls, body: Body, shape: Shape, damage: Damage | None = None) -> UnitView | None:
         """See `Codec`; None of old bodies."""
-        body = drop_ballast(body, shape)
+        body = drop_padding(body, shape)
         return UnitView(body, parse_body(body, shape), shape, damage) if _is_in_units(body) else None
 
 

@@ -12,10 +12,10 @@ from clrelight.codec.entropy.planes import code_planes
 from clrelight.codec.entropy.range_coding import Decoder
 from clrelight.codec.entropy.subbands import Statistics, code_indices
 from clrelight.codec.factored import Factored
-from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import dequantise_map, empty_planes, list_subbands, transform_planes
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import MEAN_STEPS, STEP_RANGE, Axes, code_vectors, make_operator
+from clrelight.codec.workspace import Shape
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import PayloadError
@@ -63,7 +63,7 @@ class Head(NamedTuple):
 
 
 def parse_head(body: bytes, shape: Shape) -> Head:
-    """Return the head of a body without ballast; PayloadError unless its tables can follow."""
+    """Return the head of a body without its padding; PayloadError unless its tables can follow."""
     n_coeff, _, _, channel = shape
     component = len(hemisphere_metric(n_coeff).forward_jk)
     if len(body) < _HEAD.size + channel * channel:

@@ -17,13 +17,13 @@ from clrelight.codec.factored import finite_images
 from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_salvage import Salvage
 from clrelight.codec.formats.klt_units import Parsed
-from clrelight.codec.rooms import Shape
 from clrelight.codec.slabs import SLAB_BYTES
 from clrelight.codec.streams import Target
 from clrelight.codec.transforms.code_values import bent, radiance_of
 from clrelight.codec.transforms.lifting import join_channels, padded_width
 from clrelight.codec.transforms.whitening import reshaped
 from clrelight.codec.views import Region
+from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degree_of
@@ -146,7 +146,7 @@ class UnitsView(ABC):
 
     def put_rows(self, target: Target, device: Device) -> None:
         """Put all coefficients, strip by strip."""
-        maker, strips = self._maker(device), self._planes.strips(target.room.memory_bytes, device)
+        maker, strips = self._maker(device), self._planes.strips(target.workspace.memory_bytes, device)
         for part in target.row_parts():
             target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
 

@@ -12,27 +12,27 @@ from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.unit_streams import Coded, ValuesLostError, default_tables, encode_streams
 from clrelight.codec.entropy.units import LEVELS, Tile, Window, lay_out, list_tiles, list_units, whole_tile
 from clrelight.codec.formats.klt_trials import (
-    PRICE_POWER,
-    PRICES,
+    MULTIPLIER_POWER,
+    MULTIPLIERS,
     Part,
     Trial,
-    fill_by_price,
+    fill_by_multiplier,
     foretell,
     list_pieces,
     search_step,
 )
 from clrelight.codec.formats.klt_units import HEAD_SIZE, Head, count_streams, is_together, pack_axes, pack_body
-from clrelight.codec.rooms import Progress
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
 from clrelight.codec.transforms.lifting import transform_planes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
 from clrelight.codec.transforms.whitening import Planes, reshaped, whitening_of, with_type
+from clrelight.codec.workspace import Progress
 from clrelight.errors import InputError
 from clrelight.memory import ARRAY_MEMORY
 
-PRICE = 0.12
-"""Squared steps of error that a bit must save."""
+MULTIPLIER = 0.12
+"""Lagrange multiplier of rate–distortion optimisation: squared steps of error that a bit must save."""
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
 _LEAST_USED, _AIM = 0.992, 0.997
@@ -89,7 +89,7 @@ class Encoder:
         axes = self._try(step).axes
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         for tile in self._tiles(axes):
-            self._collect(streams, tile, self._encode_tile(tile, planes, step, PRICE))
+            self._collect(streams, tile, self._encode_tile(tile, planes, step, MULTIPLIER))
         return self._pack(axes, step, streams), {"step": step, "planes": float(len(axes.scales_j))}
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
@@ -99,7 +99,7 @@ class Encoder:
         if len(tiles) <= 1:
             body, step = self._fit_step(budget, trial, tiles)
         else:
-            body, step = self._fit_prices(budget, trial, tiles)
+            body, step = self._fit_multipliers(budget, trial, tiles)
         return body, {"step": step, "planes": float(len(trial.axes.scales_j))}
 
     def _collect(self, streams: list[bytes], tile: Tile, coded: Coded) -> None:
@@ -145,14 +145,14 @@ class Encoder:
         layout = lay_out(units, size, window, values.shape[2], is_together(self._shape), [(0, values.shape[0])])
         return Part(values, layout, middle, *window.shape)
 
-    def _encode_tile(self, tile: Tile, planes: Planes, step: float, price: float) -> Coded:
+    def _encode_tile(self, tile: Tile, planes: Planes, step: float, multiplier: float) -> Coded:
         try:
-            return self._encode_part(self._take_part(tile.window, tile, planes, lent=True), step, price)
+            return self._encode_part(self._take_part(tile.window, tile, planes, lent=True), step, multiplier)
         except ValuesLostError:
-            return self._encode_part(self._take_part(tile.window, tile, planes, lent=True), step, price, keep=True)
+            return self._encode_part(self._take_part(tile.window, tile, planes, lent=True), step, multiplier, keep=True)
 
     def _encode_part(
-        self, part: Part, step: float, price: float = PRICE, count: int | None = None, keep: bool = False
+        self, part: Part, step: float, multiplier: float = MULTIPLIER, count: int | None = None, keep: bool = False
     ) -> Coded:
         """Return the streams of a part's first planes; its values are lost unless they are to be kept."""
         shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
@@ -160,7 +160,7 @@ class Encoder:
         index = self._device.empty(shape, np.int32) if keep else with_type(values, np.int32)
         layout = part.layout.of_first(shape[0])
         return encode_streams(
-            self._device, layout, values, index, default_tables(), price, 1.0 / step, count=self._counts
+            self._device, layout, values, index, default_tables(), multiplier, 1.0 / step, count=self._counts
         )
 
     def _try(self, step: float, every: int = 1) -> Trial:
@@ -179,7 +179,7 @@ class Encoder:
             energy_j = np.sum([piece.energy(count, self._device) for piece in pieces], axis=0) * share / step**2
             saved_j = energy_j - np.sum([c.error_j for c in coded], axis=0) * share
             saved_j -= energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
-            pays = saved_j > PRICE * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
+            pays = saved_j > MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
             streams = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0)
             sizes = sizes / areas
@@ -248,8 +248,8 @@ class Encoder:
         _, body, step = max(fitting, key=lambda each: each[0])
         return body, step
 
-    def _fit_prices(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
-        """Return the body of a map of many tiles, and its step: what tiles take beyond expectation, the price saves."""
+    def _fit_multipliers(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
+        """Return the body of a map of many tiles, and its step; the multiplier saves what tiles take too much."""
         foretold, step = foretell([piece.row for piece in self._pieces], trial.of_pixel, tiles), trial.step
         best: tuple[bytes, float] | None = None
         least = 0
@@ -261,7 +261,7 @@ class Encoder:
                 best = body, step
             if _LEAST_FILLED * budget <= len(body) <= budget:
                 break
-            # At the usual price, tiles would have taken what is foretold of them now.
+            # At the usual multiplier, tiles would have taken what is foretold of them now.
             factor = (float(foretold.sum()) / (_AIM * budget)) ** _STEP_POWER
             step, before = min(max(step * factor, self._finest), STEP_RANGE[1]), step
             foretold *= (before / step) ** (1.0 / _STEP_POWER)
@@ -272,7 +272,7 @@ class Encoder:
     def _pass_tiles(
         self, budget: int, step: float, axes: Axes, tiles: list[Tile], foretold: NDArray[np.float64]
     ) -> tuple[bytes, NDArray[np.float64]]:
-        """Return a body, and about the bytes that each tile would have at the usual price."""
+        """Return a body, and about the bytes that each tile would have at the usual multiplier."""
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         self._pieces, self._prepared = [], 0  # their memory is that of tiles now
         fixed = self._fixed_bytes(axes, step, float(budget))
@@ -282,13 +282,15 @@ class Encoder:
             # What has come so far tells how the trials err.
             trust = float(usual.sum() / foretold[:number].sum()) if number else 1.0
             ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
-            price = min(max(PRICE * ratio ** (-1.0 / PRICE_POWER), PRICES[0]), PRICES[1])
+            multiplier = min(max(MULTIPLIER * ratio ** (-1.0 / MULTIPLIER_POWER), MULTIPLIERS[0]), MULTIPLIERS[1])
             if number + 1 == len(tiles):
                 part = self._take_part(tile.window, tile, planes, lent=True)
-                coded, price = fill_by_price(functools.partial(self._encode_part, part, step, keep=True), left, price)
+                coded, multiplier = fill_by_multiplier(
+                    functools.partial(self._encode_part, part, step, keep=True), left, multiplier
+                )
             else:
-                coded = self._encode_tile(tile, planes, step, price)
+                coded = self._encode_tile(tile, planes, step, multiplier)
             spent += coded.size
-            usual[number] = coded.size * (price / PRICE) ** PRICE_POWER
+            usual[number] = coded.size * (multiplier / MULTIPLIER) ** MULTIPLIER_POWER
             self._collect(streams, tile, coded)
         return self._pack(axes, step, streams), usual

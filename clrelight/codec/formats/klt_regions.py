@@ -21,9 +21,9 @@ from clrelight.codec.entropy.units import (
     place_units,
 )
 from clrelight.codec.formats.klt_salvage import Salvage
-from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import padded_width, transform_planes
 from clrelight.codec.views import Region
+from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 from clrelight.opencl.arguments import DeviceArray

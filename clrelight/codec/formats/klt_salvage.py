@@ -16,8 +16,8 @@ from clrelight.codec.damage import Damage, Lost
 from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
 from clrelight.codec.entropy.units import LEVELS, Unit, Window, lay_out, list_units, low_side, place_units, unit_side
-from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.lifting import padded_width
+from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.errors import PayloadError, StoreFormatError
 from clrelight.opencl.arguments import DeviceArray

@@ -22,10 +22,10 @@ _PIECE, _PIECES = 128, 48
 _LEAST_TRIED, _MAX_TRIED = 1 << 22, 1 << 26
 """Values of the planes that are tried at once: what bounds memory, of which they take an eighth."""
 _MAX_TRIALS, _MAX_LAST = 24, 7
-PRICES = (0.03, 0.6)
-"""The range of prices by which the tiles of a large map meet a budget."""
-PRICE_POWER = 0.45
-"""Bytes fall about with this power of the price."""
+MULTIPLIERS = (0.03, 0.6)
+"""The range of multipliers by which the tiles of a large map meet a budget."""
+MULTIPLIER_POWER = 0.45
+"""Bytes fall about with this power of the multiplier."""
 _LEAST_LAST = 0.98
 
 
@@ -125,8 +125,8 @@ def foretell(rows: list[int], of_pixel: NDArray[np.float64], tiles: list[Tile]) 
     return np.interp(middles, centres, means) * [tile.n_pixel for tile in tiles]
 
 
-def fill_by_price(encode: Callable[[float], Coded], left: float, price: float) -> tuple[Coded, float]:
-    """Return what is coded at the price that fills the bytes left best, and that price; fewest bytes if none does."""
+def fill_by_multiplier(encode: Callable[[float], Coded], left: float, multiplier: float) -> tuple[Coded, float]:
+    """Return what the multiplier that fills the bytes left best makes, and itself; fewest bytes if none does."""
     tried: list[tuple[Coded, float]] = []
 
     def measure(place: float) -> float:
@@ -137,12 +137,12 @@ def fill_by_price(encode: Callable[[float], Coded], left: float, price: float) -
     aim = limit + math.log((1.0 + _LEAST_LAST) / 2.0)
     search_falling(
         measure,
-        math.log(price),
-        (math.log(PRICES[0]), math.log(2 * PRICES[1])),
+        math.log(multiplier),
+        (math.log(MULTIPLIERS[0]), math.log(2 * MULTIPLIERS[1])),
         aim,
         limit=limit,
         is_enough=lambda _: _LEAST_LAST * left <= tried[-1][0].size <= left,
-        expect=lambda place, size: place - (aim - size) / PRICE_POWER,
+        expect=lambda place, size: place - (aim - size) / MULTIPLIER_POWER,
         slopes=(-10.0, -0.5),
         most=_MAX_LAST,
         width=1e-4,

@@ -13,10 +13,10 @@ from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.range_coding import Decoder, Encoder
 from clrelight.codec.entropy.unit_index import Stored, read_index, seal_front
 from clrelight.codec.entropy.units import LEVELS, list_units
-from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import MEAN_STEPS, STEP_RANGE, Axes, code_vectors, make_operator
 from clrelight.codec.transforms.whitening import AXES
+from clrelight.codec.workspace import Shape
 from clrelight.conventions import TRANSFERS
 from clrelight.errors import PayloadError
 

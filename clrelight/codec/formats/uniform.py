@@ -74,7 +74,7 @@ class Uniform(PartsCodec):
                 body.write(at, packed_b)
                 at += packed_b.size
             left_p = codes_p[whole:].copy()
-            source.room.tell(part.stop, n_coeff)
+            source.workspace.tell(part.stop, n_coeff)
         return {"entropy_bits": entropy / n_coeff + 8.0 * (len(table) - 1) / (n_coeff * n_value)}
 
     def _choose_quantiser(self, source: Source) -> search.Quantiser:
@@ -83,7 +83,7 @@ class Uniform(PartsCodec):
             for part in source.map_parts():
                 coeffs_kp = source.maps(part.start, part.stop).reshape(part.stop - part.start, -1)
                 parts.append(search.choose_quantiser(coeffs_kp, self.bits, source.device))
-                source.room.tell(part.stop, source.shape[0])
+                source.workspace.tell(part.stop, source.shape[0])
             return search.Quantiser.joined(parts)
 
         return source.remember(("uniform", self.bits), choose)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy.bitpack import pack_codes, packed_size, unpack_codes
 from clrelight.codec.formats.vq_search import design_codebook, search_codebook
-from clrelight.codec.padding import check_padding, least_bytes, pad_body
+from clrelight.codec.minimum_size import check_padding, least_bytes, pad_body
 from clrelight.codec.registry import Codec, register
 from clrelight.codec.transforms import vectors
 from clrelight.device import Device

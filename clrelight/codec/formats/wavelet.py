@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
 from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.units import MARGIN, PRECINCT
@@ -17,10 +16,11 @@ from clrelight.codec.formats.wavelet_few import MOST_BYTES, decode_few, encode_f
 from clrelight.codec.formats.wavelet_old import decode_maps
 from clrelight.codec.formats.wavelet_units import LEAST_STREAM, is_in_units, parse_body, table_bytes
 from clrelight.codec.formats.wavelet_view import WaveletView
+from clrelight.codec.minimum_size import drop_padding, minimum_overhead, pad_to_minimum
 from clrelight.codec.rate.noise import Noise
 from clrelight.codec.registry import PartsCodec, register
-from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Source, Target
+from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.errors import InputError
 
@@ -83,7 +83,7 @@ class Wavelet(PartsCodec):
             content = few
         if few is not None and self._loss(few, source) < self._loss(content, source):
             content = few
-        body.write_all(add_ballast(content, source.shape, self._bound(source.shape)))
+        body.write_all(pad_to_minimum(content, source.shape, self._bound(source.shape)))
         return {}
 
     def _bound(self, shape: Shape) -> int:
@@ -123,7 +123,7 @@ class Wavelet(PartsCodec):
     def _encoder(self, source: Source) -> Encoder:
         """Return an encoder; InputError where tables alone pass the rate."""
         shape = source.shape
-        budget = self._bound(shape) - ballast_overhead(shape)
+        budget = self._bound(shape) - minimum_overhead(shape)
         tables = table_bytes(shape[0]) + LEAST_STREAM
         if budget < tables:
             tables = min(tables, least_bytes(shape))
@@ -140,9 +140,9 @@ class Wavelet(PartsCodec):
         if regions is not None:
             regions.put_rows(target, device)
         elif is_few(body):
-            target.put_rows(0, decode_few(drop_ballast(body, target.shape)[:], target.shape))
+            target.put_rows(0, decode_few(drop_padding(body, target.shape)[:], target.shape))
         else:
-            decode_maps(drop_ballast(body, target.shape)[:], target, device)
+            decode_maps(drop_padding(body, target.shape)[:], target, device)
 
     @classmethod
     def decode_view(cls, body: Body, shape: Shape, device: Device) -> WaveletView | None:
@@ -152,7 +152,7 @@ class Wavelet(PartsCodec):
     @classmethod
     def decode_regions(cls, body: Body, shape: Shape, damage: Damage | None = None) -> WaveletView | None:
         """See `Codec`; None of old bodies."""
-        content = drop_ballast(body, shape)
+        content = drop_padding(body, shape)
         return WaveletView(content, *parse_body(content, shape), shape, damage) if is_in_units(content) else None
 
 

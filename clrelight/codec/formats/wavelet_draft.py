@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from clrelight.codec.entropy.units import list_units
 from clrelight.codec.formats.wavelet_planes import Scan
 from clrelight.codec.formats.wavelet_units import ABSENT, MOST_CHANNELS, MOST_TOGETHER, Tables
-from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.channels import angles_of, count_angles
+from clrelight.codec.workspace import Shape
 
 _STREAM_BYTES = 1 << 14
 """Bytes that streams should have at the least: they learn alone."""

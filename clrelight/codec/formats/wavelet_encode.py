@@ -45,11 +45,11 @@ from clrelight.codec.formats.wavelet_units import (
 from clrelight.codec.streams import Source
 from clrelight.opencl.arguments import DeviceArray
 
-PRICE = 0.12
-"""Squared steps of error that a bit must save."""
-_PRICE_LOG, _PRICES_LOG = math.log2(PRICE), (-5.0, -1.0)
+MULTIPLIER = 0.12
+"""Lagrange multiplier of rate–distortion optimisation: squared steps of error that a bit must save."""
+_MULTIPLIER_LOG, _MULTIPLIERS_LOG = math.log2(MULTIPLIER), (-5.0, -1.0)
 _FURTHER = (0.0, -0.05, 0.05, -0.1)
-"""Octaves of the steps beside which prices are looked for."""
+"""Octaves of the steps beside which multipliers are looked for."""
 _USED, _AIM = 0.9905, 0.9955
 """Parts of the budget where the search ends, and that it aims at."""
 _TRIED, _TRIED_BITS = 1 << 20, 1 << 20
@@ -109,7 +109,7 @@ class Encoder:
         return _USED * self._budget <= size <= self._budget
 
     def _fill(self) -> None:
-        """Fill the budget by steps that grow and shrink together, and where those are too coarse, by the price."""
+        """Fill the budget by steps that grow and shrink together, and where those are too coarse, by the multiplier."""
         if self._is_filled(len(self._best)):
             return
         known: dict[bytes, int] = {}
@@ -129,10 +129,10 @@ class Encoder:
             if self._is_filled(len(self._best)):
                 return
             codes_m = self._steps.codes(shift + further)
-            by_price = functools.partial(self._count_by_price, codes_m)
-            search_step(by_price, _PRICE_LOG, _PRICES_LOG, budget, aims)
+            by_multiplier = functools.partial(self._count_by_multiplier, codes_m)
+            search_step(by_multiplier, _MULTIPLIER_LOG, _MULTIPLIERS_LOG, budget, aims)
 
-    def _count_by_price(self, codes_m: NDArray[np.int64], place: float) -> float:
+    def _count_by_multiplier(self, codes_m: NDArray[np.int64], place: float) -> float:
         return self._code_all(codes_m, 2.0**place)[0]
 
     def expect(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -213,7 +213,7 @@ class Encoder:
 
     def _is_one_tile(self) -> bool:
         held = 4 * len(self._present) * self._channel * self._height * self._width
-        return self._tables.together or 2 * held <= self._source.room.memory_bytes
+        return self._tables.together or 2 * held <= self._source.workspace.memory_bytes
 
     def _take(self, tile: Tile) -> Part:
         values = self._maker.values(tile.window)
@@ -242,7 +242,7 @@ class Encoder:
     # What is written.
 
     def _encode_part(
-        self, part: Part, codes_m: NDArray[np.int64], price: float = PRICE, index: DeviceArray | None = None
+        self, part: Part, codes_m: NDArray[np.int64], multiplier: float = MULTIPLIER, index: DeviceArray | None = None
     ) -> Coded:
         scale_j = np.empty(part.values.shape[0], np.float32)
         scale_j[self._place_md] = (np.exp2(self._exponent_m.astype(np.float64)) / step_of(codes_m))[:, None]
@@ -252,31 +252,31 @@ class Encoder:
             index = self._index
         coarse_jl = self._tables.coarse(self._channel)
         return encode_streams(
-            self._device, part.layout, part.values, index, default_tables(), price, scale_j, coarse_jl
+            self._device, part.layout, part.values, index, default_tables(), multiplier, scale_j, coarse_jl
         )
 
-    def _code_all(self, codes_m: NDArray[np.int64], price: float = PRICE) -> tuple[int, NDArray[np.float64]]:
+    def _code_all(self, codes_m: NDArray[np.int64], multiplier: float = MULTIPLIER) -> tuple[int, NDArray[np.float64]]:
         """Return the bytes of the body at some steps, and about the bits of each map; the best body is kept."""
-        body, bits_m = self._make_body(codes_m, price)
+        body, bits_m = self._make_body(codes_m, multiplier)
         if self._is_filled(len(body)) or len(self._best) < len(body) <= self._budget:
             self._best = body
         return len(body), bits_m
 
-    def _make_body(self, codes_m: NDArray[np.int64], price: float) -> tuple[bytes, NDArray[np.float64]]:
+    def _make_body(self, codes_m: NDArray[np.int64], multiplier: float) -> tuple[bytes, NDArray[np.float64]]:
         code_k = self._tables.code_k.copy()
         code_k[self._present] = codes_m
         tables = replace(self._tables, code_k=code_k)
         if self._whole is not None:
-            coded = self._encode_part(self._whole, codes_m, price)
+            coded = self._encode_part(self._whole, codes_m, multiplier)
             return pack_body(tables, coded.streams), self._of_maps(coded.bits_j)
         bits_m, streams = np.zeros(len(codes_m)), [b""] * count_streams(self._shape, tables)
         where = Stored("wavelet", False, self._groups, np.zeros(0, np.int64), np.zeros(0, np.uint16))
         units = list_units(self._height, self._width)
-        memory = self._source.room.memory_bytes // 2
+        memory = self._source.workspace.memory_bytes // 2
         for tile in list_tiles(self._height, self._width, len(self._present) * self._channel, memory):
-            coded = self._encode_part(self._take(tile), codes_m, price)
+            coded = self._encode_part(self._take(tile), codes_m, multiplier)
             bits_m += self._of_maps(coded.bits_j)
             for number, stream in zip(where.numbers(units, tile.streams), coded.streams, strict=True):
                 streams[number] = stream
-            self._source.room.tell(tile.bottom, self._height)
+            self._source.workspace.tell(tile.bottom, self._height)
         return pack_body(tables, streams), bits_m

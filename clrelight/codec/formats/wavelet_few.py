@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
-from clrelight.codec.rooms import Shape
+from clrelight.codec.workspace import Shape
 from clrelight.errors import PayloadError
 
 VERSION = 7

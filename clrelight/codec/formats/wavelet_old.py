@@ -22,7 +22,7 @@ BIAS_SCALE = 256.0
 
 
 def decode_maps(body: bytes, target: Target, device: Device) -> None:
-    """Put the maps of a body without ballast, map by map; PayloadError if it does not make sense."""
+    """Put the maps of a body without its padding, map by map; PayloadError if it does not make sense."""
     tables, payload = _Tables.from_bytes(body, target.shape[0])
     n_coeff, height, width, channels = target.shape
     bands = list_subbands(height, width, tables.levels)
@@ -39,7 +39,7 @@ def decode_maps(body: bytes, target: Target, device: Device) -> None:
         dequantise_map(planes, 0, index, float(np.float32(2.0 ** (code / 2048 - 22))), biases, device)
         scale_k = np.ldexp(np.float32(1.0), tables.exponents[k : k + 1])
         target.put_maps(k, inverse_transform(planes, one, scale_k, tables.levels, device))
-        target.room.tell(done + 1, n_coeff)
+        target.workspace.tell(done + 1, n_coeff)
     decoder.finish()
     target.finish()
 

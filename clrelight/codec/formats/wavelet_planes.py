@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.units import LEVELS, Layout, Unit, Window, lay_out
-from clrelight.codec.rooms import Shape
 from clrelight.codec.streams import Source
 from clrelight.codec.transforms.lifting import list_subbands, padded_width, transform_planes
 from clrelight.codec.transforms.pixels import Pixels
+from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.unit_index import LEAST_ENTRY, Stored, read_index, seal_front
 from clrelight.codec.entropy.units import LEVELS, PRECINCT, list_units
-from clrelight.codec.rooms import Shape
 from clrelight.codec.transforms.channels import count_angles, rotations_of
+from clrelight.codec.workspace import Shape
 from clrelight.errors import PayloadError
 
 VERSION = 6

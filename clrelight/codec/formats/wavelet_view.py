@@ -11,8 +11,8 @@ from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.formats.klt_decode import UnitsView
 from clrelight.codec.formats.wavelet_planes import planes_to_maps
 from clrelight.codec.formats.wavelet_units import ABSENT, Tables, step_of
-from clrelight.codec.rooms import Shape
 from clrelight.codec.views import Region
+from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degree_of

@@ -165,10 +165,10 @@ class _Fused:
         """Return the kernel for a chain; None where a device or a type has none, or no tile is small enough."""
         if device.style != "cpu" or not np.issubdtype(dtype, np.integer):
             return None
-        room = math.prod(chain.last.shape[1:])
+        values = math.prod(chain.last.shape[1:])
         least = 2 * device.info.lanes
         for tile in (256, 128, 64, 32, 16, 8):
-            if tile >= least and 4 * tile * (room + _chunk(linear) + 8) <= device.info.local_memory_bytes // 2:
+            if tile >= least and 4 * tile * (values + _chunk(linear) + 8) <= device.info.local_memory_bytes // 2:
                 return cls(chain, linear, device, tile)
         return None
 

@@ -1,10 +1,10 @@
-"""Bodies of great maps that code to next to nothing carry ballast; nothing else does."""
+"""Bodies of great maps that code to next to nothing carry zeros; nothing else does."""
 
 import numpy as np
 import pytest
 
 from clrelight.codec import codec_class, decode, encode
-from clrelight.codec.ballast import add_ballast, ballast_overhead, drop_ballast
+from clrelight.codec.minimum_size import drop_padding, minimum_overhead, pad_to_minimum
 from clrelight.errors import InputError, PayloadError
 
 SMALL, GREAT = (49, 256, 256, 3), (49, 4096, 4096, 3)
@@ -12,24 +12,24 @@ SMALL, GREAT = (49, 256, 256, 3), (49, 4096, 4096, 3)
 
 @pytest.mark.parametrize("body", [b"", b"\0\0", b"coded", bytes(range(256)) * 300])
 def test_what_was_coded_comes_back(body):
-    assert add_ballast(body, SMALL) == drop_ballast(body, SMALL) == body
-    assert ballast_overhead(SMALL) == 0
-    loaded = add_ballast(body, GREAT)
-    assert drop_ballast(loaded, GREAT) == body
+    assert pad_to_minimum(body, SMALL) == drop_padding(body, SMALL) == body
+    assert minimum_overhead(SMALL) == 0
+    loaded = pad_to_minimum(body, GREAT)
+    assert drop_padding(loaded, GREAT) == body
     least = (49 * 4096 * 4096 * 3 - 2**24) / 2**17
-    assert least <= len(loaded) <= max(least + 1, len(body) + ballast_overhead(GREAT))
+    assert least <= len(loaded) <= max(least + 1, len(body) + minimum_overhead(GREAT))
 
 
 def test_a_few_bytes_are_no_great_map():
-    loaded = add_ballast(b"coded", GREAT)
+    loaded = pad_to_minimum(b"coded", GREAT)
     for damaged in (b"coded", loaded[1:], loaded[:5] + b"\1" + loaded[6:], loaded[:-4] + b"\xff" * 4, loaded + b"\0"):
         with pytest.raises(PayloadError):
-            drop_ballast(damaged, GREAT)
+            drop_padding(damaged, GREAT)
 
 
-def test_a_budget_below_the_ballast_is_refused():
+def test_a_budget_below_the_least_size_is_refused():
     with pytest.raises(InputError, match="take at least 18688 bytes, the budget is 1000"):
-        add_ballast(b"coded", GREAT, 1000)
+        pad_to_minimum(b"coded", GREAT, 1000)
 
 
 @pytest.mark.parametrize("codec_id", ["wavelet", "klt"])

@@ -1,4 +1,4 @@
-"""The four phases in which a subband's samples are coded, and what each knows of the samples before it."""
+"""The four cosets in which a subband's samples are coded, and what each knows of the samples before it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from clrelight.codec.transforms.lifting import Subband
 
-PHASES = ((0, 0), (1, 1), (0, 1), (1, 0))
-"""First row and column of each phase; the others follow in steps of two."""
+COSETS = ((0, 0), (1, 1), (0, 1), (1, 0))
+"""First row and column of each coset; the others follow in steps of two."""
 
 BATCHES = ((0,), (1,), (2, 3))
-"""Phases that are coded together: the last two know the first two only."""
+"""Cosets that are coded together: the last two know the first two only."""
 
 
 def relatives_of(band: Subband) -> list[tuple[str, int]]:
@@ -24,26 +24,26 @@ def relatives_of(band: Subband) -> list[tuple[str, int]]:
     return [(band.name, band.level + 1), *((name, band.level) for name in siblings)]
 
 
-def gather(bordered: NDArray, phase: int) -> NDArray:
-    """Return the sum of the four neighbours at each sample of a phase; the array has a border of one."""
+def gather(bordered: NDArray, coset: int) -> NDArray:
+    """Return the sum of the four neighbours at each sample of a coset; the array has a border of one."""
     height, width = bordered.shape[-2:]
-    row, column = PHASES[phase]
+    row, column = COSETS[coset]
     parts = [
         bordered[..., 1 + row + y : height - 1 + y : 2, 1 + column + x : width - 1 + x : 2]
-        for y, x in _neighbours_of(phase)
+        for y, x in _neighbours_of(coset)
     ]
     return parts[0] + parts[1] + parts[2] + parts[3]
 
 
 @functools.lru_cache(maxsize=256)
-def neighbour_count(phase: int, height: int, width: int) -> NDArray[np.int32]:
+def neighbour_count(coset: int, height: int, width: int) -> NDArray[np.int32]:
     """Return how many of the neighbours lie inside the subband, at least 1."""
-    return np.maximum(gather(np.pad(np.ones((height, width), np.int32), 1), phase), 1)
+    return np.maximum(gather(np.pad(np.ones((height, width), np.int32), 1), coset), 1)
 
 
-def _neighbours_of(phase: int) -> list[tuple[int, int]]:
-    """Return the (row, column) offsets of the four nearest samples that are known in a phase."""
-    return [(-1, -1), (-1, 1), (1, -1), (1, 1)] if phase == 1 else [(0, -1), (0, 1), (-1, 0), (1, 0)]
+def _neighbours_of(coset: int) -> list[tuple[int, int]]:
+    """Return the (row, column) offsets of the four nearest samples that are known in a coset."""
+    return [(-1, -1), (-1, 1), (1, -1), (1, 1)] if coset == 1 else [(0, -1), (0, 1), (-1, 0), (1, 0)]
 
 
 def crop(values: NDArray, shape: tuple[int, ...]) -> NDArray:

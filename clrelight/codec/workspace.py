@@ -79,7 +79,7 @@ class ArrayPlanes:
         return self._values
 
 
-class Room:
+class Workspace:
     """Where intermediate maps lie, and how much memory parts may take: here all that they need."""
 
     memory_bytes = ARRAY_MEMORY
@@ -101,8 +101,8 @@ class Room:
         """Hear of progress."""
 
 
-class BoundedRoom(Room):
-    """A room whose parts keep to a number of bytes together.
+class BoundedWorkspace(Workspace):
+    """A workspace whose parts keep to a number of bytes together.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class BoundedRoom(Room):
         self.progress = progress
 
     def part_rows(self, shape: Shape, multiple: int) -> int:
-        """See `Room`; InputError where not even the fewest rows fit."""
+        """See `Workspace`; InputError where not even the fewest rows fit."""
         n_coeff, height, width, channel = shape
         row_bytes = 4 * n_coeff * width * channel
         rows = self._part_bytes // row_bytes
@@ -130,7 +130,7 @@ class BoundedRoom(Room):
         return height if rows >= height else rows - rows % multiple
 
     def part_maps(self, shape: Shape) -> int:
-        """See `Room`; at least one."""
+        """See `Workspace`; at least one."""
         return min(max(self._part_bytes // (4 * math.prod(shape[1:])), 1), shape[0])
 
     def holds(self, n_bytes: int) -> bool:
@@ -138,6 +138,6 @@ class BoundedRoom(Room):
         return n_bytes <= self._part_bytes
 
     def tell(self, done: int, total: int) -> None:
-        """See `Room`."""
+        """See `Workspace`."""
         if self.progress is not None:
             self.progress(done, total)

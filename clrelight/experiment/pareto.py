@@ -94,7 +94,7 @@ def storage_label(setting: CodecSetting) -> str:
     return setting.id if math.isnan(setting.rate) else f"{setting.id} {setting.rate:g} bit"
 
 
-def near_front(trials: Sequence[Trial], slack: float) -> list[Trial]:
+def near_pareto_front(trials: Sequence[Trial], slack: float) -> list[Trial]:
     """Return the trials that no smaller and faster one beats by `slack` dB or more, the best first."""
     kept = [
         each
@@ -109,7 +109,7 @@ def near_front(trials: Sequence[Trial], slack: float) -> list[Trial]:
     return sorted(kept, key=lambda each: -each.psnr)
 
 
-def front(trials: Sequence[Trial], cost: str, value: str) -> list[Trial]:
+def pareto_front(trials: Sequence[Trial], cost: str, value: str) -> list[Trial]:
     """Return what is optimal in two of ``"seconds"``, ``"size"`` and ``"psnr"``, cheapest first.
 
     Less of `cost` is better; of `value` less is better too, unless it is the PSNR.
