@@ -21,7 +21,7 @@ MAGIC = b"CLRE"
 WRAPPER_VERSION = 1
 MAX_EXTENT = 1 << 20
 MAX_CHANNELS = 1 << 10
-MAX_COEFFICIENTS = 1 << 32
+MAX_COEFFICIENTS = 1 << 40
 MAX_HEADER_BYTES = 6 + 255 + 28
 _PIECE_BYTES = 1 << 22
 """Of a body that are summed up at a time."""
