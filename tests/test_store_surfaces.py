@@ -258,5 +258,5 @@ def test_encodings_hold_no_geometry(tmp_path, codec):
         assert decoded.image_shape == held.image_shape
     if codec == "klt":
         assert cr.decode(encoded, region=[1, 1, 2, 3], report=cr.Report()).surface is None
-    again = cr.encode(held, codec, target_psnr=4.0, stack=make_stack(held.surface, 3), report=cr.Report())
-    assert isinstance(again, Encoded)
+        again = cr.encode(held, codec, target_psnr=4.0, stack=make_stack(held.surface, 3), report=cr.Report())
+        assert isinstance(again, Encoded)
