@@ -38,7 +38,14 @@ class Hits:
 
 
 class RayScene:
-    """A surface that is ready for rays."""
+    """A surface that is ready for rays.
+
+    Attributes
+    ----------
+    surface : Surface
+    starts_v3 : ndarray, shape (n_vertex, 3), float32
+        Where the rays of its vertices start, as `trace` and `blocked` take it.
+    """
 
     def __init__(self, surface: Surface) -> None:
         try:
@@ -53,30 +60,39 @@ class RayScene:
         self._scale = 1.0 / (surface.diagonal or 1.0)
         self._scene: Any = EmbreeScene()
         TriangleMesh(self._scene, self._local(surface.vertices_v3), surface.faces_f3)
-        self._run(
-            np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32), query="OCCLUDED"
-        )  # the tree is built now
-        self.starts_v3 = self._local(surface.vertices_v3 + OFFSET * surface.diagonal * surface.normals_v3)
+        # The tree is built now.
+        self._run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32), query="OCCLUDED")
+        self.starts_v3 = self.starts_of(surface.vertices_v3, surface.normals_v3)
 
-    def occluded(self, vertices_r: NDArray[np.intp], directions_r3: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return whether rays from just outside these vertices meet the surface; directions are unit vectors."""
-        starts_r3 = self.starts_v3[vertices_r]
+    def starts_of(self, points_n3: NDArray[np.float64], normals_n3: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return where rays start that leave the surface at some points of it, as `trace` and `blocked` take it."""
+        return self._local(points_n3) + (OFFSET * normals_n3).astype(np.float32)
+
+    def blocked(self, starts_r3: NDArray[np.float32], directions_r3: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return whether rays from such starts meet the surface; directions are unit vectors."""
         return self._run(starts_r3, directions_r3, query="OCCLUDED") == 0
 
-    def hit(self, vertices_r: NDArray[np.intp], directions_r3: NDArray[np.float32]) -> Hits:
-        """Return what rays from just outside these vertices meet first."""
-        return self._hits(self.starts_v3[vertices_r], directions_r3)
-
-    def hit_from(self, origins_r3: NDArray[np.float64], directions_r3: NDArray[np.float32]) -> Hits:
-        """Return what rays from anywhere meet first; origins in units of the positions."""
-        return self._hits(self._local(origins_r3), directions_r3)
-
-    def _hits(self, starts_r3: NDArray[np.float32], directions_r3: NDArray[np.float32]) -> Hits:
+    def trace(self, starts_r3: NDArray[np.float32], directions_r3: NDArray[np.float32]) -> Hits:
+        """Return what rays from such starts meet first."""
         found = self._run(starts_r3, directions_r3, output=1)
         u_r, v_r = found["u"], found["v"]
         weights_r3 = np.stack([1.0 - u_r - v_r, u_r, v_r], axis=1)
         behind_r = np.einsum("ra,ra->r", found["Ng"], directions_r3) > 0.0
-        return Hits(found["primID"], weights_r3, found["tfar"] / np.float32(self._scale), behind_r)
+        with np.errstate(over="ignore"):  # what meets nothing is infinitely far
+            distance_r = found["tfar"] / np.float32(self._scale)
+        return Hits(found["primID"], weights_r3, distance_r, behind_r)
+
+    def occluded(self, vertices_r: NDArray[np.intp], directions_r3: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return whether rays from just outside these vertices meet the surface; directions are unit vectors."""
+        return self.blocked(self.starts_v3[vertices_r], directions_r3)
+
+    def hit(self, vertices_r: NDArray[np.intp], directions_r3: NDArray[np.float32]) -> Hits:
+        """Return what rays from just outside these vertices meet first."""
+        return self.trace(self.starts_v3[vertices_r], directions_r3)
+
+    def hit_from(self, origins_r3: NDArray[np.float64], directions_r3: NDArray[np.float32]) -> Hits:
+        """Return what rays from anywhere meet first; origins in units of the positions."""
+        return self.trace(self._local(origins_r3), directions_r3)
 
     def _run(self, starts_r3: NDArray[np.float32], directions_r3: NDArray[np.float32], **how: Any) -> Any:
         return self._scene.run(np.ascontiguousarray(starts_r3), np.ascontiguousarray(directions_r3, np.float32), **how)
