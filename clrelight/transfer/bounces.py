@@ -7,8 +7,10 @@ their hits fit into memory, and again where they do not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse
@@ -24,6 +26,8 @@ from clrelight.transfer.samples import Samples
 
 WAYS = ("gather", "shoot")
 MOST_BOUNCES = 1000
+_SHOT = 0.9
+"""Share of the unshot energy that is sent on in a round."""
 
 Tell = Callable[[int, int], object]
 
@@ -47,7 +51,7 @@ class Operator:
     def __init__(self, gatherer: Gatherer, memory: int) -> None:
         self._gatherer, self._left = gatherer, memory
         self.parts = list(gatherer.tiles(0, gatherer.points.count))
-        self._kept: dict[int, scipy.sparse.csr_array] = {}
+        self._kept: dict[int, Any] = {}
 
     def direct(self, tell: Tell | None = None) -> NDArray[np.float32]:
         """Trace the rays of all vertices; return transfer without a bounce, white, (n_vertex, n_coeff)."""
@@ -72,6 +76,14 @@ class Operator:
         """Return the rows of a part."""
         kept = self._kept.get(number)
         return self._gatherer.hits(*self.parts[number])[1] if kept is None else kept
+
+    def columns(self, number: int, vertices_n: NDArray[np.intp]) -> scipy.sparse.csc_array:
+        """Return what the rows of a part gather of some vertices."""
+        kept = self._kept.get(number)
+        if isinstance(kept, scipy.sparse.csr_array):  # in the order of columns from now on
+            self._kept[number] = kept = kept.tocsc()
+        whole = self.rows(number).tocsc() if kept is None else kept
+        return whole[:, vertices_n]
 
 
 @dataclass(frozen=True)
@@ -121,44 +133,38 @@ class Spread:
     def shoot(
         self, start_vck: NDArray[np.float32], threshold: float, tell: Tell | None = None
     ) -> tuple[NDArray[np.float32], list[float]]:
-        """Return start and all bounces of it together, and the energy that is unshot after each round of shots.
+        """Return start and all bounces of it together, and the energy that is unshot after each round.
 
-        The part of the surface with the most unshot energy sends it along its own rays to what they meet, the
-        transposed operator (by reciprocity: what u gathers of v, times u's area, is what v gathers of u times v's);
-        until `threshold` of the start's energy is left (Cohen et al. 1988, progressive refinement).
+        In each, those vertices that hold most of the unshot energy send it on to all that see them, by the columns of
+        the operator, until `threshold` of the start's is left (Cohen et al. 1988, progressive refinement).
         """
         total_vck, unshot_vck = start_vck.copy(), start_vck.copy()
-        parts = self.operator.parts
-        starts_p = [first for first, _ in parts]
-        left_p = self._unshot(unshot_vck, starts_p)
-        whole = float(left_p.sum())
-        energy, most = [whole], _MOST_ROUNDS * len(parts)
-        for _ in range(most):
-            if energy[-1] <= threshold * whole:
+        energy = [self.energy(start_vck)]
+        for _ in range(MOST_BOUNCES):
+            if energy[-1] <= threshold * energy[0]:
                 return total_vck, energy
-            number = int(left_p.argmax())
-            first, end = parts[number]
-            sent_vck = unshot_vck[first:end] * self.areas_v[first:end, None, None].astype(np.float32)
-            unshot_vck[first:end] = 0.0
-            rows = self.operator.rows(number)
-            met_m, column = np.unique(rows.indices, return_inverse=True)
-            local = scipy.sparse.csr_array((rows.data, column, rows.indptr), shape=(end - first, len(met_m)))
-            got_mck = (local.T @ sent_vck.reshape(end - first, -1)).reshape(len(met_m), *sent_vck.shape[1:])
-            got_mck *= self.albedo_vc[met_m, :, None] / self.areas_v[met_m, None, None].astype(np.float32)
-            total_vck[met_m] += got_mck
-            unshot_vck[met_m] += got_mck
-            left_p = self._unshot(unshot_vck, starts_p)
-            energy.append(float(left_p.sum()))
+            shooters_n = self._shooters(unshot_vck)
+            sent_nq = unshot_vck[shooters_n].reshape(len(shooters_n), -1)
+            unshot_vck[shooters_n] = 0.0
+            for number, (first, end) in enumerate(self.operator.parts):
+                got_vq = self.operator.columns(number, shooters_n) @ sent_nq
+                got_vck = self.albedo_vc[first:end, :, None] * got_vq.reshape(end - first, *start_vck.shape[1:])
+                total_vck[first:end] += got_vck
+                unshot_vck[first:end] += got_vck
+            energy.append(self.energy(unshot_vck))
             if tell is not None:
-                done = np.log(max(energy[-1], 1e-30) / whole) / np.log(max(threshold, 1e-30))
+                done = math.log(max(energy[-1] / energy[0], 1e-30)) / math.log(threshold)
                 tell(int(1000 * min(max(done, 0.0), 1.0)), 1000)
-        raise InputError(f"shooting leaves {energy[-1] / whole:.2g} of the light after {most} shots: raise --threshold")
+        left = energy[-1] / energy[0]
+        raise InputError(f"{left:.2g} of the light is left after {MOST_BOUNCES} rounds of shots: raise --threshold")
 
-    def _unshot(self, unshot_vck: NDArray[np.float32], starts_p: list[int]) -> NDArray[np.float64]:
-        return np.add.reduceat(self.areas_v * unshot_vck[:, :, 0].sum(axis=1, dtype=np.float64), starts_p)
-
-
-_MOST_ROUNDS = 200
+    def _shooters(self, unshot_vck: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return the fewest vertices that hold `_SHOT` of the unshot energy."""
+        held_v = self.areas_v * unshot_vck[:, :, 0].sum(axis=1, dtype=np.float64)
+        order_v = np.argsort(-held_v, kind="stable")
+        reached_v = np.cumsum(held_v[order_v])
+        count = int(np.searchsorted(reached_v, _SHOT * reached_v[-1])) + 1
+        return np.sort(order_v[:count])
 
 
 def interreflected(
