@@ -24,6 +24,7 @@ from clrelight.cli import (
     psnr,
     relight,
     trade,
+    transfer,
 )
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.interrupts import end_watch, watch_interrupts
@@ -52,7 +53,7 @@ def cli() -> None:
 
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, export),
-    *(light, irradiance, psnr, experiments, trade),
+    *(light, irradiance, psnr, experiments, trade, transfer),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
