@@ -35,6 +35,7 @@ SMOOTHING = 1e-5
 
 _HEIGHTS = 64
 _LEAST_SAMPLES = 16
+_VERTICES_AT_ONCE = 4096
 _EXACT_DEGREE = 12
 
 
@@ -201,15 +202,17 @@ def channel_count(surface: Surface, plan: OperatorPlan) -> int:
 def operator_tiles(
     surface: Surface, plan: OperatorPlan, *, shadowed: bool = True, memory: int = DEFAULT_MEMORY
 ) -> Iterator[tuple[int, int, NDArray[np.float32]]]:
-    """Yield the first and the last vertex of each tile, and its operators (n_out * n_in, vertex, channel) float32."""
+    """Yield the ends of each tile of vertices, whole rows of the map, and (n_out * n_in, vertex, channel) float32."""
     scene = RayScene(surface) if shadowed else None
     n_in, n_out = coefficient_count(plan.light_degree), coefficient_count(plan.view_degree)
     channel, n_sample = channel_count(surface, plan), len(plan.lights_s3)
     # A ray's start, its direction, the vertex and the answer; entries of both parts, turned, and as they are wanted.
     each = 48 * n_sample + 4 * 5 * n_in * n_out * channel + 8 * 100 * max(n_in, n_out)
-    step = int(min(surface.n_vertex, memory // each, 4096))
+    width = surface.map_shape[1]
+    step = int(min(surface.n_vertex, memory // each, max(_VERTICES_AT_ONCE, width))) // width * width
     if step < 1:
-        raise InputError(f"one vertex's operator takes {each} bytes: allow --memory that many, got {memory}")
+        row = "one vertex's operator takes" if width == 1 else f"operators of one row of {width} vertices take"
+        raise InputError(f"{row} {each * width} bytes: allow --memory that many, got {memory}")
     for first in range(0, surface.n_vertex, step):
         end = min(first + step, surface.n_vertex)
         normals_v3 = surface.normals_v3[first:end]

@@ -59,7 +59,7 @@ def reorder(surface: Surface, order: str) -> tuple[Surface, VertexOrder]:
     """Return the surface with its vertices in another order, and the order.
 
     ``"file"``: as they are. ``"morton"``, ``"hilbert"``: along a curve through the positions. ``"graph"``: Cuthill and
-    McKee's reversed, in which the vertices of an edge stand near each other. ``"blocks"``: an image, see `fold_surface`.
+    McKee's reversed, in which the vertices of an edge stand near each other. ``"blocks"``: an image (`fold_surface`).
     """
     if order == "blocks":
         return fold_surface(surface)
@@ -119,7 +119,7 @@ def reorder_map(coefficients: CoefficientMap, surface: Surface, order: VertexOrd
         flat = np.asarray(values).reshape(*lead, order.n_vertex, channel)
         return order.apply(flat, len(lead)).reshape(*lead, *surface.map_shape, channel)
 
-    others = {
+    others: dict[str, Any] = {
         name: None if value is None else arranged(value, ())
         for name, value in (("lambda_hwc", coefficients.lambda_hwc), ("rank_hwc", coefficients.rank_hwc))
     }
@@ -129,7 +129,7 @@ def reorder_map(coefficients: CoefficientMap, surface: Surface, order: VertexOrd
 
 def _arranged(surface: Surface, order: VertexOrder, grid: tuple[int, int] | None) -> Surface:
     """Return the surface with its vertices in this order, and faces that name them."""
-    held = {
+    held: dict[str, Any] = {
         name: None if value is None else order.apply(value)
         for name in ("vertices_v3", "normals_v3", "tangents_v3", "albedo_vc", "texture_v2")
         for value in (getattr(surface, name),)
