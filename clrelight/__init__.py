@@ -31,9 +31,9 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
-    from clrelight.jobs.operators import reflect as reflect
     from clrelight.jobs.operators import transfer_operators as transfer_operators
     from clrelight.jobs.pack import pack as pack
+    from clrelight.jobs.reflect import reflect as reflect
     from clrelight.jobs.relight import relight as relight
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
@@ -84,8 +84,9 @@ _MODULES = {
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
-    "jobs.operators": "reflect transfer_operators",
+    "jobs.operators": "transfer_operators",
     "jobs.pack": "pack",
+    "jobs.reflect": "reflect",
     "jobs.relight": "relight",
     "jobs.report": "Note Report",
     "jobs.target": "encode_to_quality",

@@ -1,13 +1,17 @@
 """Glossy operators against direct integration in float64, diffuse transfer, and each other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
 from clrelight.surface import Surface
-from clrelight.transfer.brdfs import BlinnPhong, Diffuse, Ggx, Phong, frames_of
-from clrelight.transfer.operators import EXTENSIONS, extension_matrix, plan_operators, transfer_operators
+from clrelight.transfer.brdfs import BlinnPhong, Diffuse, Ggx, Phong
+from clrelight.transfer.lobes import frames_of
+from clrelight.transfer.operator_plan import EXTENSIONS, extension_matrix, plan_operators
+from clrelight.transfer.operators import transfer_operators
 from clrelight.transfer.reflection import add_diffuse, operator_degrees, reflect, reflect_map, reflected_coefficients
 from clrelight.transfer.turns import frame_rotations
 from tests.reference import reflection
@@ -172,6 +176,23 @@ def sphere(degree):
     r = np.sqrt(1 - z * z)
     nodes = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], axis=-1).reshape(-1, 3)
     return nodes, np.repeat(weight * 2 * np.pi / (2 * degree + 1), 2 * degree + 1)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_light_may_be_turned_when_it_is_used(channels):
+    light = np.random.default_rng(6).standard_normal((25, channels))
+    brdf = Phong(exponent=8, diffuse=(0.2, 0.3, 0.1), specular=0.6)
+    surface = walled()
+    common = transfer_operators(surface, brdf, 4, samples=256)
+    local = transfer_operators(surface, brdf, 4, samples=256, light_frame="local")
+    assert abs(common.coeffs_khwc - local.coeffs_khwc).max() > 0.1
+    expected = reflected_coefficients(common, light)
+    np.testing.assert_allclose(reflected_coefficients(local, light), expected, atol=1e-5)
+    np.testing.assert_allclose(reflect(local, light, UP), reflect(common, light, UP), atol=1e-5)
+    with pytest.raises(InputError, match="tangents"):
+        transfer_operators(patch(tangents=False), brdf, 4, light_frame="local")
+    with pytest.raises(InputError, match="no surface"):
+        reflected_coefficients(replace(local, surface=None), light)
 
 
 def test_rotations_into_frames():

@@ -44,6 +44,13 @@ from clrelight.cli.progress import progress_bar
     help="Axes of views: the mesh's, or each vertex's own.",
 )
 @click.option(
+    "--light-frame",
+    type=click.Choice(["common", "local"]),
+    default="common",
+    show_default=True,
+    help="Axes of the light; local, beside local views, makes operators alike: codecs take less.",
+)
+@click.option(
     "--order",
     type=click.Choice(["file", "morton", "hilbert", "graph", "blocks"]),
     default="file",
@@ -96,7 +103,7 @@ def reflect(glossy: str, out: str, light: str, mesh: str | None, device: str | N
     Example:
       clrelight reflect glossy.h5 seen.h5 --light grace.h5
     """
-    from clrelight.jobs.operators import reflect as run_reflect
+    from clrelight.jobs.reflect import reflect as run_reflect
     from clrelight.jobs.report import Report
 
     report = Report()

@@ -9,19 +9,15 @@ from dataclasses import replace
 from typing import overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, FitRecord
-from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.jobs.inputs import (
     FitLike,
-    FittedLike,
     Path,
-    lend_coefficients,
     lend_fit,
-    opened_on,
     path_text,
     paths_among,
     whole,
@@ -29,16 +25,16 @@ from clrelight.jobs.inputs import (
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
-from clrelight.lighting.light import Light
 from clrelight.memory import DEFAULT_MEMORY
-from clrelight.store import open_fit, read_light, write_fit
+from clrelight.store import open_fit, write_fit
 from clrelight.store.fits import create_fit
 from clrelight.surface import Surface
-from clrelight.transfer.brdfs import Brdf, Colour, frames_of, parse_brdf
+from clrelight.transfer.brdfs import Brdf, Colour, parse_brdf
+from clrelight.transfer.lobes import frames_of
 from clrelight.transfer.mesh_files import read_mesh
-from clrelight.transfer.operators import OperatorPlan, channel_count, operator_map, operator_tiles, plan_operators
-from clrelight.transfer.reflection import add_diffuse, reflect_map
-from clrelight.transfer.reflection import reflect as reflect_towards
+from clrelight.transfer.operator_plan import OperatorPlan, plan_operators
+from clrelight.transfer.operators import channel_count, operator_map, operator_tiles
+from clrelight.transfer.reflection import add_diffuse
 from clrelight.transfer.vertex_order import reorder
 
 MeshLike = Path | Surface
@@ -60,6 +56,7 @@ def transfer_operators(
     extension: str = ...,
     shadowed: bool = ...,
     frame: str = ...,
+    light_frame: str = ...,
     order: str = ...,
     add: FitLike | None = ...,
     memory: int | str = ...,
@@ -82,6 +79,7 @@ def transfer_operators(
     extension: str = ...,
     shadowed: bool = ...,
     frame: str = ...,
+    light_frame: str = ...,
     order: str = ...,
     add: FitLike | None = ...,
     memory: int | str = ...,
@@ -103,6 +101,7 @@ def transfer_operators(
     extension: str = "smooth",
     shadowed: bool = True,
     frame: str = "common",
+    light_frame: str = "common",
     order: str = "file",
     add: FitLike | None = None,
     memory: int | str = DEFAULT_MEMORY,
@@ -133,6 +132,9 @@ def transfer_operators(
         Whether the mesh takes light from itself.
     frame : str
         ``"common"``: views in the axes of the mesh; ``"local"``: in each vertex's frame.
+    light_frame : str
+        The same of the light; ``"local"`` needs local views. The light is then turned for each vertex when it is used,
+        and operators differ only by what is hidden: codecs take far less for them.
     order : str
         Of the vertices: ``"file"``, ``"morton"``, ``"hilbert"``, ``"graph"`` or ``"blocks"``, an image.
     add : path or CoefficientMap, optional
@@ -169,6 +171,7 @@ def transfer_operators(
                 view_degree=views,
                 samples=whole(samples, "samples"),
                 extension=extension,
+                light_frame=light_frame,
             )
         plan.config["order"] = order
         since = kept.add("plan", since)
@@ -184,67 +187,6 @@ def transfer_operators(
         else:
             job.to_file(target)
         kept.facts = {"file": target, **kept.facts, "bytes_on_disk": os.stat(target).st_size}
-    return kept
-
-
-def reflect(
-    operators: FittedLike,
-    light: Light | str | os.PathLike[str],
-    *,
-    view: ArrayLike | None = None,
-    out: str | os.PathLike[str] | None = None,
-    mesh: MeshLike | None = None,
-    device: Device | str | None = None,
-    progress: Progress | None = None,
-    report: Report | None = None,
-) -> CoefficientMap | NDArray[np.float32] | Report:
-    """Return what a glossy surface reflects under a light: towards an eye, or over all directions.
-
-    Parameters
-    ----------
-    operators : path, CoefficientMap or Encoded
-        Of `transfer_operators`, or encoded.
-    light : Light or path
-        In the axes of the mesh.
-    view : array_like, shape (3,) or (n_vertex, 3), optional
-        Directions from the surface to the eye, of any length. Radiance is returned, (height, width, channel) float32.
-        Without it a map of coefficients over directions to the eye.
-    out : path, optional
-        A fit file to write the map to; a view is not for files.
-    mesh : path or Surface, optional
-        The surface of operators that are encoded, in the same order.
-    device : Device or str, optional
-        For decoding.
-    progress, report
-        As of other verbs.
-    """
-    kept = report_for(report)
-    target = None if out is None else path_text(out, "a fit to write")
-    if target is not None and view is not None:
-        raise InputError("a file holds radiance over all directions: give no view beside it")
-    lit = light if isinstance(light, Light) else read_light(light)
-    inputs = paths_among(operators, light, mesh)
-    with (
-        claimed([target], inputs, kept),
-        opened_on(device, kept) as opened,
-        lend_coefficients(operators, opened, kept, progress) as lent,
-    ):
-        held = lent if mesh is None else replace(lent, surface=take_surface(mesh))
-        since = time.perf_counter()
-        with stage(progress, "reflecting"):
-            if view is not None:
-                towards = np.asarray(view, np.float64)
-                length = np.linalg.norm(towards, axis=-1, keepdims=True)
-                if not np.all(length > 0.0):
-                    raise InputError("a view has no length, or is not finite")
-                return reflect_towards(held, lit.coeffs_kc, towards / length)
-            made = reflect_map(held, lit.coeffs_kc)
-        since = kept.add("reflect", since)
-        if target is None:
-            return made
-        write_fit(target, made)
-        kept.add("write", since)
-    kept.facts = {"file": target, "degree": made.degree, "shape": list(made.coeffs_khwc.shape), **kept.facts}
     return kept
 
 
