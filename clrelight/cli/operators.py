@@ -52,10 +52,10 @@ from clrelight.cli.progress import progress_bar
 )
 @click.option(
     "--order",
-    type=click.Choice(["file", "morton", "hilbert", "graph", "blocks"]),
+    type=click.Choice(["file", "morton", "hilbert", "graph", "blocks", "sorted"]),
     default="file",
     show_default=True,
-    help="Order of the vertices, for codecs; blocks is an image of them.",
+    help="Order of the vertices, for codecs; blocks and sorted are images of them.",
 )
 @click.option("--add", type=click.Path(), metavar="TRANSFER", help="Diffuse transfer of the same vertices, added.")
 @memory_option("256MiB", "a tile of vertices")

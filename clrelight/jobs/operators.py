@@ -136,7 +136,7 @@ def transfer_operators(
         The same of the light; ``"local"`` needs local views. The light is then turned for each vertex when it is used,
         and operators differ only by what is hidden: codecs take far less for them.
     order : str
-        Of the vertices: ``"file"``, ``"morton"``, ``"hilbert"``, ``"graph"`` or ``"blocks"``, an image.
+        Of the vertices: ``"file"``, ``"morton"``, ``"hilbert"``, ``"graph"``; as images ``"blocks"``, ``"sorted"``.
     add : path or CoefficientMap, optional
         Diffuse transfer of the same vertices in the same order, which is added.
     memory : int or str
