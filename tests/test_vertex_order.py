@@ -7,7 +7,8 @@ import scipy.spatial
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
 from clrelight.surface import Surface
-from clrelight.transfer.vertex_order import ORDERS, fold_surface, hilbert_walk, reorder, reorder_map, vertex_order
+from clrelight.transfer.vertex_images import hilbert_walk
+from clrelight.transfer.vertex_order import IMAGES, ORDERS, fold_surface, reorder, reorder_map, vertex_order
 
 
 @pytest.fixture(scope="module")
