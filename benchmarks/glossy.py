@@ -33,7 +33,7 @@ CLUSTERS = (1, 4, 16)
 COMPONENTS = 8
 GLOSSY = Phong(diffuse=0.3, specular=0.6, exponent=20.0)
 VIEWS = 12
-FRAMES = (("common", "common"), ("local", "common"), ("local", "local"))
+FRAMES = (("global", "global"), ("local", "global"), ("local", "local"))
 SHOWN: dict[str, Brdf] = {
     "phong:5": Phong(exponent=5.0),
     "phong:20": Phong(exponent=20.0),
@@ -75,7 +75,7 @@ def cpca_table(samples: int, device: Device) -> Table:
     rows = []
     for name, surface in scenes().items():
         for views, light in FRAMES:
-            tangents = None if views == "common" else frames_of(surface.normals_v3)[:, 0]
+            tangents = None if views == "global" else frames_of(surface.normals_v3)[:, 0]
             framed = replace(surface, tangents_v3=tangents)
             operators = transfer_operators(framed, GLOSSY, 4, samples=samples, light_frame=light)
             exact_iv = radiance(operators, light_kc, eyes_i3)

@@ -41,7 +41,7 @@ def main(mesh: Path | None, samples: int, markdown: Path | None) -> None:
         raise InputError("give a mesh, or set CLRELIGHT_DATA: its meshes/armadillo.ply is taken")
     surface = read_mesh(mesh or Path(os.environ["CLRELIGHT_DATA"]) / "meshes" / "armadillo.ply")
     local = replace(surface, tangents_v3=frames_of(surface.normals_v3)[:, 0])
-    maps = diffuse_map(replace(surface, tangents_v3=None), samples, "common"), diffuse_map(local, samples, "local")
+    maps = diffuse_map(replace(surface, tangents_v3=None), samples, "global"), diffuse_map(local, samples, "local")
     show_parts({"orders": order_table(*maps, open_device(None))}, markdown)
 
 

@@ -38,15 +38,15 @@ from clrelight.cli.progress import progress_bar
 @click.option("--shadows/--no-shadows", "shadowed", default=True, help="Whether the mesh takes light from itself.")
 @click.option(
     "--frame",
-    type=click.Choice(["common", "local"]),
-    default="common",
+    type=click.Choice(["global", "local"]),
+    default="global",
     show_default=True,
     help="Axes of views: the mesh's, or each vertex's own.",
 )
 @click.option(
     "--light-frame",
-    type=click.Choice(["common", "local"]),
-    default="common",
+    type=click.Choice(["global", "local"]),
+    default="global",
     show_default=True,
     help="Axes of the light; local, beside local views, makes operators alike: codecs take less.",
 )
@@ -58,6 +58,8 @@ from clrelight.cli.progress import progress_bar
     help="Order of the vertices, for codecs; blocks and sorted are images of them.",
 )
 @click.option("--add", type=click.Path(), metavar="TRANSFER", help="Diffuse transfer of the same vertices, added.")
+@click.option("--colors", is_flag=True, help="Scale the matte part by the colours that the file has.")
+@click.option("--up", type=click.Choice(["y", "z"]), help="Axis of the file that points up; default: z, of GLB y.")
 @memory_option("256MiB", "a tile of vertices")
 @json_option
 def operators(mesh: str, out: str, as_json: bool, **asked: Any) -> None:

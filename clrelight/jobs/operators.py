@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import overload
 
 import numpy as np
@@ -30,7 +29,7 @@ from clrelight.store import open_fit, write_fit
 from clrelight.store.fits import create_fit
 from clrelight.surface import Surface
 from clrelight.transfer.brdfs import Brdf, Colour, parse_brdf
-from clrelight.transfer.lobes import frames_of
+from clrelight.transfer.frames import with_frames
 from clrelight.transfer.mesh_files import read_mesh
 from clrelight.transfer.operator_plan import OperatorPlan, plan_operators
 from clrelight.transfer.operators import channel_count, operator_map, operator_tiles
@@ -38,8 +37,6 @@ from clrelight.transfer.reflection import add_diffuse
 from clrelight.transfer.vertex_order import reorder
 
 MeshLike = Path | Surface
-FRAMES = ("common", "local")
-"""Axes of views: those of the mesh, or each vertex's own."""
 
 
 @overload
@@ -59,6 +56,8 @@ def transfer_operators(
     light_frame: str = ...,
     order: str = ...,
     add: FitLike | None = ...,
+    colors: bool = ...,
+    up: str | None = ...,
     memory: int | str = ...,
     progress: Progress | None = ...,
     report: Report | None = ...,
@@ -82,6 +81,8 @@ def transfer_operators(
     light_frame: str = ...,
     order: str = ...,
     add: FitLike | None = ...,
+    colors: bool = ...,
+    up: str | None = ...,
     memory: int | str = ...,
     progress: Progress | None = ...,
     report: Report | None = ...,
@@ -100,10 +101,12 @@ def transfer_operators(
     samples: int = 1024,
     extension: str = "smooth",
     shadowed: bool = True,
-    frame: str = "common",
-    light_frame: str = "common",
+    frame: str = "global",
+    light_frame: str = "global",
     order: str = "file",
     add: FitLike | None = None,
+    colors: bool = False,
+    up: str | None = None,
     memory: int | str = DEFAULT_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -131,7 +134,7 @@ def transfer_operators(
     shadowed : bool
         Whether the mesh takes light from itself.
     frame : str
-        ``"common"``: views in the axes of the mesh; ``"local"``: in each vertex's frame.
+        ``"global"``: views in the axes of the mesh; ``"local"``: in each vertex's frame.
     light_frame : str
         The same of the light; ``"local"`` needs local views. The light is then turned for each vertex when it is used,
         and operators differ only by what is hidden: codecs take far less for them.
@@ -139,6 +142,10 @@ def transfer_operators(
         Of the vertices: ``"file"``, ``"morton"``, ``"hilbert"``, ``"graph"``; as images ``"blocks"``, ``"sorted"``.
     add : path or CoefficientMap, optional
         Diffuse transfer of the same vertices in the same order, which is added.
+    colors : bool
+        Scale the matte part by the colours that the file has.
+    up : str, optional
+        The axis of the file that points up: ``"y"`` or ``"z"``; default: z, of GLB y.
     memory : int or str
         Bytes that a tile may take, such as ``"1GiB"``.
     progress, report
@@ -156,13 +163,11 @@ def transfer_operators(
     """
     kept, budget = report_for(report), count_bytes(memory)
     function = brdf if isinstance(brdf, Brdf) else parse_brdf(str(brdf), diffuse, specular)
-    if frame not in FRAMES:
-        raise InputError(f"views are in the {' or '.join(FRAMES)} frame, got {frame!r}")
     views = None if view_degree is None else whole(view_degree, "view degree")
     target = None if out is None else path_text(out, "a fit to write")
     with claimed([target], paths_among(mesh, add), kept):
         since = time.perf_counter()
-        surface = reorder(_framed(take_surface(mesh), frame), order)[0]
+        surface = reorder(with_frames(take_surface(mesh, colors=colors, up=up), frame), order)[0]
         kept.note(*surface.notes)
         with stage(progress, "planning"):
             plan = plan_operators(
@@ -190,26 +195,17 @@ def transfer_operators(
     return kept
 
 
-def take_surface(mesh: MeshLike) -> Surface:
-    """Return the surface of a mesh file, or of a fit of ours; InputError where there is none."""
+def take_surface(mesh: MeshLike, *, colors: bool = False, up: str | None = None) -> Surface:
+    """Return the surface of a mesh file (see `read_mesh`), or of a fit of ours; InputError where there is none."""
     if isinstance(mesh, Surface):
         return mesh
     name = path_text(mesh, "a mesh")
     if not name.lower().endswith((".h5", ".hdf5")):
-        return read_mesh(name)
+        return read_mesh(name, colors=colors, up=up)
     with open_fit(name) as fitted:
         if fitted.surface is None:
             raise InputError(f"{name} holds a fit of no surface: give a mesh")
         return fitted.surface
-
-
-def _framed(surface: Surface, frame: str) -> Surface:
-    """Return the surface with the frames that are asked for: its own tangents where it has some."""
-    if frame == "common":
-        return replace(surface, tangents_v3=None)
-    if surface.tangents_v3 is not None:
-        return surface
-    return replace(surface, tangents_v3=frames_of(surface.normals_v3)[:, 0])
 
 
 class _Job:

@@ -20,7 +20,7 @@ from clrelight.transfer.lobes import lobe_rule, matte_rule
 EXTENSIONS = ("smooth", "least-squares", "mirror", "zero")
 """How views, which are known above the horizon, become functions on the sphere: see `extension_matrix`."""
 
-LIGHT_FRAMES = ("common", "local")
+LIGHT_FRAMES = ("global", "local")
 """Axes of the light that operators take: the positions', or each vertex's, to which it is then turned when used."""
 
 SMOOTHING = 1e-5
@@ -64,7 +64,7 @@ def plan_operators(
     view_degree: int | None = None,
     samples: int = 1024,
     extension: str = "smooth",
-    light_frame: str = "common",
+    light_frame: str = "global",
 ) -> OperatorPlan:
     """Return the tables that operators of a BRDF are made of.
 

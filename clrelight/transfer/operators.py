@@ -36,7 +36,7 @@ def transfer_operators(
     view_degree: int | None = None,
     samples: int = 1024,
     extension: str = "smooth",
-    light_frame: str = "common",
+    light_frame: str = "global",
     shadowed: bool = True,
     memory: int = DEFAULT_MEMORY,
     progress: Callable[[int, int], object] | None = None,

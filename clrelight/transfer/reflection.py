@@ -107,7 +107,7 @@ def reflected_coefficients(operators: CoefficientMap, light_kc: NDArray[np.float
 
 def _light_frames(operators: CoefficientMap) -> NDArray[np.float64] | None:
     """Return the frames that light is to be turned to, None where operators take it in the axes of the positions."""
-    if operators.config.get("light_frame", "common") == "common":
+    if operators.config.get("light_frame", "global") == "global":
         return None
     if operators.surface is None or operators.surface.tangents_v3 is None:
         raise InputError("these operators take light in frames of vertices, but have no surface with tangents: give it")
@@ -134,7 +134,7 @@ def add_diffuse(operators: CoefficientMap, transfer: CoefficientMap) -> Coeffici
             f"transfer of degree {transfer.degree} and {transfer.image_shape[:2]} does not go with operators for "
             f"light of degree {light_degree} and {operators.image_shape[:2]}"
         )
-    if operators.config.get("light_frame", "common") != "common":
+    if operators.config.get("light_frame", "global") != "global":
         raise InputError("these operators take light in frames of vertices, transfer vectors in the axes of the mesh")
     if transfer.surface is not None and transfer.surface.tangents_v3 is not None:
         raise InputError("transfer vectors in frames of vertices cannot be added: make them in the axes of the mesh")
