@@ -123,6 +123,10 @@ def test_transfer_is_added(folder, glossy, tmp_path):
         ("reflect glossy.h5 o.h5 --light glossy.h5", "light/1"),
         ("reflect sky.h5 o.h5 --light sky.h5", "light/1"),
         ("reflect glossy.h5 o.h5", "--light"),
+        ("relight glossy.h5 o.png --light 0,0,1", "clrelight reflect"),
+        ("relight glossy.h5 o.png --light sky.h5", "clrelight reflect"),
+        ("operators missing.ply o.h5", "missing.ply"),
+        ("operators balls.xyz o.h5", "balls.xyz"),
     ],
 )
 def test_bad_input_is_told_in_a_line(folder, glossy, monkeypatch, line, words):

@@ -167,8 +167,13 @@ def transfer_operators(
     target = None if out is None else path_text(out, "a fit to write")
     with claimed([target], paths_among(mesh, add), kept):
         since = time.perf_counter()
-        surface = reorder(with_frames(take_surface(mesh, colors=colors, up=up), frame), order)[0]
-        kept.note(*surface.notes)
+        with stage(progress, "reading the mesh"):
+            read = with_frames(take_surface(mesh, colors=colors, up=up), frame)
+            kept.note(*read.notes)
+            since = kept.add("read", since)
+        with stage(progress, "ordering vertices"):
+            surface = reorder(read, order)[0]
+            since = kept.add("order", since)
         with stage(progress, "planning"):
             plan = plan_operators(
                 function,

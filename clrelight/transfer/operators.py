@@ -23,6 +23,7 @@ from clrelight.transfer.brdfs import Brdf
 from clrelight.transfer.lobes import frames_of
 from clrelight.transfer.operator_plan import OperatorPlan, plan_operators
 from clrelight.transfer.rays import RayScene
+from clrelight.transfer.reflection import OPERATOR
 from clrelight.transfer.turns import frame_rotations
 
 _VERTICES_AT_ONCE = 4096
@@ -84,7 +85,7 @@ def operator_map(operators_dhwc: Any, surface: Surface, plan: OperatorPlan) -> C
     return CoefficientMap(
         operators_dhwc,
         degree,
-        "operator",
+        OPERATOR,
         1.0,
         "linear",
         plan.lights_s3,

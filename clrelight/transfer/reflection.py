@@ -15,6 +15,8 @@ from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import PIECE_BYTES
 from clrelight.transfer.turns import frame_rotations
 
+OPERATOR = "operator"
+"""Of maps of operators, in place of a fit."""
 METHOD = "reflected"
 """Of maps of radiance over views, in place of a fit."""
 
