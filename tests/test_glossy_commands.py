@@ -23,7 +23,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("glossy")
     first, second = trimesh.creation.icosphere(1), trimesh.creation.icosphere(1)
     second.apply_translation([0, 0, 2.1])
-    trimesh.util.concatenate([first, second]).export(str(path / "balls.ply"))
+    trimesh.util.concatenate([first, second]).export(str(path / "balls.ply"), vertex_normal=True)
     succeed("light", path / "sky.h5", "--sky", "clear", "--sun", "35,120", "--degree", 4)
     return path
 
