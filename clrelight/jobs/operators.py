@@ -28,6 +28,7 @@ from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import open_fit, write_fit
 from clrelight.store.fits import create_fit
 from clrelight.surface import Surface
+from clrelight.threads import on_one_thread
 from clrelight.transfer.brdfs import Brdf, Colour, parse_brdf
 from clrelight.transfer.frames import with_frames
 from clrelight.transfer.mesh_files import read_mesh
@@ -165,7 +166,7 @@ def transfer_operators(
     function = brdf if isinstance(brdf, Brdf) else parse_brdf(str(brdf), diffuse, specular)
     views = None if view_degree is None else whole(view_degree, "view degree")
     target = None if out is None else path_text(out, "a fit to write")
-    with claimed([target], paths_among(mesh, add), kept):
+    with claimed([target], paths_among(mesh, add), kept), on_one_thread():
         since = time.perf_counter()
         with stage(progress, "reading the mesh"):
             read = with_frames(take_surface(mesh, colors=colors, up=up), frame)
