@@ -18,6 +18,7 @@ from benchmarks.lighting import Table, show_parts
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
+from clrelight.images import write_image
 from clrelight.surface import Surface
 from clrelight.transfer.brdfs import Diffuse
 from clrelight.transfer.lobes import frames_of
@@ -34,15 +35,31 @@ FIXED = {"s3tc": {}, "uniform": {"bits": 6}}
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("mesh", required=False, type=click.Path(path_type=Path))
 @click.option("--samples", type=click.IntRange(min=16), default=1024, show_default=True, help="Rays of each vertex.")
+@click.option("--picture", type=click.Path(dir_okay=False), metavar="FILE.png", help="Draw normals in three images.")
 @click.option("--markdown", type=click.Path(dir_okay=False, path_type=Path), help="Replace the table of a page.")
-def main(mesh: Path | None, samples: int, markdown: Path | None) -> None:
+def main(mesh: Path | None, samples: int, picture: str | None, markdown: Path | None) -> None:
     """Encode diffuse, shadowed transfer of degree 4 in every order, and print bytes and errors."""
     if mesh is None and "CLRELIGHT_DATA" not in os.environ:
         raise InputError("give a mesh, or set CLRELIGHT_DATA: its meshes/armadillo.ply is taken")
     surface = read_mesh(mesh or Path(os.environ["CLRELIGHT_DATA"]) / "meshes" / "armadillo.ply")
+    if picture is not None:
+        draw(surface, picture)
+        return
     local = replace(surface, tangents_v3=frames_of(surface.normals_v3)[:, 0])
     maps = diffuse_map(replace(surface, tangents_v3=None), samples, "global"), diffuse_map(local, samples, "local")
     show_parts({"orders": order_table(*maps, open_device(None))}, markdown)
+
+
+def draw(surface: Surface, picture: str) -> None:
+    """Write the normals, as colours, of images in three orders side by side."""
+    images = []
+    for order in ("file", "hilbert", "sorted"):
+        folded = fold_surface(surface, order)[0]
+        shown_hwc = (127.5 + 127.5 * folded.normals_v3.reshape(*folded.map_shape, 3)).round().astype(np.uint8)
+        images.append(
+            np.pad(shown_hwc.repeat(2, axis=0).repeat(2, axis=1), ((0, 0), (0, 8), (0, 0)), constant_values=255)
+        )
+    write_image(picture, np.concatenate(images, axis=1)[:, :-8])
 
 
 def diffuse_map(surface: Surface, samples: int, light_frame: str) -> CoefficientMap:

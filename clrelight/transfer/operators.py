@@ -88,7 +88,7 @@ def operator_map(operators_dhwc: Any, surface: Surface, plan: OperatorPlan) -> C
         OPERATOR,
         1.0,
         "linear",
-        plan.lights_s3,
+        np.array([[0.0, 0.0, 1.0]]),  # entries are of no lights
         config=plan.config,
         name=surface.name,
         surface=surface,
