@@ -19,10 +19,12 @@ from clrelight.cli import (
     irradiance,
     light,
     machines,
+    operators,
     pack,
     plan_lights,
     psnr,
     relight,
+    sampled,
     trade,
     transfer,
 )
@@ -53,7 +55,7 @@ def cli() -> None:
 
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, export),
-    *(light, irradiance, psnr, experiments, trade, transfer),
+    *(light, sampled, irradiance, psnr, experiments, trade, operators, transfer),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
