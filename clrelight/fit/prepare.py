@@ -121,6 +121,14 @@ def prepare_fit(
     return PreparedFit(stack, method, degree, config, plan, device, report, choice, precision)
 
 
+def check_lights(stack: LightStack, method: str | FitMethod, degree: int | str) -> None:
+    """Raise the InputError of `prepare_fit` for which there is reason without a look at the samples."""
+    methods, degrees = _check_model(method, degree, {})
+    learns = type(methods[0]).settle is not FitMethod.settle
+    if AUTO not in (method, degree) and not learns:
+        methods[0].plan(make_lighting(stack, "uniform", "hemisphere"), degrees[0])
+
+
 def _note_precision(method: FitMethod, plan: FitPlan, precision: str, device: Device) -> list[str]:
     notes = []
     if precision == MIXED and method.is_refined and not device.info.float64:
