@@ -8,6 +8,7 @@ byte of each file to 0x00 and then to 0xFF, one at a time.
 import faulthandler
 import tempfile
 import zlib
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -25,8 +26,9 @@ from clrelight.store import writing
 from tests import campaign
 from tests.campaign import Tally, bounded
 from tests.hdf5 import content
+from tests.surfaces import make_grid
 
-KINDS = ("stack", "fit", "encoded", "results", "light")
+KINDS = ("stack", "fit", "encoded", "results", "light", "surface")
 WAYS = ("files", "refused", "same")
 """What becomes of files: refused, or read as the sound one, which holds bytes that nobody needs."""
 FREE_BYTES = 1 << 28
@@ -63,6 +65,8 @@ def write_all(folder):
         pictures = {f"ring/uls/{i}": rng.integers(0, 256, (4, 5, 3), np.uint8) for i in range(9)}
         store.write_results(paths["results"], Results(table, pictures, {"ring/uls/6": np.linspace(0, 1, 49)}))
         store.write_light(paths["light"], Light(rng.standard_normal((9, 3)), "sky", "", {"cap": 1.5}))
+        surface = make_grid(*size[:2])
+        store.write_fit(paths["surface"], replace(fit, surface=surface))
     finally:
         writing.CHUNK_BYTES = whole
     return paths

@@ -8,7 +8,7 @@ from clrelight.surface import Surface
 from clrelight.transfer.cameras import Camera, frame_surface, picture_size
 from clrelight.transfer.rays import RayScene
 from clrelight.transfer.views import check_view, look, render_surface
-from tests.surfaces import meet_sphere, pixel_rays, sphere, torus_grid, unit
+from tests.rendering import meet_sphere, pixel_rays, sphere, torus_grid, unit
 
 CAMERA = Camera((3.0, -4.0, 2.0), (0.1, 0.0, 0.05), field_of_view=33.0)
 

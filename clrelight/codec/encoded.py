@@ -44,8 +44,8 @@ class Encoded:
     info : mapping
         What else the codec measured, such as ``entropy_bits`` (an estimate, bits per coefficient).
     record : FitRecord, optional
-        What becomes a fit again with the coefficients; arrays alone have none, and no two encodings differ by it. Its
-        directions are rounded as those of a file are.
+        What becomes a fit again with the coefficients; arrays alone have none, and no two encodings differ by it. As
+        of a file, its directions are rounded, and it holds no surface.
     due_sum : int, optional
         The checksum that header and body should have, where they were not compared with it yet: `summed` does that.
     """
@@ -61,7 +61,7 @@ class Encoded:
     def __post_init__(self) -> None:
         if self.record is not None:
             kept_i3 = kept_directions(self.record.directions_i3)
-            object.__setattr__(self, "record", replace(self.record, directions_i3=kept_i3))
+            object.__setattr__(self, "record", replace(self.record, directions_i3=kept_i3, surface=None))
 
     @property
     def encoded_bytes(self) -> int:

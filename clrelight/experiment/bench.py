@@ -207,7 +207,8 @@ class Bench:
             except InputError as error:
                 raise _RefusalError(str(error)) from error
             # A kernel is built when it is first launched, which is no part of the time of a fit.
-            first_row = replace(self.fit_stack, images_ihwc=self.fit_stack.images_ihwc[:, :1], mask_hw=None)
+            row_ihwc = self.fit_stack.images_ihwc[:, :1]
+            first_row = replace(self.fit_stack, images_ihwc=row_ihwc, mask_hw=None, surface=None)
             collect_fit(replace(prepared, stack=first_row, report=FitReport()))
             planned = sum(prepared.report.seconds.values())
             coefficients, seconds = self._timed(lambda: collect_fit(prepared), _BUILDING)

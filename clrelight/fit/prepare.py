@@ -67,7 +67,14 @@ class PreparedFit:
         """What the fit holds beside its maps."""
         stack = self.stack
         return FitRecord(
-            self.degree, self.method.id, stack.peak, stack.transfer, stack.directions_i3, self.config, stack.name
+            self.degree,
+            self.method.id,
+            stack.peak,
+            stack.transfer,
+            stack.directions_i3,
+            self.config,
+            stack.name,
+            stack.surface,
         )
 
 

@@ -53,7 +53,9 @@ class RayScene:
         self._scale = 1.0 / (surface.diagonal or 1.0)
         self._scene: Any = EmbreeScene()
         TriangleMesh(self._scene, self._local(surface.vertices_v3), surface.faces_f3)
-        self._run(np.zeros((1, 3), np.float32), np.float32([[0, 0, 1]]), query="OCCLUDED")  # the tree is built now
+        self._run(
+            np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32), query="OCCLUDED"
+        )  # the tree is built now
         self.starts_v3 = self._local(surface.vertices_v3 + OFFSET * surface.diagonal * surface.normals_v3)
 
     def occluded(self, vertices_r: NDArray[np.intp], directions_r3: NDArray[np.float32]) -> NDArray[np.bool_]:
