@@ -19,10 +19,12 @@ from clrelight.cli import (
     irradiance,
     light,
     machines,
+    operators,
     pack,
     plan_lights,
     psnr,
     relight,
+    sampled,
     trade,
 )
 from clrelight.errors import InputError, KernelBuildError
@@ -52,7 +54,7 @@ def cli() -> None:
 
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, export),
-    *(light, irradiance, psnr, experiments, trade),
+    *(light, sampled, irradiance, psnr, experiments, trade, operators),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
