@@ -10,13 +10,21 @@ import numpy as np
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.sampling import make_pattern
+from clrelight.transfer.brdfs import BlinnPhong, Brdf, Ggx, Phong
 from clrelight.transfer.functions import sample_views
-from clrelight.transfer.materials import MATERIALS
 from datasets_synth.codes import check_dtype, to_codes
 from datasets_synth.lady import lady_surface
 from datasets_synth.studio import studio_lights
 
 SMALLEST_SIZE = 8
+
+_MATTE, _GLOSS = (0.40, 0.34, 0.27), 0.33
+MATERIALS: dict[str, Brdf] = {
+    "phong": Phong(_MATTE, _GLOSS, exponent=24.0),
+    "blinn": BlinnPhong(_MATTE, _GLOSS, exponent=80.0),
+    "ggx": Ggx(_MATTE, _GLOSS, roughness=0.55),
+}
+"""Polished stone, by models."""
 
 EXPOSURE = 0.5
 """Code value 1.0 is reached by a radiance of 2: white marble that faces the key light squarely is just below."""
@@ -47,7 +55,7 @@ def render_dama(
     dtype : str
         One of `datasets_synth.codes.DTYPES`; the floats keep highlights above the peak.
     material : str
-        One of `clrelight.transfer.materials.MATERIALS`.
+        One of `MATERIALS`: modified Phong, Blinn-Phong, or microfacets.
     progress : callable, optional
         Called as ``progress(done, total)``.
 
@@ -68,5 +76,5 @@ def render_dama(
     check_dtype(dtype)
     views_i3 = make_pattern(pattern, lights, seed)
     surface, light = lady_surface(size, size), studio_lights()
-    stack = sample_views(surface, views_i3, light, MATERIALS[material](), progress=progress)
+    stack = sample_views(surface, views_i3, light, MATERIALS[material], progress=progress)
     return to_codes(replace(stack, images_ihwc=np.float32(EXPOSURE) * stack.images_ihwc), dtype)

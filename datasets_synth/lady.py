@@ -1,4 +1,4 @@
-"""The sculpture of the "dama" scene: the bust of a lady with a bun and a pleated shawl, our own, as a parameter grid."""
+"""The sculpture of the "dama" scene: a lady with a bun and a pleated shawl, as a parameter grid."""
 
 from __future__ import annotations
 

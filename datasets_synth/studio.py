@@ -59,7 +59,7 @@ def studio_radiance(directions_n3: NDArray[np.float64]) -> NDArray[np.float64]:
     return radiance_n3
 
 
-def studio_lights(per_area: int = 32, room: int = 96) -> FixedLight:
+def studio_lights(per_area: int = 20, room: int = 40) -> FixedLight:
     """Return the studio as distant lights: so many for each area light, and so many for the room without them."""
     directions, irradiance = [], []
     for light in STUDIO:
@@ -69,8 +69,7 @@ def studio_lights(per_area: int = 32, room: int = 96) -> FixedLight:
         irradiance.append(np.tile(np.array(light.radiance) * solid_angle / per_area, (per_area, 1)))
     around_m3 = make_pattern("uniform", room, sphere=True)
     lit_by_areas_m3 = sum(
-        np.outer(around_m3 @ light.direction > math.cos(math.radians(light.radius)), light.radiance)
-        for light in STUDIO
+        np.outer(around_m3 @ light.direction > math.cos(math.radians(light.radius)), light.radiance) for light in STUDIO
     )
     directions.append(around_m3)
     irradiance.append((studio_radiance(around_m3) - lit_by_areas_m3) * (4.0 * math.pi / room))

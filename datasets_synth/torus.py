@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,15 @@ from clrelight.errors import InputError
 from clrelight.sampling import make_pattern
 from clrelight.surface import Surface
 from clrelight.transfer.functions import sample_transfer
-from datasets_synth.codes import to_codes
+from datasets_synth.codes import check_dtype, to_codes
 from datasets_synth.grids import grid_triangles
+from datasets_synth.texture import tile_albedo
 
 MAJOR, MINOR = 1.0, 0.42
 """Radii of the torus; the hole is narrow enough for the inner half to lie in shadow most of the time."""
 
 SMALLEST_SIZE = 8
+ALBEDOS = ("white", "tiles")
 
 
 def torus_surface(rows: int, columns: int, major: float = MAJOR, minor: float = MINOR) -> Surface:
@@ -54,9 +57,10 @@ def render_torus(
     pattern: str = "uniform",
     seed: int = 0,
     dtype: str = "float32",
+    albedo: str = "white",
     progress: Callable[[int, int], None] | None = None,
 ) -> LightStack:
-    """Return the torus's functions ``max(0, s_z) V(s)``, sampled in each vertex's own frame; it is white.
+    """Return the torus's functions ``albedo max(0, s_z) V(s)``, sampled in each vertex's own frame.
 
     Parameters
     ----------
@@ -67,16 +71,18 @@ def render_torus(
     pattern : str
         One of `clrelight.sampling.PATTERNS`.
     seed : int
-        Seed of the scattered pattern.
+        Seed of the tiles and of the scattered pattern.
     dtype : str
         One of `datasets_synth.codes.DTYPES`.
+    albedo : str
+        ``"white"``, or ``"tiles"``: the ring's ground, seen from above, in colour.
     progress : callable, optional
         Called as ``progress(done, total)``.
 
     Returns
     -------
     LightStack
-        ``images_ihwc`` of shape (lights, size, size, 1), with its surface, name ``"torus"``.
+        ``images_ihwc`` of shape (lights, size, size, 1 or 3), with its surface, name ``"torus"``.
 
     Raises
     ------
@@ -85,9 +91,15 @@ def render_torus(
     """
     if size < SMALLEST_SIZE:
         raise InputError(f"size must be at least {SMALLEST_SIZE} rows and columns, got {size}")
+    if albedo not in ALBEDOS:
+        raise InputError(f"albedo must be one of {', '.join(ALBEDOS)}, got {albedo!r}")
+    check_dtype(dtype)
     directions_i3 = make_pattern(pattern, lights, seed)
-    return to_codes(sample_transfer(torus_surface(size, size), directions_i3, progress=progress), dtype)
+    surface = torus_surface(size, size)
+    if albedo == "tiles":
+        surface = replace(surface, albedo_vc=tile_albedo(surface.vertices_v3[:, :2], seed).astype(np.float32))
+    return to_codes(sample_transfer(surface, directions_i3, progress=progress), dtype)
 
 
 def _turn(count: int) -> NDArray[np.float64]:
-    return np.arange(count) * (2.0 * math.pi / count)
+    return np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)

@@ -20,7 +20,7 @@ from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.memory import PIECE_BYTES
 from clrelight.surface import Surface
-from clrelight.transfer.materials import Material
+from clrelight.transfer.brdfs import Brdf
 from clrelight.transfer.rays import RayScene
 
 KINDS = ("unshadowed", "shadowed")
@@ -123,25 +123,24 @@ def sample_views(
     surface: Surface,
     views_i3: NDArray[np.floating],
     light: FixedLight,
-    material: Material,
+    brdf: Brdf,
     *,
     shadowed: bool = True,
     progress: Progress | None = None,
 ) -> LightStack:
     """Return the radiance that each vertex sends to eyes in many directions, under a light that stays (eq. 2).
 
-    ``L(v) = sum over lights of E_l f(s_l, v) max(0, n.s_l) V(s_l)`` with the material's BRDF f; the lights have one
-    ray each to each vertex.
+    ``L(v) = sum over lights of E_l f(s_l, v) max(0, n.s_l) V(s_l)``, with one ray from each vertex to each light.
 
     Parameters
     ----------
     surface : Surface
-        With tangents. Its albedo, where it has one, colours the whole material.
+        With tangents. Its albedo, where it has one, scales the matte part of the BRDF.
     views_i3 : array_like, shape (n_view, 3)
         Unit vectors to the eyes, in each vertex's own frame, z > 0.
     light : FixedLight
-    material : Material
-        See `clrelight.transfer.materials`; it mirrors alike whatever the tangents are.
+    brdf : Brdf
+        f, see `clrelight.transfer.brdfs`.
     shadowed : bool
         Whether other parts of the surface stand in the way of the light.
     progress : callable, optional
@@ -168,7 +167,7 @@ def sample_views(
     scene = RayScene(surface) if shadowed else None
     samples_ivc = np.empty((len(views_i3), surface.n_vertex, 3), np.float32)
     albedo_vc = np.ones((surface.n_vertex, 1), np.float32) if surface.albedo_vc is None else surface.albedo_vc
-    frames_v33, views = surface.frames(), views_i3.astype(np.float32)
+    frames_v33 = surface.frames()
 
     def fill(vertices_v: NDArray[np.intp]) -> None:
         for vertex in vertices_v:
@@ -178,13 +177,18 @@ def sample_views(
                 rays_r3 = light.directions_l3[above_l].astype(np.float32)
                 above_l = above_l[~scene.occluded(np.full(len(above_l), vertex), rays_r3)]
             arriving_lc = light.irradiance_lc[above_l] * lights_l3[above_l, 2:]
-            sent_ic = np.zeros((len(views), 3), np.float32)
-            for colour, lobe_li in material.lobes(lights_l3[above_l].astype(np.float32), views):
-                sent_ic += lobe_li.T @ (arriving_lc * colour).astype(np.float32)
-            samples_ivc[:, vertex] = sent_ic * albedo_vc[vertex]
+            pair = lights_l3[above_l, None], views_i3[None]
+            sent_ic = _sum_lights(arriving_lc * albedo_vc[vertex], brdf.matte(*pair))
+            samples_ivc[:, vertex] = sent_ic + _sum_lights(arriving_lc, brdf.gloss(*pair))
 
-    _in_tiles(fill, surface.n_vertex, len(light.directions_l3) * len(views) * 4, progress)
+    _in_tiles(fill, surface.n_vertex, len(light.directions_l3) * len(views_i3) * 64, progress)
     return _stack_of(surface, samples_ivc, views_i3)
+
+
+def _sum_lights(arriving_lc: NDArray[np.float64], reflected_lic: NDArray[np.float64]) -> NDArray[np.float64]:
+    if reflected_lic.shape[2] == 1:
+        return reflected_lic[..., 0].T @ arriving_lc
+    return np.stack([arriving_c @ reflected_lic[..., c] for c, arriving_c in enumerate(arriving_lc.T)], axis=1)
 
 
 def _in_tiles(
