@@ -23,8 +23,8 @@ DEFAULT_SCENE = "ring"
 PAPER_METHODS = ("uls", "sloan", "cls", "ceb")
 PAPER_RATES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Bits per coefficient of the wavelet curve, figure 15."""
-PICTURE_RATE = 4.0
-"""Of the wavelet rows, the rate whose pictures are kept (figures 4c, 8c, 12c)."""
+PICTURE_RATES = (4.0, 1.0)
+"""Of the wavelet rows, the rates whose pictures are kept: figures 4c, 8c, 12c; and where our wavelet's noise shows."""
 
 
 TYPE_NAMES: dict[type, str] = {
@@ -62,8 +62,8 @@ class CodecSetting:
 
     @property
     def is_pictured(self) -> bool:
-        """Whether the results keep its pictures: of the paper's curve of wavelet rates, those at `PICTURE_RATE`."""
-        return self.id != "wavelet" or self.rate == PICTURE_RATE
+        """Whether the results keep its pictures: of the paper's curve of wavelet rates, those at `PICTURE_RATES`."""
+        return self.id != "wavelet" or self.rate in PICTURE_RATES
 
     @property
     def picture_name(self) -> str:
