@@ -31,13 +31,14 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
-    from clrelight.jobs.operators import reflect as reflect
     from clrelight.jobs.operators import transfer_operators as transfer_operators
     from clrelight.jobs.pack import pack as pack
+    from clrelight.jobs.reflect import reflect as reflect
     from clrelight.jobs.relight import relight as relight
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
+    from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
     from clrelight.lighting.environment import Environment as Environment
     from clrelight.lighting.environment import read_environment as read_environment
@@ -66,6 +67,8 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.store import write_fit as write_fit
     from clrelight.store import write_light as write_light
     from clrelight.store import write_stack as write_stack
+    from clrelight.surface import Surface as Surface
+    from clrelight.transfer.mesh_files import read_mesh as read_mesh
 
 __version__ = "0.1.0"
 
@@ -84,11 +87,13 @@ _MODULES = {
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
-    "jobs.operators": "reflect transfer_operators",
+    "jobs.operators": "transfer_operators",
     "jobs.pack": "pack",
+    "jobs.reflect": "reflect",
     "jobs.relight": "relight",
     "jobs.report": "Note Report",
     "jobs.target": "encode_to_quality",
+    "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
     "lighting.environment": "Environment read_environment",
     "lighting.expressions": "parse_expression",
@@ -103,6 +108,8 @@ _MODULES = {
     "report": "write_report",
     "store": "open_fit open_stack read_encoded read_fit read_light read_results "
     "write_encoded write_fit write_light write_stack",
+    "surface": "Surface",
+    "transfer.mesh_files": "read_mesh",
 }
 _HOMES = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names.split()}
 
@@ -138,7 +145,7 @@ class _Verb:
 class _Package(ModuleType):
     """The package, whose verbs of the names of its modules stay verbs."""
 
-    export, fit, ingest, relight = map(_Verb, ("export", "fit", "ingest", "relight"))
+    export, fit, ingest, relight, transfer = map(_Verb, ("export", "fit", "ingest", "relight", "transfer"))
 
 
 sys.modules[__name__].__class__ = _Package

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from clrelight.errors import InputError
-from clrelight.transfer import brdfs
-from clrelight.transfer.brdfs import BlinnPhong, Diffuse, Ggx, Phong, lobe_rule, parse_brdf
+from clrelight.transfer.brdfs import BlinnPhong, Diffuse, Ggx, Phong, parse_brdf
+from clrelight.transfer.lobes import frames_of, lobe_rule
 from tests.reference import reflection
 from tests.reference.basis import real_harmonics
 
@@ -85,7 +85,7 @@ def test_the_rule_around_a_lobe_integrates_it(name, angle):
 
 def test_frames_are_frames():
     z = np.concatenate([directions(50, 3), -directions(50, 4), [[0, 0, 1], [0, 0, -1]]])
-    frames = brdfs.frames_of(z)
+    frames = frames_of(z)
     np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), np.tile(np.eye(3), (len(z), 1, 1)), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(frames), 1, atol=1e-12)
     np.testing.assert_array_equal(frames[:, 2], z)

@@ -1,14 +1,20 @@
 """Glossy operators against direct integration in float64, diffuse transfer, and each other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
 from clrelight.surface import Surface
-from clrelight.transfer.brdfs import BlinnPhong, Diffuse, Ggx, Phong, frames_of
-from clrelight.transfer.operators import EXTENSIONS, extension_matrix, plan_operators, transfer_operators
+from clrelight.transfer.brdfs import BlinnPhong, Diffuse, Ggx, Phong
+from clrelight.transfer.lobes import frames_of
+from clrelight.transfer.operator_plan import EXTENSIONS, extension_matrix, plan_operators
+from clrelight.transfer.operators import transfer_operators
 from clrelight.transfer.reflection import add_diffuse, operator_degrees, reflect, reflect_map, reflected_coefficients
+from clrelight.transfer.samples import Samples
+from clrelight.transfer.transport import transfer_vertices
 from clrelight.transfer.turns import frame_rotations
 from tests.reference import reflection
 from tests.reference.basis import real_harmonics
@@ -174,6 +180,23 @@ def sphere(degree):
     return nodes, np.repeat(weight * 2 * np.pi / (2 * degree + 1), 2 * degree + 1)
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+def test_light_may_be_turned_when_it_is_used(channels):
+    light = np.random.default_rng(6).standard_normal((25, channels))
+    brdf = Phong(exponent=8, diffuse=(0.2, 0.3, 0.1), specular=0.6)
+    surface = walled()
+    common = transfer_operators(surface, brdf, 4, samples=256)
+    local = transfer_operators(surface, brdf, 4, samples=256, light_frame="local")
+    assert abs(common.coeffs_khwc - local.coeffs_khwc).max() > 0.1
+    expected = reflected_coefficients(common, light)
+    np.testing.assert_allclose(reflected_coefficients(local, light), expected, atol=1e-5)
+    np.testing.assert_allclose(reflect(local, light, UP), reflect(common, light, UP), atol=1e-5)
+    with pytest.raises(InputError, match="tangents"):
+        transfer_operators(patch(tangents=False), brdf, 4, light_frame="local")
+    with pytest.raises(InputError, match="no surface"):
+        reflected_coefficients(replace(local, surface=None), light)
+
+
 def test_rotations_into_frames():
     frames = np.stack([turn(seed) for seed in range(6)])
     coeffs = np.random.default_rng(1).standard_normal(36)
@@ -288,3 +311,23 @@ def test_smoothing_keeps_coefficients_small():
 def test_what_cannot_be_planned_is_refused(options, words):
     with pytest.raises(InputError, match=words):
         plan_operators(Phong(), **options)
+
+
+def test_diffuse_operators_are_transfer_of_the_same_directions():
+    """Row by row, with the directions that each vertex looks in handed to `transfer_vertices`."""
+    rng = np.random.default_rng(8)
+    vertices = rng.random((24, 3))
+    normals = np.stack([turn(seed)[0] for seed in range(24)])
+    surface = Surface(vertices, rng.permutation(24).reshape(8, 3), normals, frames_of(normals)[:, 0])
+    made = transfer_operators(surface, Diffuse(), 4, samples=500)
+    plan = plan_operators(Diffuse(), 4, samples=500)
+    table = plan.matte_sd.reshape(500, 25, 25)[:, 0, 0].astype(np.float64)
+    weights = table / (np.sqrt(4 * np.pi) / np.pi * np.sqrt(0.25 / np.pi) * plan.lights_s3[:, 2])
+    common = replace(surface, tangents_v3=None)
+    open_sky = transfer_operators(surface, Diffuse(), 4, samples=500, shadowed=False)
+    assert abs(open_sky.coeffs_khwc - made.coeffs_khwc).max() > 0.1
+    for vertex in range(0, 24, 5):
+        looked = plan.lights_s3 @ surface.frames()[vertex]
+        samples = Samples(looked / np.linalg.norm(looked, axis=1, keepdims=True), weights, False)
+        expected = transfer_vertices(common, 4, "shadowed", samples)[:, vertex, 0]
+        np.testing.assert_allclose(matrices(made, vertex)[0] * np.sqrt(0.25 / np.pi), expected, atol=1e-5)

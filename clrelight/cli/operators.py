@@ -38,19 +38,28 @@ from clrelight.cli.progress import progress_bar
 @click.option("--shadows/--no-shadows", "shadowed", default=True, help="Whether the mesh takes light from itself.")
 @click.option(
     "--frame",
-    type=click.Choice(["common", "local"]),
-    default="common",
+    type=click.Choice(["global", "local"]),
+    default="global",
     show_default=True,
     help="Axes of views: the mesh's, or each vertex's own.",
 )
 @click.option(
+    "--light-frame",
+    type=click.Choice(["global", "local"]),
+    default="global",
+    show_default=True,
+    help="Axes of the light; local, beside local views, makes operators alike: codecs take less.",
+)
+@click.option(
     "--order",
-    type=click.Choice(["file", "morton", "hilbert", "graph", "blocks"]),
+    type=click.Choice(["file", "morton", "hilbert", "graph", "blocks", "sorted"]),
     default="file",
     show_default=True,
-    help="Order of the vertices, for codecs; blocks is an image of them.",
+    help="Order of the vertices, for codecs; blocks and sorted are images of them.",
 )
 @click.option("--add", type=click.Path(), metavar="TRANSFER", help="Diffuse transfer of the same vertices, added.")
+@click.option("--colors", is_flag=True, help="Scale the matte part by the colours that the file has.")
+@click.option("--up", type=click.Choice(["y", "z"]), help="Axis of the file that points up; default: z, of GLB y.")
 @memory_option("256MiB", "a tile of vertices")
 @json_option
 def operators(mesh: str, out: str, as_json: bool, **asked: Any) -> None:
@@ -96,7 +105,7 @@ def reflect(glossy: str, out: str, light: str, mesh: str | None, device: str | N
     Example:
       clrelight reflect glossy.h5 seen.h5 --light grace.h5
     """
-    from clrelight.jobs.operators import reflect as run_reflect
+    from clrelight.jobs.reflect import reflect as run_reflect
     from clrelight.jobs.report import Report
 
     report = Report()

@@ -5,23 +5,18 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, FitRecord
-from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.jobs.inputs import (
     FitLike,
-    FittedLike,
     Path,
-    lend_coefficients,
     lend_fit,
-    opened_on,
     path_text,
     paths_among,
     whole,
@@ -29,21 +24,19 @@ from clrelight.jobs.inputs import (
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
-from clrelight.lighting.light import Light
 from clrelight.memory import DEFAULT_MEMORY
-from clrelight.store import open_fit, read_light, write_fit
+from clrelight.store import open_fit, write_fit
 from clrelight.store.fits import create_fit
 from clrelight.surface import Surface
-from clrelight.transfer.brdfs import Brdf, Colour, frames_of, parse_brdf
+from clrelight.transfer.brdfs import Brdf, Colour, parse_brdf
+from clrelight.transfer.frames import with_frames
 from clrelight.transfer.mesh_files import read_mesh
-from clrelight.transfer.operators import OperatorPlan, channel_count, operator_map, operator_tiles, plan_operators
-from clrelight.transfer.reflection import add_diffuse, reflect_map
-from clrelight.transfer.reflection import reflect as reflect_towards
+from clrelight.transfer.operator_plan import OperatorPlan, plan_operators
+from clrelight.transfer.operators import channel_count, operator_map, operator_tiles
+from clrelight.transfer.reflection import add_diffuse
 from clrelight.transfer.vertex_order import reorder
 
 MeshLike = Path | Surface
-FRAMES = ("common", "local")
-"""Axes of views: those of the mesh, or each vertex's own."""
 
 
 @overload
@@ -60,8 +53,11 @@ def transfer_operators(
     extension: str = ...,
     shadowed: bool = ...,
     frame: str = ...,
+    light_frame: str = ...,
     order: str = ...,
     add: FitLike | None = ...,
+    colors: bool = ...,
+    up: str | None = ...,
     memory: int | str = ...,
     progress: Progress | None = ...,
     report: Report | None = ...,
@@ -82,8 +78,11 @@ def transfer_operators(
     extension: str = ...,
     shadowed: bool = ...,
     frame: str = ...,
+    light_frame: str = ...,
     order: str = ...,
     add: FitLike | None = ...,
+    colors: bool = ...,
+    up: str | None = ...,
     memory: int | str = ...,
     progress: Progress | None = ...,
     report: Report | None = ...,
@@ -102,9 +101,12 @@ def transfer_operators(
     samples: int = 1024,
     extension: str = "smooth",
     shadowed: bool = True,
-    frame: str = "common",
+    frame: str = "global",
+    light_frame: str = "global",
     order: str = "file",
     add: FitLike | None = None,
+    colors: bool = False,
+    up: str | None = None,
     memory: int | str = DEFAULT_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -132,11 +134,18 @@ def transfer_operators(
     shadowed : bool
         Whether the mesh takes light from itself.
     frame : str
-        ``"common"``: views in the axes of the mesh; ``"local"``: in each vertex's frame.
+        ``"global"``: views in the axes of the mesh; ``"local"``: in each vertex's frame.
+    light_frame : str
+        The same of the light; ``"local"`` needs local views. The light is then turned for each vertex when it is used,
+        and operators differ only by what is hidden: codecs take far less for them.
     order : str
-        Of the vertices: ``"file"``, ``"morton"``, ``"hilbert"``, ``"graph"`` or ``"blocks"``, an image.
+        Of the vertices: ``"file"``, ``"morton"``, ``"hilbert"``, ``"graph"``; as images ``"blocks"``, ``"sorted"``.
     add : path or CoefficientMap, optional
         Diffuse transfer of the same vertices in the same order, which is added.
+    colors : bool
+        Scale the matte part by the colours that the file has.
+    up : str, optional
+        The axis of the file that points up: ``"y"`` or ``"z"``; default: z, of GLB y.
     memory : int or str
         Bytes that a tile may take, such as ``"1GiB"``.
     progress, report
@@ -154,14 +163,17 @@ def transfer_operators(
     """
     kept, budget = report_for(report), count_bytes(memory)
     function = brdf if isinstance(brdf, Brdf) else parse_brdf(str(brdf), diffuse, specular)
-    if frame not in FRAMES:
-        raise InputError(f"views are in the {' or '.join(FRAMES)} frame, got {frame!r}")
     views = None if view_degree is None else whole(view_degree, "view degree")
     target = None if out is None else path_text(out, "a fit to write")
     with claimed([target], paths_among(mesh, add), kept):
         since = time.perf_counter()
-        surface = reorder(_framed(take_surface(mesh), frame), order)[0]
-        kept.note(*surface.notes)
+        with stage(progress, "reading the mesh"):
+            read = with_frames(take_surface(mesh, colors=colors, up=up), frame)
+            kept.note(*read.notes)
+            since = kept.add("read", since)
+        with stage(progress, "ordering vertices"):
+            surface = reorder(read, order)[0]
+            since = kept.add("order", since)
         with stage(progress, "planning"):
             plan = plan_operators(
                 function,
@@ -169,6 +181,7 @@ def transfer_operators(
                 view_degree=views,
                 samples=whole(samples, "samples"),
                 extension=extension,
+                light_frame=light_frame,
             )
         plan.config["order"] = order
         since = kept.add("plan", since)
@@ -187,87 +200,17 @@ def transfer_operators(
     return kept
 
 
-def reflect(
-    operators: FittedLike,
-    light: Light | str | os.PathLike[str],
-    *,
-    view: ArrayLike | None = None,
-    out: str | os.PathLike[str] | None = None,
-    mesh: MeshLike | None = None,
-    device: Device | str | None = None,
-    progress: Progress | None = None,
-    report: Report | None = None,
-) -> CoefficientMap | NDArray[np.float32] | Report:
-    """Return what a glossy surface reflects under a light: towards an eye, or over all directions.
-
-    Parameters
-    ----------
-    operators : path, CoefficientMap or Encoded
-        Of `transfer_operators`, or encoded.
-    light : Light or path
-        In the axes of the mesh.
-    view : array_like, shape (3,) or (n_vertex, 3), optional
-        Directions from the surface to the eye, of any length. Radiance is returned, (height, width, channel) float32.
-        Without it a map of coefficients over directions to the eye.
-    out : path, optional
-        A fit file to write the map to; a view is not for files.
-    mesh : path or Surface, optional
-        The surface of operators that are encoded, in the same order.
-    device : Device or str, optional
-        For decoding.
-    progress, report
-        As of other verbs.
-    """
-    kept = report_for(report)
-    target = None if out is None else path_text(out, "a fit to write")
-    if target is not None and view is not None:
-        raise InputError("a file holds radiance over all directions: give no view beside it")
-    lit = light if isinstance(light, Light) else read_light(light)
-    inputs = paths_among(operators, light, mesh)
-    with (
-        claimed([target], inputs, kept),
-        opened_on(device, kept) as opened,
-        lend_coefficients(operators, opened, kept, progress) as lent,
-    ):
-        held = lent if mesh is None else replace(lent, surface=take_surface(mesh))
-        since = time.perf_counter()
-        with stage(progress, "reflecting"):
-            if view is not None:
-                towards = np.asarray(view, np.float64)
-                length = np.linalg.norm(towards, axis=-1, keepdims=True)
-                if not np.all(length > 0.0):
-                    raise InputError("a view has no length, or is not finite")
-                return reflect_towards(held, lit.coeffs_kc, towards / length)
-            made = reflect_map(held, lit.coeffs_kc)
-        since = kept.add("reflect", since)
-        if target is None:
-            return made
-        write_fit(target, made)
-        kept.add("write", since)
-    kept.facts = {"file": target, "degree": made.degree, "shape": list(made.coeffs_khwc.shape), **kept.facts}
-    return kept
-
-
-def take_surface(mesh: MeshLike) -> Surface:
-    """Return the surface of a mesh file, or of a fit of ours; InputError where there is none."""
+def take_surface(mesh: MeshLike, *, colors: bool = False, up: str | None = None) -> Surface:
+    """Return the surface of a mesh file (see `read_mesh`), or of a fit of ours; InputError where there is none."""
     if isinstance(mesh, Surface):
         return mesh
     name = path_text(mesh, "a mesh")
     if not name.lower().endswith((".h5", ".hdf5")):
-        return read_mesh(name)
+        return read_mesh(name, colors=colors, up=up)
     with open_fit(name) as fitted:
         if fitted.surface is None:
             raise InputError(f"{name} holds a fit of no surface: give a mesh")
         return fitted.surface
-
-
-def _framed(surface: Surface, frame: str) -> Surface:
-    """Return the surface with the frames that are asked for: its own tangents where it has some."""
-    if frame == "common":
-        return replace(surface, tangents_v3=None)
-    if surface.tangents_v3 is not None:
-        return surface
-    return replace(surface, tangents_v3=frames_of(surface.normals_v3)[:, 0])
 
 
 class _Job:

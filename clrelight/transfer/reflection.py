@@ -13,7 +13,10 @@ from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import PIECE_BYTES
+from clrelight.transfer.turns import frame_rotations
 
+OPERATOR = "operator"
+"""Of maps of operators, in place of a fit."""
 METHOD = "reflected"
 """Of maps of radiance over views, in place of a fit."""
 
@@ -80,21 +83,37 @@ def reflected_coefficients(operators: CoefficientMap, light_kc: NDArray[np.float
     light = np.asarray(light_kc, np.float64)
     if light.ndim != 2 or light.shape[1] not in (1, 3) or not np.isfinite(light).all():
         raise InputError(f"light must be finite numbers of shape (coefficient, 1 or 3), got shape {light.shape}")
-    taken_ic = np.zeros((n_in, light.shape[1]), np.float32)
+    taken_ic = np.zeros((n_in, light.shape[1]))
     taken_ic[: len(light)] = light[:n_in]
     height, width, own = operators.image_shape
     if own not in (1, 3):
         raise InputError(f"light needs operators of 1 or 3 channels, these have {own}")
+    frames_v33 = _light_frames(operators)
     made_khwc = np.empty((n_out, height, width, max(own, light.shape[1])), np.float32)
     step = max(1, PIECE_BYTES // (4 * n_in * n_out * width * own))
     for first in range(0, height, step):
         end = min(first + step, height)
         part_dhwc = operators.read_rows(first, end, np.empty((n_in * n_out, end - first, width, own), np.float32))
-        part_oihwc = part_dhwc.reshape(n_out, n_in, end - first, width, own)
-        weights_ic = np.broadcast_to(taken_ic, (n_in, made_khwc.shape[3]))
+        part_oipc = part_dhwc.reshape(n_out, n_in, -1, own)
+        if frames_v33 is None:
+            light_pic = taken_ic[None]
+        else:
+            light_pic = frame_rotations(frames_v33[first * width : end * width], light_degree) @ taken_ic
+        light_ipc = np.asarray(light_pic, np.float32).transpose(1, 0, 2)
         for c in range(made_khwc.shape[3]):
-            made_khwc[:, first:end, :, c] = np.einsum("oihw,i->ohw", part_oihwc[..., c % own], weights_ic[:, c])
+            entries_oip, weights_ip = part_oipc[..., c % own], light_ipc[..., c % light.shape[1]]
+            weights_ip = np.broadcast_to(weights_ip, entries_oip.shape[1:])
+            made_khwc[:, first:end, :, c] = np.einsum("oip,ip->op", entries_oip, weights_ip).reshape(n_out, -1, width)
     return made_khwc
+
+
+def _light_frames(operators: CoefficientMap) -> NDArray[np.float64] | None:
+    """Return the frames that light is to be turned to, None where operators take it in the axes of the positions."""
+    if operators.config.get("light_frame", "global") == "global":
+        return None
+    if operators.surface is None or operators.surface.tangents_v3 is None:
+        raise InputError("these operators take light in frames of vertices, but have no surface with tangents: give it")
+    return operators.surface.frames()
 
 
 def add_diffuse(operators: CoefficientMap, transfer: CoefficientMap) -> CoefficientMap:
@@ -117,6 +136,8 @@ def add_diffuse(operators: CoefficientMap, transfer: CoefficientMap) -> Coeffici
             f"transfer of degree {transfer.degree} and {transfer.image_shape[:2]} does not go with operators for "
             f"light of degree {light_degree} and {operators.image_shape[:2]}"
         )
+    if operators.config.get("light_frame", "global") != "global":
+        raise InputError("these operators take light in frames of vertices, transfer vectors in the axes of the mesh")
     if transfer.surface is not None and transfer.surface.tangents_v3 is not None:
         raise InputError("transfer vectors in frames of vertices cannot be added: make them in the axes of the mesh")
     if 1 not in (few := {transfer.image_shape[2], operators.image_shape[2]}) and len(few) > 1:

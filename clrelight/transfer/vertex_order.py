@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,9 +14,12 @@ from scipy.sparse import csgraph
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
 from clrelight.surface import Surface
+from clrelight.transfer.vertex_images import blocks_image, hilbert_walk, sort_image
 
-ORDERS = ("file", "morton", "hilbert", "graph", "blocks")
-"""See `vertex_order`; ``"blocks"`` is an image, of `fold_surface`."""
+ORDERS = ("file", "morton", "hilbert", "graph", "blocks", "sorted")
+"""Orders of `reorder`."""
+IMAGES = ("blocks", "sorted")
+"""Those that are images."""
 
 _BITS = 20
 
@@ -59,10 +61,11 @@ def reorder(surface: Surface, order: str) -> tuple[Surface, VertexOrder]:
     """Return the surface with its vertices in another order, and the order.
 
     ``"file"``: as they are. ``"morton"``, ``"hilbert"``: along a curve through the positions. ``"graph"``: Cuthill and
-    McKee's reversed, in which the vertices of an edge stand near each other. ``"blocks"``: an image (`fold_surface`).
+    McKee's reversed, in which the vertices of an edge stand near each other. ``"blocks"``, ``"sorted"``: images, see
+    `fold_surface`.
     """
-    if order == "blocks":
-        return fold_surface(surface)
+    if order in IMAGES:
+        return fold_surface(surface, order)
     source_v = vertex_order(surface, order)
     chosen = VertexOrder(source_v, surface.n_vertex, order)
     if order == "file":
@@ -70,22 +73,24 @@ def reorder(surface: Surface, order: str) -> tuple[Surface, VertexOrder]:
     return _arranged(surface, chosen, None), chosen
 
 
-def fold_surface(surface: Surface, order: str = "blocks") -> tuple[Surface, VertexOrder]:
+def fold_surface(surface: Surface, order: str = "sorted") -> tuple[Surface, VertexOrder]:
     """Return the surface as a nearly square image of its vertices, and where its pixels come from.
 
     ``"blocks"`` halves the image again and again, and the vertices with it, along the longest side of the box around
-    them: what is near in the image is near on the surface, but for the cuts. Another order is laid along a Hilbert
+    them: what is near in the image is near on the surface, but for the cuts. ``"sorted"`` moves the vertices of that
+    image until neighbours are alike in position and normal (`sort_image`). Another order is laid along a Hilbert
     curve through the image. Pixels that are left repeat the last vertex, and no face uses them.
     """
     count = surface.n_vertex
     height = math.isqrt(count)
     width = -(-count // height)
-    if order == "blocks":
-        image_hw = _blocks_image(surface.vertices_v3, height, width)
+    if order in IMAGES:
+        image_hw = blocks_image(surface.vertices_v3, height, width)
+        image_hw = sort_image(image_hw, surface) if order == "sorted" else image_hw
     else:
         listed_p = np.pad(vertex_order(surface, order), (0, height * width - count), mode="edge")
         image_hw = np.empty((height, width), np.int64)
-        image_hw[tuple(np.array(list(_hilbert_walk(height, width))).T)] = listed_p
+        image_hw[tuple(np.array(list(hilbert_walk(height, width))).T)] = listed_p
     folded = VertexOrder(image_hw.ravel(), count, order)
     return _arranged(surface, folded, (height, width)), folded
 
@@ -162,70 +167,3 @@ def _to_hilbert(cells_v3: NDArray[np.int64]) -> NDArray[np.int64]:
     for bit in range(_BITS - 1, 0, -1):
         flip ^= np.where(x[:, 2] & (1 << bit), (1 << bit) - 1, 0)
     return x ^ flip[:, None]
-
-
-def _blocks_image(vertices_v3: NDArray[np.float64], height: int, width: int) -> NDArray[np.int64]:
-    """Return an image of vertices that is halved with the box around them; what is left over repeats the last one."""
-    count = len(vertices_v3)
-    image_hw = np.empty((height, width), np.int64)
-    listed_p = np.pad(np.arange(count), (0, height * width - count), mode="edge")
-    pending = [(listed_p, slice(0, height), slice(0, width))]
-    while pending:
-        part_p, rows, columns = pending.pop()
-        n_row, n_column = rows.stop - rows.start, columns.stop - columns.start
-        if len(part_p) == 1:
-            image_hw[rows, columns] = part_p[0]
-            continue
-        axis = int(np.ptp(vertices_v3[part_p], axis=0).argmax())
-        part_p = part_p[np.argsort(vertices_v3[part_p, axis], kind="stable")]
-        if n_row >= n_column:
-            middle = rows.start + n_row // 2
-            cut = (n_row // 2) * n_column
-            pending += [(part_p[:cut], slice(rows.start, middle), columns)]
-            pending += [(part_p[cut:], slice(middle, rows.stop), columns)]
-        else:
-            middle = columns.start + n_column // 2
-            cut = (n_column // 2) * n_row
-            pending += [(part_p[:cut], rows, slice(columns.start, middle))]
-            pending += [(part_p[cut:], rows, slice(middle, columns.stop))]
-    return image_hw
-
-
-def _hilbert_walk(height: int, width: int) -> Iterator[tuple[int, int]]:
-    """Yield the pixels of any rectangle along a curve like Hilbert's, neighbours one after the other.
-
-    By cutting the rectangle as J. Cerveny's generalised Hilbert curve does: along its longer side in two, or into three
-    blocks of which the first and the last lie across.
-    """
-    start = (0, 0, 0, width, height, 0) if width >= height else (0, 0, height, 0, 0, width)
-    pending = [start]
-    while pending:
-        row, column, along_r, along_c, across_r, across_c = pending.pop()
-        n_along, n_across = abs(along_r + along_c), abs(across_r + across_c)
-        step, side = (_sign(along_r), _sign(along_c)), (_sign(across_r), _sign(across_c))
-        if n_across == 1 or n_along == 1:
-            ahead, count = (step, n_along) if n_across == 1 else (side, n_across)
-            yield from ((row + ahead[0] * i, column + ahead[1] * i) for i in range(count))
-            continue
-        half_r, half_c, cross_r, cross_c = along_r // 2, along_c // 2, across_r // 2, across_c // 2
-        if 2 * n_along > 3 * n_across:
-            if abs(half_r + half_c) % 2 and n_along > 2:
-                half_r, half_c = half_r + step[0], half_c + step[1]
-            parts = [
-                (row, column, half_r, half_c, across_r, across_c),
-                (row + half_r, column + half_c, along_r - half_r, along_c - half_c, across_r, across_c),
-            ]
-        else:
-            if abs(cross_r + cross_c) % 2 and n_across > 2:
-                cross_r, cross_c = cross_r + side[0], cross_c + side[1]
-            last_r, last_c = row + along_r - step[0] + cross_r - side[0], column + along_c - step[1] + cross_c - side[1]
-            parts = [
-                (row, column, cross_r, cross_c, half_r, half_c),
-                (row + cross_r, column + cross_c, along_r, along_c, across_r - cross_r, across_c - cross_c),
-                (last_r, last_c, -cross_r, -cross_c, half_r - along_r, half_c - along_c),
-            ]
-        pending += parts[::-1]
-
-
-def _sign(value: int) -> int:
-    return (value > 0) - (value < 0)
