@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from clrelight.errors import InputError
 from clrelight.surface import Surface
@@ -29,9 +29,9 @@ class Camera:
 
     Attributes
     ----------
-    eye_3, target_3 : sequence of 3 floats
+    eye_3, target_3 : array_like of 3 floats
         Where it stands, and what lies in the middle of the picture, in units of the positions.
-    up_3 : sequence of 3 floats
+    up_3 : array_like of 3 floats
         What points upwards in the picture; not along the view.
     field_of_view : float
         Degrees from the lower to the upper edge, above 0 and below 180.
@@ -39,9 +39,9 @@ class Camera:
         Where given the view is orthographic, and the picture so high in units of the positions.
     """
 
-    eye_3: Sequence[float]
-    target_3: Sequence[float] = (0.0, 0.0, 0.0)
-    up_3: Sequence[float] = UP
+    eye_3: ArrayLike
+    target_3: ArrayLike = (0.0, 0.0, 0.0)
+    up_3: ArrayLike = UP
     field_of_view: float = FIELD_OF_VIEW
     height: float | None = None
 
@@ -71,7 +71,7 @@ class Camera:
         """Return the directions right, up and forward as rows, (3, 3)."""
         forward_3 = np.subtract(self.target_3, self.eye_3)
         forward_3 = forward_3 / np.linalg.norm(forward_3)
-        right_3 = np.cross(forward_3, self.up_3)
+        right_3 = np.cross(forward_3, np.asarray(self.up_3, np.float64))
         right_3 /= np.linalg.norm(right_3)
         return np.stack([right_3, np.cross(right_3, forward_3), forward_3])
 
@@ -197,5 +197,5 @@ def picture_size(size: int | Sequence[int]) -> tuple[int, int]:
     return int(sides[0]), int(sides[-1])
 
 
-def _text(numbers: Sequence[float] | NDArray[np.float64]) -> str:
-    return ", ".join(f"{v:g}" for v in numbers)
+def _text(numbers: ArrayLike) -> str:
+    return ", ".join(f"{v:g}" for v in np.ravel(numbers))
