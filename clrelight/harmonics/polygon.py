@@ -13,6 +13,7 @@ from clrelight.harmonics.rotation_batch import rotate_many
 
 _MORE_NODES = 8
 """Gauss's rule over an arc, which is shorter than half a circle, has so many nodes more than the degree."""
+_POLYGONS_AT_ONCE = 1 << 13
 
 
 def polygon_coefficients(corners_nj3: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
@@ -30,6 +31,12 @@ def polygon_coefficients(corners_nj3: NDArray[np.float64], degree: int) -> NDArr
         Vectors towards the corners, of any length but 0.
     degree : int
     """
+    starts = range(0, len(corners_nj3), _POLYGONS_AT_ONCE)
+    parts = [_project(corners_nj3[at : at + _POLYGONS_AT_ONCE], degree) for at in starts]
+    return np.concatenate(parts) if parts else np.zeros((0, coefficient_count(degree)))
+
+
+def _project(corners_nj3: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     unit_nj3 = corners_nj3 / np.linalg.norm(corners_nj3, axis=2, keepdims=True)
     next_nj3 = np.roll(unit_nj3, -1, axis=1)
     coeffs_nk = np.zeros((len(unit_nj3), coefficient_count(degree)))
