@@ -33,6 +33,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.measure import measure as measure
     from clrelight.jobs.pack import pack as pack
     from clrelight.jobs.relight import relight as relight
+    from clrelight.jobs.render import render as render
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
@@ -61,6 +62,12 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.store import write_fit as write_fit
     from clrelight.store import write_light as write_light
     from clrelight.store import write_stack as write_stack
+    from clrelight.transfer.cameras import Camera as Camera
+    from clrelight.transfer.cameras import Framing as Framing
+    from clrelight.transfer.local_light import LocalLights as LocalLights
+    from clrelight.transfer.near_lights import PointLight as PointLight
+    from clrelight.transfer.near_lights import PolygonLight as PolygonLight
+    from clrelight.transfer.near_lights import SphereLight as SphereLight
 
 __version__ = "0.1.0"
 
@@ -81,6 +88,7 @@ _MODULES = {
     "jobs.measure": "measure",
     "jobs.pack": "pack",
     "jobs.relight": "relight",
+    "jobs.render": "render",
     "jobs.report": "Note Report",
     "jobs.target": "encode_to_quality",
     "jobs.unpack": "unpack",
@@ -95,6 +103,9 @@ _MODULES = {
     "report": "write_report",
     "store": "open_fit open_stack read_encoded read_fit read_light read_results "
     "write_encoded write_fit write_light write_stack",
+    "transfer.cameras": "Camera Framing",
+    "transfer.local_light": "LocalLights",
+    "transfer.near_lights": "PointLight PolygonLight SphereLight",
 }
 _HOMES = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names.split()}
 

@@ -23,6 +23,7 @@ from clrelight.cli import (
     plan_lights,
     psnr,
     relight,
+    render,
     trade,
 )
 from clrelight.errors import InputError, KernelBuildError
@@ -51,7 +52,7 @@ def cli() -> None:
 
 
 for module in (
-    *(machines, pack, files, plan_lights, fit, coding, relight, export),
+    *(machines, pack, files, plan_lights, fit, coding, relight, render, export),
     *(light, irradiance, psnr, experiments, trade),
 ):
     for command in module.COMMANDS:
