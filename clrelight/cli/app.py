@@ -24,6 +24,7 @@ from clrelight.cli import (
     psnr,
     relight,
     render,
+    shader,
     trade,
 )
 from clrelight.errors import InputError, KernelBuildError
@@ -52,7 +53,7 @@ def cli() -> None:
 
 
 for module in (
-    *(machines, pack, files, plan_lights, fit, coding, relight, render, export),
+    *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, irradiance, psnr, experiments, trade),
 ):
     for command in module.COMMANDS:
