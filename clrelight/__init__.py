@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
+    from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
     from clrelight.lighting.environment import Environment as Environment
     from clrelight.lighting.environment import read_environment as read_environment
@@ -62,9 +63,11 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.store import write_fit as write_fit
     from clrelight.store import write_light as write_light
     from clrelight.store import write_stack as write_stack
+    from clrelight.surface import Surface as Surface
     from clrelight.transfer.cameras import Camera as Camera
     from clrelight.transfer.cameras import Framing as Framing
     from clrelight.transfer.local_light import LocalLights as LocalLights
+    from clrelight.transfer.mesh_files import read_mesh as read_mesh
     from clrelight.transfer.near_lights import PointLight as PointLight
     from clrelight.transfer.near_lights import PolygonLight as PolygonLight
     from clrelight.transfer.near_lights import SphereLight as SphereLight
@@ -91,6 +94,7 @@ _MODULES = {
     "jobs.render": "render",
     "jobs.report": "Note Report",
     "jobs.target": "encode_to_quality",
+    "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
     "lighting.environment": "Environment read_environment",
     "lighting.lamps": "blend_lights cap_light cast_shadow directional_light",
@@ -103,8 +107,10 @@ _MODULES = {
     "report": "write_report",
     "store": "open_fit open_stack read_encoded read_fit read_light read_results "
     "write_encoded write_fit write_light write_stack",
+    "surface": "Surface",
     "transfer.cameras": "Camera Framing",
     "transfer.local_light": "LocalLights",
+    "transfer.mesh_files": "read_mesh",
     "transfer.near_lights": "PointLight PolygonLight SphereLight",
 }
 _HOMES = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names.split()}
@@ -141,7 +147,7 @@ class _Verb:
 class _Package(ModuleType):
     """The package, whose verbs of the names of its modules stay verbs."""
 
-    export, fit, ingest, relight = map(_Verb, ("export", "fit", "ingest", "relight"))
+    export, fit, ingest, relight, transfer = map(_Verb, ("export", "fit", "ingest", "relight", "transfer"))
 
 
 sys.modules[__name__].__class__ = _Package
