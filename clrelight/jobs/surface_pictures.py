@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from clrelight.arrays import check_transfer
 from clrelight.errors import InputError
 from clrelight.jobs.pictures import (
+    FLOAT_FORMATS,
     check_animation,
     holds_floats,
     is_animation,
@@ -93,10 +94,15 @@ def _automatic(picture: Picture) -> float:
     return automatic_exposure(picture.radiance_hwc[chosen_hw][None])
 
 
+PICTURE_FORMATS = (*FLOAT_FORMATS, ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".ppm", ".pgm", ".gif")
+
+
 def picture_names(target: str | None, count: int, has_alpha: bool) -> list[str]:
     """Return the files to write; none where pictures are returned."""
     if target is None:
         return []
+    if not target.lower().endswith(PICTURE_FORMATS):  # before any work
+        raise InputError(f"cannot write {target}: a picture's name ends in one of {', '.join(PICTURE_FORMATS)}")
     if has_alpha:
         check_alpha(target)
     if is_animation(target):
