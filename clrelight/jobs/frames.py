@@ -116,7 +116,8 @@ class LightFrames:
             since = time.perf_counter()
             turn = ("axis", (*self._axis, 360.0 * step / self.count))
             turned = turn_light(self._light, turn) if step else self._light
-            below = max(below, share_below(turned))
+            # Functions of a surface know the whole sphere.
+            below = max(below, share_below(turned) if coefficients.surface is None else 0.0)
             image_hwc = relight_under(coefficients, turned, device=device)
             if exposure is None:
                 exposure = automatic_exposure(image_hwc)  # of the first image, for all of them

@@ -61,7 +61,7 @@ def read_mesh(path: str | os.PathLike[str], *, colors: bool = False, up: str | N
         raise InputError(f"{place}: meshes are read from {', '.join(FORMATS)}, this name ends in {place.suffix!r}")
     if up not in (None, "y", "z"):
         raise InputError(f"up must be y or z, got {up!r}")
-    parts = list(_parts_of(_load(place, kind)))
+    parts = _load(place, kind)
     triangles = [part for part in parts if len(part.faces_f3)]
     if not triangles:
         points = sum(len(part.vertices_v3) for part in parts)
@@ -88,8 +88,8 @@ def read_mesh(path: str | os.PathLike[str], *, colors: bool = False, up: str | N
         raise InputError(f"{place}: {error}") from None
 
 
-def _load(place: Path, kind: str) -> Any:
-    """Return the file's scene, from its bytes alone: no other file that it names is opened."""
+def _load(place: Path, kind: str) -> list[_Part]:
+    """Return the meshes of a file, from its bytes alone: no other file that it names is opened."""
     try:
         import trimesh
     except ImportError:
@@ -103,7 +103,10 @@ def _load(place: Path, kind: str) -> Any:
         raise InputError(f"{place} is empty")
     options = {"skip_materials": True} if kind in ("obj", "ply") else {}
     try:
-        return trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, **options)
+        scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, **options)
+        return list(_parts_of(scene))
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
     except MemoryError:
         raise InputError(f"{place} claims more than fits into memory: it is damaged, or too large") from None
     except Exception as error:  # a damaged file makes its parsers raise nearly anything
