@@ -117,69 +117,70 @@ class SurfaceLamps:
                     raise InputError(f"{option} takes {form}, got {', '.join(f'{v:g}' for v in each)}")
 
 
+_DISTANT = (
+    click.option(
+        "--light",
+        type=LightOrDirection(),
+        multiple=True,
+        help="Direction to a lamp, or a light file: light from everywhere. All lights shine together.",
+    ),
+    click.option(
+        "--env",
+        "environments",
+        type=click.Path(),
+        multiple=True,
+        metavar="FILE",
+        help="Environment map; six times for the faces of a cube.",
+    ),
+    click.option("--layout", metavar="LAYOUT", help="Of the map, as clrelight light takes it."),
+    click.option("--axes", default="z-up", show_default=True, help="Of the map, as there."),
+    click.option("--sky", metavar="NAME", help="CIE sky: overcast, clear, partly-cloudy, or 1 to 15; z is up."),
+    click.option("--sun", type=Numbers(float, "30,45", 2), metavar="ELEV,AZ", help="Of the sky, degrees."),
+    click.option("--zenith", type=float, metavar="KCD", help="Luminance of the sky's zenith; default 1."),
+    click.option("--cap", type=Numbers(float, "0,0,1,30", 4), metavar="X,Y,Z,ANGLE", help="A round light, radiance 1."),
+    click.option("--colour", type=Numbers(float, "1,0.9,0.7"), metavar="R,G,B", help="Of sky or cap."),
+)
+_NEAR = (
+    click.option(
+        "--point",
+        type=Numbers(float, "2,0,3,10"),
+        multiple=True,
+        metavar="X,Y,Z[,I]",
+        help="A lamp near the surface: irradiance I / r², I one number or three; default 1.",
+    ),
+    click.option(
+        "--sphere",
+        type=Numbers(float, "2,0,3,0.5,10"),
+        multiple=True,
+        metavar="X,Y,Z,R[,L]",
+        help="A shining ball near the surface: centre, radius, radiance; default 1.",
+    ),
+    click.option(
+        "--area",
+        type=Polygon(),
+        multiple=True,
+        help="A shining flat polygon, counterclockwise seen from the side that shines; radiance default 1.",
+    ),
+    click.option("--two-sided", is_flag=True, help="Polygons shine to both sides."),
+    click.option(
+        "--local",
+        type=Sample(),
+        multiple=True,
+        help="Light files sampled at positions, blended for each vertex.",
+    ),
+    click.option(
+        "--local-blend",
+        type=click.Choice(["power", "polyhedron"]),
+        help="By 1 / distance^POWER (default), or barycentric in the nearest face of the samples' polyhedron.",
+    ),
+    click.option("--power", type=float, help="Of the distance from samples; default 10."),
+)
+
+
 def surface_light_options(command: Any) -> Any:
     """Add the options that `SurfaceLamps` holds, which the command gets as `lamps`."""
     command = gather(SurfaceLamps, "lamps")(command)
-    for option in reversed(
-        (
-            click.option(
-                "--light",
-                type=LightOrDirection(),
-                multiple=True,
-                help="Direction to a lamp, or a light file: light from everywhere. All lights shine together.",
-            ),
-            click.option(
-                "--env",
-                "environments",
-                type=click.Path(),
-                multiple=True,
-                metavar="FILE",
-                help="Environment map; six times for the faces of a cube.",
-            ),
-            click.option("--layout", metavar="LAYOUT", help="Of the map, as clrelight light takes it."),
-            click.option("--axes", default="z-up", show_default=True, help="Of the map, as there."),
-            click.option("--sky", metavar="NAME", help="CIE sky: overcast, clear, partly-cloudy, or 1 to 15; z is up."),
-            click.option("--sun", type=Numbers(float, "30,45", 2), metavar="ELEV,AZ", help="Of the sky, degrees."),
-            click.option("--zenith", type=float, metavar="KCD", help="Luminance of the sky's zenith; default 1."),
-            click.option(
-                "--cap", type=Numbers(float, "0,0,1,30", 4), metavar="X,Y,Z,ANGLE", help="A round light, radiance 1."
-            ),
-            click.option("--colour", type=Numbers(float, "1,0.9,0.7"), metavar="R,G,B", help="Of sky or cap."),
-            click.option(
-                "--point",
-                type=Numbers(float, "2,0,3,10"),
-                multiple=True,
-                metavar="X,Y,Z[,I]",
-                help="A lamp near the surface: irradiance I / r², I one number or three; default 1.",
-            ),
-            click.option(
-                "--sphere",
-                type=Numbers(float, "2,0,3,0.5,10"),
-                multiple=True,
-                metavar="X,Y,Z,R[,L]",
-                help="A shining ball near the surface: centre, radius, radiance; default 1.",
-            ),
-            click.option(
-                "--area",
-                type=Polygon(),
-                multiple=True,
-                help="A shining flat polygon, counterclockwise seen from the side that shines; radiance default 1.",
-            ),
-            click.option("--two-sided", is_flag=True, help="Polygons shine to both sides."),
-            click.option(
-                "--local",
-                type=Sample(),
-                multiple=True,
-                help="Light files sampled at positions, blended for each vertex.",
-            ),
-            click.option(
-                "--local-blend",
-                type=click.Choice(["power", "polyhedron"]),
-                help="By 1 / distance^POWER (default), or barycentric in the nearest face of the samples' polyhedron.",
-            ),
-            click.option("--power", type=float, help="Of the distance from samples; default 10."),
-        )
-    ):
+    for option in reversed(_DISTANT + _NEAR):
         command = option(command)
     return command
 
