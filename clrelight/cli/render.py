@@ -33,7 +33,9 @@ class Ground(click.ParamType):
 )
 @surface_light_options
 @camera_options
-@click.option("--size", type=Numbers(int, "640,480"), default="512", show_default=True, help="Width and height.")
+@click.option(
+    "--size", type=Numbers(int, "640,480"), default="512", show_default=True, metavar="W[,H]", help="In pixels."
+)
 @click.option(
     "--subsamples", type=whole_number(1, 16), default=3, show_default=True, help="Rays of a pixel are its square."
 )

@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from clrelight.harmonics.index import band, coefficient_count, degree_of
 from clrelight.harmonics.rotation import rotation_blocks
+from clrelight.threads import on_one_thread
 
+_CACHED_BYTES = 1 << 19
+"""Of coefficients that go through all turns together: they stay in the processor's cache."""
 _QUARTER_ABOUT_X = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -26,8 +29,16 @@ def rotate_many(coeffs_kc: NDArray[np.float64], matrices_n33: NDArray[np.float64
     matrices_n33 : ndarray, shape (n, 3, 3), float64
         Orthogonal, of determinant 1.
     """
+    made_nkc = np.empty((len(matrices_n33), *coeffs_kc.shape))
+    step = max(1, _CACHED_BYTES // max(8 * coeffs_kc.size, 1))
+    with on_one_thread():  # many small products, for whose threads BLAS would wait
+        for at in range(0, len(made_nkc), step):
+            made_nkc[at : at + step] = _rotate(coeffs_kc, np.asarray(matrices_n33[at : at + step], np.float64))
+    return made_nkc
+
+
+def _rotate(coeffs_kc: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
     degree = degree_of(len(coeffs_kc))
-    turn = np.asarray(matrices_n33, np.float64)
     # Whatever alpha is where beta is 0 or 180 degrees, gamma makes good for it.
     alpha_n = np.arctan2(turn[:, 1, 2], turn[:, 0, 2])
     cosine_n, sine_n = np.cos(alpha_n), np.sin(alpha_n)
@@ -35,11 +46,12 @@ def rotate_many(coeffs_kc: NDArray[np.float64], matrices_n33: NDArray[np.float64
     gamma_n = np.arctan2(
         cosine_n * turn[:, 1, 0] - sine_n * turn[:, 0, 0], cosine_n * turn[:, 1, 1] - sine_n * turn[:, 0, 1]
     )
-    coeffs_nkc = np.broadcast_to(coeffs_kc, (len(turn), *coeffs_kc.shape))
-    quarter = _quarter_turn(degree)
-    coeffs_nkc = quarter @ _about_z(coeffs_nkc, gamma_n, degree)
-    coeffs_nkc = quarter.T @ _about_z(coeffs_nkc, beta_n, degree)
-    return _about_z(coeffs_nkc, alpha_n, degree)
+    quarter, channel = _quarter_turn(degree), coeffs_kc.shape[1]
+    turned_kcn = _about_z(np.broadcast_to(coeffs_kc[..., None], (*coeffs_kc.shape, 1)), gamma_n, degree)
+    for matrix, angle_n in ((quarter, beta_n), (quarter.T, alpha_n)):
+        turned_kcn = (matrix @ turned_kcn.reshape(len(matrix), -1)).reshape(len(matrix), channel, -1)
+        turned_kcn = _about_z(turned_kcn, angle_n, degree)
+    return np.moveaxis(turned_kcn, 2, 0)
 
 
 @functools.lru_cache(maxsize=4)
@@ -51,9 +63,11 @@ def _quarter_turn(degree: int) -> NDArray[np.float64]:
     return matrix
 
 
-def _about_z(coeffs_nkc: NDArray[np.float64], angle_n: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+def _about_z(coeffs_kcn: NDArray[np.float64], angle_n: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """Return functions turned about z, each by its own angle."""
     order_k = np.concatenate([np.arange(-l, l + 1) for l in range(degree + 1)])
     opposite_k = np.arange(len(order_k)) - 2 * order_k
-    angle_nk1 = (angle_n[:, None] * order_k)[..., None]
-    return np.cos(angle_nk1) * coeffs_nkc - np.sin(angle_nk1) * coeffs_nkc[:, opposite_k]
+    angle_mn = np.arange(degree + 1)[:, None] * angle_n
+    cosine_k1n = np.cos(angle_mn)[np.abs(order_k), None]
+    sine_k1n = (np.sign(order_k)[:, None] * np.sin(angle_mn)[np.abs(order_k)])[:, None]
+    return cosine_k1n * coeffs_kcn - sine_k1n * coeffs_kcn[opposite_k]
