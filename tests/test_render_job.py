@@ -166,6 +166,35 @@ def test_a_mesh_comes_beside_a_map_that_holds_none(folder):
     np.testing.assert_allclose(made, with_surface, atol=2e-3 * with_surface.max())
 
 
+@pytest.mark.filterwarnings("ignore::clrelight.Note")
+def test_a_mesh_wears_a_map_as_its_texture(folder):
+    """Two charts of a bent sheet, apart in the texture: as by vertices, and without a seam."""
+    rows, columns = 24, 20
+    u, v = np.meshgrid(np.arange(rows) / (rows - 1), np.arange(columns) / (columns - 1), indexing="ij")
+    points, charts, faces = [], [], []
+    for chart in range(2):
+        x = u.ravel() + chart
+        points.append(np.stack([x, 2 * v.ravel(), 0.4 * np.sin(2 * x)], axis=1))
+        charts.append(np.stack([0.05 + 0.4 * u.ravel() + 0.5 * chart, 0.05 + 0.9 * v.ravel()], axis=1))
+        at = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel() + chart * rows * columns
+        faces += [np.stack([at, at + columns, at + columns + 1], 1), np.stack([at, at + columns + 1, at + 1], 1)]
+    points = np.concatenate(points)
+    normals = unit(np.stack([-0.8 * np.cos(2 * points[:, 0]), 0 * points[:, 0], 1 + 0 * points[:, 0]], axis=1))
+    sheet = Surface(points, np.concatenate(faces), normals, texture_v2=np.concatenate(charts))
+    texels = cr.transfer(sheet, kind="unshadowed", texels=(128, 128), degree=3)
+    options = {"camera": Framing(direction_3=(0.2, -1, 1.5)), "size": 60}
+    for lights in (LIGHT, [LIGHT, cr.PointLight((1, 1, 2), (3,))]):
+        expected = cr.render(cr.transfer(sheet, kind="unshadowed", degree=3), lights, **options)
+        for shading in ("vertex", "pixel"):
+            worn = cr.render(texels, lights, mesh=sheet, shading=shading, **options)
+            np.testing.assert_allclose(worn, expected, atol=0.02 * expected.max())
+    coded = cr.encode(texels, "half")
+    again = cr.render(coded, lights, mesh=sheet, shading="pixel", **options)
+    np.testing.assert_allclose(again, worn, atol=3e-3 * worn.max())
+    with pytest.raises(cr.InputError, match="leave out --mesh"):
+        cr.render(texels, LIGHT, mesh=BALL, **options)
+
+
 def test_small_memory_gives_the_same_picture(folder):
     for shading in ("vertex", "pixel"):
         options = {"camera": CAMERA, "size": (50, 40), "shading": shading, "background": (0.1, 0.2, 0.3)}
@@ -315,7 +344,7 @@ def test_files_with_alpha_and_in_motion(folder, tmp_path):
         ("bare.h5 o.png --light 0,0,1", "holds no surface"),
         ("bare.h5 o.png --light 0,0,1 --mesh local.txt", "local.txt"),
         ("bare.h5 o.png --light 0,0,1 --mesh bare.h5", "holds no surface"),
-        ("bare.h5 o.png --light 0,0,1 --mesh small.obj", "the mesh has 3 vertices, the map 2562×1 = 2562 functions"),
+        ("bare.h5 o.png --light 0,0,1 --mesh small.obj", "the mesh has 3 vertices, the map 2562 functions (2562×1)"),
         ("ball.h5 o.png --light 0,0,1 --mesh ball.obj", "leave out --mesh"),
         ("ball.h5 o.png", "give a light"),
         ("eyes.h5 o.png --light 0,0,1", "one fixed light"),

@@ -29,7 +29,9 @@ class Ground(click.ParamType):
 @click.argument("fitted", metavar="MAP", type=click.Path())
 @click.argument("image", type=click.Path())
 @click.option(
-    "--mesh", type=click.Path(), help="The surface, where MAP holds none: a mesh file, or a fit or stack of ours."
+    "--mesh",
+    type=click.Path(),
+    help="The surface, where MAP holds none: mesh file, fit or stack; or what wears MAP as a texture.",
 )
 @surface_light_options
 @camera_options

@@ -66,7 +66,8 @@ def render(
     out : path, optional
         Where to write; the name decides as of `relight`.
     mesh : path or Surface, optional
-        Where the map holds no surface: a mesh file, a fit or stack of ours that holds one.
+        Where the map holds no surface: a mesh file, a fit or stack of ours that holds one. Or a mesh with texture
+        coordinates that wears the map as its texture.
     camera : Camera, Framing or three numbers, optional
         Numbers: from the surface to the eye, at the distance from which it is seen whole. Default: (1, -2, 1).
     size : int or two ints
@@ -124,15 +125,15 @@ def render(
     held = count_bytes(memory)
     inputs = paths_among(source, mesh, *(light if isinstance(light, list | tuple) else [light]))
     with claimed(names, inputs, kept), lend_map(source, device, kept, progress) as given:
-        surface = surface_for(given, mesh, kept)
+        surface, body = surface_for(given, mesh, kept)
         coefficients = _prepare(given, surface, degree, shading)
         wide = 2 * coefficients.degree + 4 if is_hemispherical(coefficients) else coefficients.degree
         unturned = sources_of(light, wide, kept)
         sources = turn_sources(unturned, rotate)
         behind, has_alpha = background_of(background, light, unturned)
         behind = turn_background(behind, rotate)
-        painter = Painter(coefficients, surface, picture_size(size), _checked(subsamples), shading, held)
-        placed = _place(camera, surface, picture_size(size), frames)
+        painter = Painter(coefficients, surface, picture_size(size), _checked(subsamples), shading, held, body)
+        placed = _place(camera, body or surface, picture_size(size), frames)
         pictures = frames.paint(painter, sources, placed, behind, colour_of(recolour, coefficients), kept)
         images_ihwc = shown.show(pictures, names, frames.count, has_alpha, kept, progress)
     if target is not None:

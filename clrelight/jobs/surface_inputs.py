@@ -27,6 +27,7 @@ from clrelight.surface import Surface
 from clrelight.transfer.mesh_files import read_mesh
 from clrelight.transfer.painting import Background
 from clrelight.transfer.sources import DirectionalLight, DistantLight, Source
+from clrelight.transfer.texels import texel_surface
 
 LightMaker = Callable[[int], Light]
 """Makes a light of a degree."""
@@ -52,26 +53,34 @@ def lend_map(
             yield decoded_of(held, source, opened, report, progress)
 
 
-def surface_for(coefficients: CoefficientMap, mesh: Surface | str | os.PathLike[str] | None, report: Report) -> Surface:
-    """Return the surface of a map, or the one given beside it; what is to be said of its file is noted."""
-    if coefficients.surface is not None:
-        if mesh is not None:
-            raise InputError("the map holds its surface: leave out --mesh")
-        return coefficients.surface
+def surface_for(
+    coefficients: CoefficientMap, mesh: Surface | str | os.PathLike[str] | None, report: Report
+) -> tuple[Surface, Surface | None]:
+    """Return the surface of a map, or the one given beside it, and the mesh that wears the map as a texture, if any.
+
+    What is to be said of the mesh's file is noted.
+    """
+    own, (height, width) = coefficients.surface, coefficients.image_shape[:2]
     if mesh is None:
-        raise InputError("the map holds no surface: say whose functions it has by --mesh (a mesh file, fit or stack)")
+        if own is None:
+            raise InputError("the map holds no surface: say whose functions it has by --mesh (mesh file, fit or stack)")
+        return own, None
     surface = mesh if isinstance(mesh, Surface) else read_surface(mesh)
     report.note(*surface.notes)
-    count = int(np.prod(coefficients.image_shape[:2]))
-    if surface.n_vertex != count:
-        height, width = coefficients.image_shape[:2]
+    worn = surface.texture_v2 is not None and surface.n_vertex != height * width and width > 1
+    if own is not None:
+        if not (worn and own.grid is not None):
+            raise InputError("the map holds its surface: leave out --mesh, unless it wears the map as a texture")
+        return own, surface
+    if worn:
+        return texel_surface(surface, height, width), surface
+    if surface.n_vertex != height * width:
         raise InputError(
-            f"{surface.name}: the mesh has {surface.n_vertex} vertices, the map {height}×{width} = {count} functions: "
-            "give the mesh that it was made of"
+            f"{surface.name}: the mesh has {surface.n_vertex} vertices, the map {height * width} functions "
+            f"({height}×{width}): give the mesh that it was made of"
         )
     # A map of several columns says that the vertices are a grid, which mesh files do not.
-    height, width = coefficients.image_shape[:2]
-    return surface if surface.map_shape == (height, width) else replace(surface, grid=(height, width))
+    return (surface if surface.map_shape == (height, width) else replace(surface, grid=(height, width))), None
 
 
 def read_surface(path: str | os.PathLike[str]) -> Surface:

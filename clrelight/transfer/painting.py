@@ -63,6 +63,8 @@ class Painter:
         One of `SHADINGS`.
     memory : int
         Bytes that rays and functions of one band take.
+    body : Surface, optional
+        The mesh that wears the map as a texture, whose texels `surface` holds; default: the surface itself.
     """
 
     coefficients: CoefficientMap
@@ -71,13 +73,14 @@ class Painter:
     subsamples: int = SUBSAMPLES
     shading: str = "vertex"
     memory: int = DEFAULT_MEMORY
+    body: Surface | None = None
     _held: dict[object, View] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         picture_size(self.size)
         if self.shading not in SHADINGS:
             raise InputError(f"shading must be one of {', '.join(SHADINGS)}, got {self.shading!r}")
-        self._scene = RayScene(self.surface)
+        self._scene = RayScene(self.body or self.surface)
         per_row = self.size[0] * self.subsamples**2 * _BYTES_A_RAY
         self._rows = max(1, self.memory // per_row)
 
@@ -106,15 +109,22 @@ class Painter:
             behind.append(view.behind * view.coverage_p.sum())
             outside |= len(view.pixel_s) > 0
         coverage_hw = np.concatenate(coverage)
-        check_seen(self.surface, bool(coverage_hw.any()), outside)
+        check_seen(self._scene.surface, bool(coverage_hw.any()), outside)
         return Picture(np.concatenate(bands), coverage_hw, float(np.sum(behind) / coverage_hw.sum()))
 
     def _view(self, camera: Camera, rows: tuple[int, int]) -> View:
         """Return what is seen of a band; that of the whole picture is kept for the next one by the same camera."""
         found = self._held.get((camera, rows))
         if found is None:
-            texture = self.shading == "pixel"
-            found = look(self._scene, camera, self.size, subsamples=self.subsamples, rows=rows, texture=texture)
+            found = look(
+                self._scene,
+                camera,
+                self.size,
+                subsamples=self.subsamples,
+                rows=rows,
+                texture=self.shading == "pixel",
+                texels=None if self.body is None else self.surface.grid,
+            )
             self._held = {(camera, rows): found} if self._rows >= self.size[1] else {}
         return found
 

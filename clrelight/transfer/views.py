@@ -92,6 +92,7 @@ def look(
     subsamples: int = SUBSAMPLES,
     rows: tuple[int, int] | None = None,
     texture: bool = False,
+    texels: tuple[int, int] | None = None,
 ) -> View:
     """Return what a camera sees.
 
@@ -108,8 +109,13 @@ def look(
     texture : bool
         Where the vertices are a parameter grid: shares among the four corners of a cell, as a texture is read, instead
         of among the three of a face.
+    texels : (int, int), optional
+        Rows and columns of a texture that the surface wears: corners are then its texels, row by row, around the
+        texture coordinates that are met.
     """
     width, height = picture_size(size)
+    if texels is not None and scene.surface.texture_v2 is None:
+        raise InputError("a surface without texture coordinates wears no texture")
     if not 1 <= subsamples <= MAX_SUBSAMPLES:
         raise InputError(f"subsamples must be 1 to {MAX_SUBSAMPLES}, got {subsamples}")
     first, end = rows or (0, height)
@@ -121,7 +127,10 @@ def look(
     pixel_s = np.concatenate([each[0] + (band[0] - first) * width for each, band in zip(found, bands, strict=True)])
     counts = np.sum([each[4] for each in found], axis=0)
     corners_sj = scene.surface.faces_f3[face_s]
-    if texture and scene.surface.grid is not None:
+    if texels is not None and scene.surface.texture_v2 is not None:
+        places_s2 = np.einsum("sj,sja->sa", weights_sj, scene.surface.texture_v2[corners_sj])
+        corners_sj, weights_sj = _texels(texels, places_s2)
+    elif texture and scene.surface.grid is not None:
         corners_sj, weights_sj = _cells(scene.surface.grid, corners_sj, weights_sj)
     return View(
         width,
@@ -189,6 +198,23 @@ def _cells(
         low_s = np.floor(place_s)
         ends.append(np.stack([low_s % count, (low_s + 1) % count], axis=1).astype(np.int32))
         shares.append(np.stack([1.0 - (place_s - low_s), place_s - low_s], axis=1))
+    return _bilinear(grid, ends, shares)
+
+
+def _texels(grid: tuple[int, int], places_s2: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Return corners and bilinear weights among texels; row 0 is at v = 1, column 0 at u = 0 (`texel_surface`)."""
+    ends, shares = [], []
+    for count, along_s in zip(grid, (1.0 - places_s2[:, 1], places_s2[:, 0]), strict=True):
+        place_s = np.clip(along_s * count - 0.5, 0.0, count - 1.0)
+        low_s = np.minimum(np.floor(place_s), max(count - 2, 0))
+        ends.append(np.stack([low_s, np.minimum(low_s + 1, count - 1)], axis=1).astype(np.int32))
+        shares.append(np.stack([1.0 - (place_s - low_s), place_s - low_s], axis=1))
+    return _bilinear(grid, ends, shares)
+
+
+def _bilinear(
+    grid: tuple[int, int], ends: list[NDArray[np.int32]], shares: list[NDArray[np.float64]]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     corners_sj = ends[0][:, [0, 0, 1, 1]] * grid[1] + ends[1][:, [0, 1, 0, 1]]
     weights_sj = shares[0][:, [0, 0, 1, 1]] * shares[1][:, [0, 1, 0, 1]]
     return corners_sj, weights_sj.astype(np.float32)
