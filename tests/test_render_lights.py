@@ -158,6 +158,28 @@ def test_a_ball_is_the_cap_that_each_vertex_sees(surface):
     close(around, held(coefficients)[0] * np.sqrt(4 * np.pi), 1e-6)
 
 
+def test_a_ball_that_stands_on_the_horizon_is_cut_there():
+    """Fits of the upper hemisphere: what is above counts, to 1% of the light, since edges are followed so far."""
+    place = Surface(np.zeros((3, 3)), [[0, 1, 2]], [[0, 0, 1.0]] * 3, [[1.0, 0, 0]] * 3)
+    nodes, weights = quadrature(60)
+    above = nodes[:, 2] > 0
+    cosine = np.maximum(0, nodes[:, 2]) * (nodes[:, 0] > -0.2)
+    root = np.sqrt(weights[above])
+    basis = real_harmonics(nodes[above], DEGREE)
+    coeffs = np.linalg.lstsq(basis * root[:, None], cosine[above] * root, rcond=None)[0]
+    held_k = np.repeat(coeffs[:, None], 3, axis=1)[..., None, None].astype(np.float32)
+    fitted = CoefficientMap(held_k, DEGREE, "uls", 1.0, "linear", np.array([[0.0, 0, 1]]), surface=place)
+    fine, solid = quadrature(400)
+    values = np.where(fine[:, 2] > 0, real_harmonics(fine, DEGREE) @ coeffs, 0)
+    for elevation in (50, 15, 0, -20):
+        towards = np.array([np.cos(np.radians(elevation)), 0, np.sin(np.radians(elevation))])
+        within = fine @ towards > np.cos(np.radians(30))
+        expected = np.sum((solid * values)[within])
+        made = shade_vertices(fitted, [SphereLight(tuple(4 * towards), 4 * np.sin(np.radians(30)))])
+        np.testing.assert_allclose(made, expected, atol=0.01 * 0.7)
+    np.testing.assert_allclose(shade_vertices(fitted, [SphereLight((0, 0, -3), 1.0)]), 0, atol=2e-3)
+
+
 CORNERS = np.array([[0.2, 0.3, 1.0], [1.4, 0.2, 1.0], [1.1, 1.5, 1.0], [0.1, 1.2, 1.0]])
 
 

@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.harmonics.index import band, coefficient_count, degree_of
+from clrelight.harmonics.index import band, degree_of
 from clrelight.harmonics.rotation import rotation_blocks
 from clrelight.threads import on_one_thread
 
@@ -46,21 +46,25 @@ def _rotate(coeffs_kc: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArra
     gamma_n = np.arctan2(
         cosine_n * turn[:, 1, 0] - sine_n * turn[:, 0, 0], cosine_n * turn[:, 1, 1] - sine_n * turn[:, 0, 1]
     )
-    quarter, channel = _quarter_turn(degree), coeffs_kc.shape[1]
     turned_kcn = _about_z(np.broadcast_to(coeffs_kc[..., None], (*coeffs_kc.shape, 1)), gamma_n, degree)
-    for matrix, angle_n in ((quarter, beta_n), (quarter.T, alpha_n)):
-        turned_kcn = (matrix @ turned_kcn.reshape(len(matrix), -1)).reshape(len(matrix), channel, -1)
-        turned_kcn = _about_z(turned_kcn, angle_n, degree)
-    return np.moveaxis(turned_kcn, 2, 0)
+    turned_kcn = _about_z(_about_x(turned_kcn, degree, back=False), beta_n, degree)
+    return np.moveaxis(_about_z(_about_x(turned_kcn, degree, back=True), alpha_n, degree), 2, 0)
+
+
+def _about_x(coeffs_kcn: NDArray[np.float64], degree: int, *, back: bool) -> NDArray[np.float64]:
+    """Return functions turned by 90 degrees about x, or back."""
+    turned_kcn = np.empty_like(coeffs_kcn)
+    for l, block in enumerate(_quarter_turns(degree)):
+        own = coeffs_kcn[band(l)]
+        turn = block.T if back else block
+        turned_kcn[band(l)] = (turn @ own.reshape(len(own), -1)).reshape(own.shape)
+    return turned_kcn
 
 
 @functools.lru_cache(maxsize=4)
-def _quarter_turn(degree: int) -> NDArray[np.float64]:
-    """Return the matrix (n_coeff, n_coeff) of the turn by 90 degrees about x."""
-    matrix = np.zeros((coefficient_count(degree), coefficient_count(degree)))
-    for l, block in enumerate(rotation_blocks(_QUARTER_ABOUT_X, degree)):
-        matrix[band(l), band(l)] = block
-    return matrix
+def _quarter_turns(degree: int) -> list[NDArray[np.float64]]:
+    """Return the blocks of the turn by 90 degrees about x."""
+    return rotation_blocks(_QUARTER_ABOUT_X, degree)
 
 
 def _about_z(coeffs_kcn: NDArray[np.float64], angle_n: NDArray[np.float64], degree: int) -> NDArray[np.float64]:

@@ -23,6 +23,7 @@ from clrelight.jobs.written import count_bytes, count_stops
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.surface import Surface
 from clrelight.transfer.cameras import Camera, Framing, picture_size
+from clrelight.transfer.lit_functions import seen_degree
 from clrelight.transfer.painting import Painter
 from clrelight.transfer.shading import cut_degree, is_hemispherical
 from clrelight.transfer.views import MAX_SUBSAMPLES, SUBSAMPLES
@@ -127,7 +128,7 @@ def render(
     with claimed(names, inputs, kept), lend_map(source, device, kept, progress) as given:
         surface, body = surface_for(given, mesh, kept)
         coefficients = _prepare(given, surface, degree, shading)
-        wide = 2 * coefficients.degree + 4 if is_hemispherical(coefficients) else coefficients.degree
+        wide = seen_degree(coefficients.degree) if is_hemispherical(coefficients) else coefficients.degree
         unturned = sources_of(light, wide, kept)
         sources = turn_sources(unturned, rotate)
         behind, has_alpha = background_of(background, light, unturned)

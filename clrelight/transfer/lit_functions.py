@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.basis import MAX_DEGREE, evaluate_basis
 from clrelight.harmonics.hemisphere import hemisphere_autocorrelation
 from clrelight.harmonics.index import degree_of
 from clrelight.lighting.relighting import check_channels
@@ -41,7 +41,7 @@ class Functions:
     @property
     def light_degree(self) -> int:
         """Largest degree of lights that has an effect; where the horizon mixes degrees, so far as it is followed."""
-        return 2 * self.degree + 4 if self.hemispherical else self.degree
+        return seen_degree(self.degree) if self.hemispherical else self.degree
 
     def local(self, vectors_n3: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return vectors in the axes of the functions, (n, ..., 3); of positions' axes given as (n, ..., 3)."""
@@ -75,6 +75,11 @@ class Functions:
             for c in range(max(channel, colours))
         ]
         return np.stack(lit, axis=1)
+
+
+def seen_degree(degree: int) -> int:
+    """Return the degree up to which hemispherical functions of a degree are followed: beyond, light adds under 1%."""
+    return min(2 * degree + 12, MAX_DEGREE)
 
 
 def _sum_products(coeffs_kn: NDArray, light_nk: NDArray[np.float64]) -> NDArray[np.float64]:

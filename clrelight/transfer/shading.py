@@ -14,7 +14,7 @@ from clrelight.fit import method_ids
 from clrelight.harmonics.index import coefficient_count
 from clrelight.lighting.light import Light
 from clrelight.surface import Surface
-from clrelight.transfer.lit_functions import Functions
+from clrelight.transfer.lit_functions import Functions, seen_degree
 from clrelight.transfer.sources import DistantLight, Source, shade_by
 
 _AT_ONCE_BYTES = 1 << 26
@@ -36,7 +36,7 @@ def tiles_of(coefficients: CoefficientMap, surface: Surface, memory: int = _AT_O
     height, width, channel = coefficients.image_shape
     n_coeff = coefficients.n_coeff
     hemispherical = is_hemispherical(coefficients)
-    wide = coefficient_count(2 * coefficients.degree + 4) if hemispherical else n_coeff
+    wide = coefficient_count(seen_degree(coefficients.degree)) if hemispherical else n_coeff
     step = max(1, memory // (width * 8 * 3 * (4 * wide + n_coeff)))
     frames_v33 = None if surface.tangents_v3 is None else surface.frames()
     for first in range(0, height, step):
