@@ -16,7 +16,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.surface_scenes import BALL_AT, join, object_scene, plain, table_scene
+from benchmarks.figure_surfaces import BALL_AT, join, object_scene, plain, table_scene
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count
 from clrelight.harmonics.product import transfer_matrix
