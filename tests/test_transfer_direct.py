@@ -196,3 +196,25 @@ def test_rays_tell_the_side_that_they_meet():
     at = np.einsum("rc,rca->ra", found.weights_r3[:2], sphere.vertices_v3[sphere.faces_f3[found.face_r[:2]]])
     np.testing.assert_allclose(at[:, :2], out[:2, :2], atol=1e-5)
     np.testing.assert_allclose(at[:, 2], out[:2, 2] + [-1, 1] * found.distance_r[:2], atol=1e-5)
+
+
+def test_a_scanned_figure_is_closed_to_rays_wherever_it_stands(real_data):
+    pytest.importorskip("trimesh")
+    from clrelight.transfer.mesh_files import read_mesh
+    from clrelight.transfer.notes import probe
+
+    figure = read_mesh(real_data / "meshes" / "armadillo.ply")
+    assert figure.notes == ("it has no normals: they are made from its faces",)
+    assert (figure.n_vertex, len(figure.faces_f3)) == (15002, 30000)
+    expected = None
+    for scale, shift in ((1.0, 0.0), (1.0, 1e6), (1e-20, 0.0), (1e20, 0.0)):
+        moved = replace(figure, vertices_v3=figure.vertices_v3 * scale + shift)
+        scene = RayScene(moved)
+        seen = probe(moved, scene, make_samples(64))
+        assert seen.rays > 60000
+        assert seen.hits > 0.2 * seen.rays
+        assert seen.behind <= 1e-4 * seen.rays
+        found = transfer_vertices(moved, 2, "shadowed", 64, scene=scene)
+        expected = found if expected is None else expected
+        assert np.abs(found - expected).max() < 0.02
+        assert np.sqrt(np.mean((found - expected) ** 2)) < 1e-4

@@ -29,6 +29,7 @@ from clrelight.transfer.mesh_files import read_mesh
 from clrelight.transfer.notes import behind_note, probe
 from clrelight.transfer.rays import RayScene
 from clrelight.transfer.samples import DEFAULT_COUNT, Samples, given_samples, make_samples
+from clrelight.transfer.texels import texel_surface
 from clrelight.transfer.transport import Transport
 
 FROM_FILE = "file"
@@ -49,6 +50,7 @@ def transfer(
     way: str = "gather",
     threshold: float | None = None,
     up: str | None = None,
+    texels: Sequence[int] | None = None,
     seed: int = 0,
     memory: int | str = DEFAULT_MEMORY,
     progress: Progress | None = None,
@@ -82,6 +84,8 @@ def transfer(
         Bounces end once this share of the direct light is left; default: 0 where light is gathered, else 0.001.
     up : str, optional
         The axis of the file that points up: ``"y"`` or ``"z"``; default: z, of GLB y.
+    texels : two whole numbers, optional
+        Rows and columns of a texture: functions at the middles of its texels instead of at vertices.
     seed : int
         Of the stratified directions.
     memory : int or str
@@ -108,10 +112,11 @@ def transfer(
         wanted = Transport(whole(degree, "degree"), kind, given, whole(bounces, "bounces"), share, way, budget)
         since = time.perf_counter()
         with stage(progress, "reading the mesh"):
-            surface = _surface(mesh, frame, albedo, up, kept)
+            body = _surface(mesh, albedo, up, kept)
+            surface = with_frames(body if texels is None else _texels(body, texels, kept), frame)
         kept.add("read", since)
         config = _config(wanted, frame, samples, lights, seed)
-        return _Transfer(surface, wanted, config, kept, progress).run(out)
+        return _Transfer(surface, body, wanted, config, kept, progress).run(out)
 
 
 def _samples(
@@ -131,9 +136,16 @@ def _samples(
     return make_samples(DEFAULT_COUNT if count is None else whole(count, "samples"), seed)
 
 
-def _surface(
-    mesh: str | os.PathLike[str] | Surface, frame: str, albedo: Any, up: str | None, report: Report
-) -> Surface:
+def _texels(body: Surface, texels: Sequence[int], report: Report) -> Surface:
+    sides = [whole(each, "texels") for each in texels]
+    if len(sides) != 2:
+        raise InputError(f"texels must be two whole numbers, rows and columns, got {list(texels)}")
+    surface = texel_surface(body, *sides)
+    report.note(*surface.notes)
+    return surface
+
+
+def _surface(mesh: str | os.PathLike[str] | Surface, albedo: Any, up: str | None, report: Report) -> Surface:
     """Return the surface as it is asked for; its notes are told."""
     if isinstance(mesh, Surface):
         if albedo == FROM_FILE or up is not None:
@@ -146,7 +158,7 @@ def _surface(
     report.note(*surface.notes)
     if albedo is not None and not (isinstance(albedo, str) and albedo == FROM_FILE):
         surface = replace(surface, albedo_vc=_numbers(albedo, surface.n_vertex))
-    return with_frames(surface, frame)
+    return surface
 
 
 def _numbers(albedo: Any, n_vertex: int) -> NDArray[np.float32]:
@@ -175,9 +187,10 @@ def _config(
 
 @dataclass(frozen=True)
 class _Transfer:
-    """Transfer that is asked for, of a surface."""
+    """Transfer that is asked for, of a surface: the body in the rays' way, or points of it."""
 
     surface: Surface
+    body: Surface
     wanted: Transport
     config: dict[str, Any]
     report: Report
@@ -231,9 +244,9 @@ class _Transfer:
             return None
         since = time.perf_counter()
         with stage(self.progress, "preparing rays"):
-            scene = RayScene(self.surface)
+            scene = RayScene(self.body)
             if self.wanted.kind == "shadowed":
-                seen = probe(self.surface, scene, samples)
+                seen = probe(self.body, scene, samples)
                 self.report.note(*behind_note(seen))
                 facts["from_behind"] = seen.behind / max(seen.rays, 1)
         self.report.add("prepare", since)

@@ -8,7 +8,7 @@ their hits fit into memory, and again where they do not.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -218,6 +218,21 @@ def interreflected(
     white = FIRST * float(areas_v.sum()) * albedo_vc.shape[1]
     counted.energy = [each / white for each in energy]
     return total_vck
+
+
+def gathered_tiles(
+    surface: Surface, gatherer: Gatherer, lit_vck: NDArray[np.float32], block: int
+) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """Yield transfer at points of a scene that gather what its vertices send on: first point, (n, channel, n_coeff)."""
+    albedo_nc, flat_vq = albedo_of(surface), lit_vck.reshape(len(lit_vck), -1)
+    for first in range(0, gatherer.points.count, block):
+        end = min(first + block, gatherer.points.count)
+        coeffs_nck = np.empty((end - first, *lit_vck.shape[1:]), np.float32)
+        for start, stop in gatherer.tiles(first, end):
+            direct_nk, rows = gatherer.hits(start, stop)
+            got_nck = (rows @ flat_vq).reshape(stop - start, *lit_vck.shape[1:])
+            coeffs_nck[start - first : stop - first] = got_nck + direct_nk[:, None, :]
+        yield first, albedo_nc[first:end, :, None] * coeffs_nck
 
 
 def check_bounces(bounces: int, threshold: float, way: str) -> None:

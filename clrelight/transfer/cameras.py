@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from clrelight.errors import InputError
+from clrelight.harmonics.rotation import rotation_matrix
 from clrelight.surface import Surface
 
 FIELD_OF_VIEW = 30.0
@@ -29,9 +30,9 @@ class Camera:
 
     Attributes
     ----------
-    eye_3, target_3 : sequence of 3 floats
+    eye_3, target_3 : array_like of 3 floats
         Where it stands, and what lies in the middle of the picture, in units of the positions.
-    up_3 : sequence of 3 floats
+    up_3 : array_like of 3 floats
         What points upwards in the picture; not along the view.
     field_of_view : float
         Degrees from the lower to the upper edge, above 0 and below 180.
@@ -39,9 +40,9 @@ class Camera:
         Where given the view is orthographic, and the picture so high in units of the positions.
     """
 
-    eye_3: Sequence[float]
-    target_3: Sequence[float] = (0.0, 0.0, 0.0)
-    up_3: Sequence[float] = UP
+    eye_3: ArrayLike
+    target_3: ArrayLike = (0.0, 0.0, 0.0)
+    up_3: ArrayLike = UP
     field_of_view: float = FIELD_OF_VIEW
     height: float | None = None
 
@@ -71,7 +72,7 @@ class Camera:
         """Return the directions right, up and forward as rows, (3, 3)."""
         forward_3 = np.subtract(self.target_3, self.eye_3)
         forward_3 = forward_3 / np.linalg.norm(forward_3)
-        right_3 = np.cross(forward_3, self.up_3)
+        right_3 = np.cross(forward_3, np.asarray(self.up_3, np.float64))
         right_3 /= np.linalg.norm(right_3)
         return np.stack([right_3, np.cross(right_3, forward_3), forward_3])
 
@@ -103,11 +104,58 @@ class Camera:
 
     def turned(self, degrees: float, axis_3: Sequence[float], about_3: NDArray[np.float64]) -> Camera:
         """Return the camera after a turn about an axis through a point, counterclockwise seen from the axis's tip."""
-        from clrelight.harmonics.rotation import rotation_matrix
-
         turn = rotation_matrix("axis", (*axis_3, degrees))
         eye_3, target_3 = (turn @ np.subtract(place, about_3) + about_3 for place in (self.eye_3, self.target_3))
         return Camera(eye_3, target_3, turn @ np.asarray(self.up_3), self.field_of_view, self.height)
+
+
+@dataclass(frozen=True)
+class Framing:
+    """How a camera is wanted; what is None is found from the surface.
+
+    Attributes
+    ----------
+    eye_3 : sequence of 3 floats, optional
+        Where it stands; default: where it sees the whole surface.
+    target_3 : sequence of 3 floats, optional
+        With `eye_3`: what it looks at; default: the middle of the surface's box.
+    direction_3 : sequence of 3 floats, optional
+        Without `eye_3`: from the surface to the eye; default `DIRECTION`.
+    up_3 : sequence of 3 floats
+    field_of_view : float
+    orthographic : bool
+        With `eye_3` the height of the picture is what a perspective view would show at the target.
+    """
+
+    eye_3: Sequence[float] | None = None
+    target_3: Sequence[float] | None = None
+    direction_3: Sequence[float] | None = None
+    up_3: Sequence[float] = UP
+    field_of_view: float = FIELD_OF_VIEW
+    orthographic: bool = False
+
+    def place(self, surface: Surface, *, aspect: float = 1.0, turning: bool = False) -> Camera:
+        """Return the camera; InputError where what is wanted cannot be."""
+        if self.eye_3 is None:
+            if self.target_3 is not None:
+                raise InputError("a target goes with an eye: the automatic camera looks at the middle of the surface")
+            return frame_surface(
+                surface,
+                DIRECTION if self.direction_3 is None else self.direction_3,
+                up=self.up_3,
+                field_of_view=self.field_of_view,
+                orthographic=self.orthographic,
+                aspect=aspect,
+                turning=turning,
+            )
+        if self.direction_3 is not None:
+            raise InputError("give where the camera stands, or from which direction it looks, not both")
+        target_3 = middle_of(surface) if self.target_3 is None else self.target_3
+        camera = Camera(self.eye_3, target_3, self.up_3, self.field_of_view)
+        if not self.orthographic:
+            return camera
+        distance = float(np.linalg.norm(np.subtract(self.eye_3, target_3)))
+        return replace(camera, height=2.0 * distance * float(np.tan(np.radians(self.field_of_view) / 2.0)))
 
 
 def frame_surface(
@@ -197,5 +245,5 @@ def picture_size(size: int | Sequence[int]) -> tuple[int, int]:
     return int(sides[0]), int(sides[-1])
 
 
-def _text(numbers: Sequence[float] | NDArray[np.float64]) -> str:
-    return ", ".join(f"{v:g}" for v in numbers)
+def _text(numbers: ArrayLike) -> str:
+    return ", ".join(f"{v:g}" for v in np.ravel(numbers))

@@ -203,9 +203,12 @@ def albedo_of(surface: Surface) -> NDArray[np.float32]:
 
 
 def points_of(surface: Surface, scene: RayScene | None) -> Points:
-    """Return the vertices of a surface as points."""
-    starts_v3 = np.empty((0, 3), np.float32) if scene is None else scene.starts_v3
-    return Points(surface.normals_v3, starts_v3)
+    """Return the vertices of a surface as points: of the scene's own, or of one whose vertices lie on that."""
+    if scene is None:
+        return Points(surface.normals_v3, np.empty((0, 3), np.float32))
+    if scene.surface.vertices_v3 is surface.vertices_v3:
+        return Points(surface.normals_v3, scene.starts_v3)
+    return Points(surface.normals_v3, scene.starts_of(surface.vertices_v3, surface.normals_v3))
 
 
 def direct_tiles(

@@ -18,9 +18,9 @@ from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.surface import Surface
 from clrelight.threads import on_one_thread
-from clrelight.transfer.bounces import check_bounces, interreflected
+from clrelight.transfer.bounces import check_bounces, gathered_tiles, interreflected
 from clrelight.transfer.frames import turn_into_frames
-from clrelight.transfer.gathering import Tally, check_degree, direct_tiles
+from clrelight.transfer.gathering import Gatherer, Tally, check_degree, direct_tiles, points_of
 from clrelight.transfer.rays import RayScene
 from clrelight.transfer.samples import Samples, as_samples
 
@@ -73,7 +73,8 @@ class Transport:
     ) -> Iterator[tuple[int, NDArray[np.float32]]]:
         """Yield the number of the first vertex, and the transfer of up to `block` in the surface's frames.
 
-        Of shape (n_coeff, n, channel). The scene, of the same surface, is needed unless transfer is unshadowed.
+        Of shape (n_coeff, n, channel). The scene, of the same surface or of one that it is points of (its texels), is
+        needed unless transfer is unshadowed.
         """
         seen = None if self.kind == "unshadowed" else scene
         for first, coeffs_vck in self._tiles(surface, seen, block, tally, tell, tell_bounces):
@@ -98,12 +99,13 @@ class Transport:
             return
         if scene is None or self.samples is None:
             raise TypeError("interreflected transfer needs a scene and samples")
+        is_own = scene.surface.vertices_v3 is surface.vertices_v3
         whole_vck = interreflected(
-            surface,
+            surface if is_own else scene.surface,
             self.degree,
             self.samples,
             scene,
-            bounces=self.bounces,
+            bounces=self.bounces if is_own or self.way == "shoot" else max(self.bounces - 1, 0),
             threshold=self.threshold,
             way=self.way,
             memory=self.memory,
@@ -111,8 +113,14 @@ class Transport:
             tell=tell,
             tell_bounces=tell_bounces,
         )
-        for first in range(0, len(whole_vck), block):
-            yield first, whole_vck[first : first + block]
+        if is_own:
+            for first in range(0, len(whole_vck), block):
+                yield first, whole_vck[first : first + block]
+            return
+        lit_vck = whole_vck if self.bounces or self.way == "shoot" else np.zeros_like(whole_vck)
+        counted = Tally() if tally is None else tally
+        gatherer = Gatherer(points_of(surface, scene), self.samples, self.degree, scene, self.memory // 4, counted)
+        yield from gathered_tiles(surface, gatherer, lit_vck, block)
 
 
 def transfer_vertices(
