@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clrelight.codec import decode, encode
+from clrelight.codec.formats.uniform import Uniform
+from clrelight.codec.formats.wavelet import Wavelet
 from clrelight.errors import InputError
 from clrelight.jobs.fit import fit
+from clrelight.metrics import measure_errors, summarize_errors
 from clrelight.sampling import make_pattern
 from clrelight.surface import Surface
 from clrelight.transfer.brdfs import Ggx, Phong
@@ -168,3 +172,20 @@ def test_dama_is_glossy_and_shadowed():
 def test_refusals(call, message):
     with pytest.raises(InputError, match=message):
         call(torus_surface(4, 4))
+
+
+@pytest.mark.parametrize("make", [render_torus, render_dama], ids=["torus", "dama"])
+def test_noise_hurts_uls_most_then_sloan_and_neither_cls_nor_ceb(make, device):
+    """The paper's finding at 49 coefficients: figures 5, 9, 13 and 6, 10, 14."""
+    stack = make(size=24, lights=144)
+    falls = {}
+    for method in ("uls", "sloan", "cls", "ceb"):
+        fitted = fit(stack, method, degree=6, device=device)
+        plain = summarize_errors(measure_errors(fitted, stack, device=device)).psnr_mean
+        for codec in (Uniform(bits=8), Wavelet(rate=4.0)):
+            decoded_khwc = decode(encode(fitted.coeffs_khwc, codec, device).to_bytes(), device)
+            coded = replace(fitted, coeffs_khwc=decoded_khwc)
+            falls[method, codec.id] = plain - summarize_errors(measure_errors(coded, stack, device=device)).psnr_mean
+    assert max(falls[method, codec] for method in ("cls", "ceb") for codec in ("uniform", "wavelet")) < 0.5
+    assert falls["uls", "uniform"] > 6.0
+    assert falls["cls", "uniform"] < falls["sloan", "uniform"] < falls["uls", "uniform"]
