@@ -35,6 +35,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.pack import pack as pack
     from clrelight.jobs.reflect import reflect as reflect
     from clrelight.jobs.relight import relight as relight
+    from clrelight.jobs.render import render as render
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
@@ -68,7 +69,13 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.store import write_light as write_light
     from clrelight.store import write_stack as write_stack
     from clrelight.surface import Surface as Surface
+    from clrelight.transfer.cameras import Camera as Camera
+    from clrelight.transfer.cameras import Framing as Framing
+    from clrelight.transfer.local_light import LocalLights as LocalLights
     from clrelight.transfer.mesh_files import read_mesh as read_mesh
+    from clrelight.transfer.near_lights import PointLight as PointLight
+    from clrelight.transfer.near_lights import PolygonLight as PolygonLight
+    from clrelight.transfer.near_lights import SphereLight as SphereLight
 
 __version__ = "0.1.0"
 
@@ -91,6 +98,7 @@ _MODULES = {
     "jobs.pack": "pack",
     "jobs.reflect": "reflect",
     "jobs.relight": "relight",
+    "jobs.render": "render",
     "jobs.report": "Note Report",
     "jobs.target": "encode_to_quality",
     "jobs.transfer": "transfer",
@@ -109,7 +117,10 @@ _MODULES = {
     "store": "open_fit open_stack read_encoded read_fit read_light read_results "
     "write_encoded write_fit write_light write_stack",
     "surface": "Surface",
+    "transfer.cameras": "Camera Framing",
+    "transfer.local_light": "LocalLights",
     "transfer.mesh_files": "read_mesh",
+    "transfer.near_lights": "PointLight PolygonLight SphereLight",
 }
 _HOMES = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names.split()}
 

@@ -24,7 +24,9 @@ from clrelight.cli import (
     plan_lights,
     psnr,
     relight,
+    render,
     sampled,
+    shader,
     trade,
     transfer,
 )
@@ -54,7 +56,7 @@ def cli() -> None:
 
 
 for module in (
-    *(machines, pack, files, plan_lights, fit, coding, relight, export),
+    *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, psnr, experiments, trade, operators, transfer),
 ):
     for command in module.COMMANDS:
