@@ -31,7 +31,9 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
+    from clrelight.jobs.operators import transfer_operators as transfer_operators
     from clrelight.jobs.pack import pack as pack
+    from clrelight.jobs.reflect import reflect as reflect
     from clrelight.jobs.relight import relight as relight
     from clrelight.jobs.render import render as render
     from clrelight.jobs.report import Note as Note
@@ -41,6 +43,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.unpack import unpack as unpack
     from clrelight.lighting.environment import Environment as Environment
     from clrelight.lighting.environment import read_environment as read_environment
+    from clrelight.lighting.expressions import parse_expression as parse_expression
     from clrelight.lighting.lamps import blend_lights as blend_lights
     from clrelight.lighting.lamps import cap_light as cap_light
     from clrelight.lighting.lamps import cast_shadow as cast_shadow
@@ -48,6 +51,8 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.lighting.light import Light as Light
     from clrelight.lighting.projection import project_environment as project_environment
     from clrelight.lighting.rotation import rotate_light as rotate_light
+    from clrelight.lighting.sampled import multiply_lights as multiply_lights
+    from clrelight.lighting.sampled import sample_light as sample_light
     from clrelight.lighting.sky import sky_light as sky_light
     from clrelight.metrics import measure_errors as measure_errors
     from clrelight.metrics import summarize_errors as summarize_errors
@@ -89,7 +94,9 @@ _MODULES = {
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
+    "jobs.operators": "transfer_operators",
     "jobs.pack": "pack",
+    "jobs.reflect": "reflect",
     "jobs.relight": "relight",
     "jobs.render": "render",
     "jobs.report": "Note Report",
@@ -97,10 +104,12 @@ _MODULES = {
     "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
     "lighting.environment": "Environment read_environment",
+    "lighting.expressions": "parse_expression",
     "lighting.lamps": "blend_lights cap_light cast_shadow directional_light",
     "lighting.light": "Light",
     "lighting.projection": "project_environment",
     "lighting.rotation": "rotate_light",
+    "lighting.sampled": "multiply_lights sample_light",
     "lighting.sky": "sky_light",
     "metrics": "measure_errors summarize_errors",
     "opencl.devices": "list_devices",

@@ -143,6 +143,26 @@ def test_functions_of_the_eye_are_seen_from_it(folder):
         cr.render(folder / "eyes.h5", LIGHT)
 
 
+def test_operators_are_seen_under_their_light():
+    """A glossy surface: what `reflect` makes of each vertex towards the eye, interpolated."""
+    ring = torus_grid(20, 12)
+    ring = replace(ring, grid=None)
+    glossy = cr.transfer_operators(ring, "phong:20", 4, diffuse=0.3, specular=0.6, samples=64)
+    made = cr.render(glossy, LIGHT, camera=CAMERA, size=SMALL)
+    towards = cr.reflect(glossy, LIGHT, view=unit(np.asarray(CAMERA.eye_3) - ring.vertices_v3))
+    expected = render_surface(ring, towards.reshape(ring.n_vertex, 3), CAMERA, SMALL)
+    np.testing.assert_allclose(made, expected, atol=1e-5 * expected.max())
+    assert cr.render(glossy, LIGHT, camera=CAMERA, size=SMALL, shading="pixel").shape == made.shape
+    for lamp, options in (
+        ((0, 0, 1), {}),
+        (None, {}),
+        (LIGHT, {"degree": 1}),
+        (LIGHT, {"turntable": 2, "turns": "light"}),
+    ):
+        with pytest.raises(cr.InputError):
+            cr.render(glossy, lamp, size=8, **options)
+
+
 def test_a_grid_is_read_as_a_texture():
     ring = torus_grid(16, 12)
     held = clamped_cosine(ring)

@@ -19,11 +19,13 @@ from clrelight.cli import (
     irradiance,
     light,
     machines,
+    operators,
     pack,
     plan_lights,
     psnr,
     relight,
     render,
+    sampled,
     shader,
     trade,
     transfer,
@@ -55,7 +57,7 @@ def cli() -> None:
 
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
-    *(light, irradiance, psnr, experiments, trade, transfer),
+    *(light, sampled, irradiance, psnr, experiments, trade, operators, transfer),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

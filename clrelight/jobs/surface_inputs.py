@@ -16,6 +16,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import MAX_DEGREE, evaluate_basis
+from clrelight.harmonics.index import degree_of
 from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, opened_on, path_text
 from clrelight.jobs.report import Progress, Report
 from clrelight.lighting.environment import Environment
@@ -26,7 +27,7 @@ from clrelight.store import file_schema, open_fit, open_stack, read_light
 from clrelight.surface import Surface
 from clrelight.transfer.mesh_files import read_mesh
 from clrelight.transfer.painting import Background
-from clrelight.transfer.sources import DirectionalLight, DistantLight, Source
+from clrelight.transfer.sources import DirectionalLight, DistantLight, Source, sum_lights
 from clrelight.transfer.texels import texel_surface
 
 LightMaker = Callable[[int], Light]
@@ -160,11 +161,9 @@ def background_of(
         return lambda directions_n3: look_up(maps[0], directions_n3), False
     if not distant:
         raise InputError("a background environment needs light from everywhere: an environment, sky or light file")
-    return lambda directions_n3: _sum_lights(distant, directions_n3), False
+    coeffs_kc = sum_lights(distant)
+    return lambda directions_n3: _evaluate(coeffs_kc, directions_n3), False
 
 
-def _sum_lights(lights: Sequence[Light], directions_n3: NDArray[np.float64]) -> NDArray[np.float64]:
-    total_nc = np.zeros((len(directions_n3), 1))
-    for light in lights:
-        total_nc = total_nc + evaluate_basis(directions_n3, light.degree) @ light.coeffs_kc
-    return np.maximum(total_nc, 0.0)
+def _evaluate(coeffs_kc: NDArray[np.float64], directions_n3: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.maximum(evaluate_basis(directions_n3, degree_of(len(coeffs_kc))) @ coeffs_kc, 0.0)
