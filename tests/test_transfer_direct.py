@@ -142,7 +142,7 @@ def test_frames_are_sound_about_every_normal():
 
 def test_somebodys_directions_are_weighted_by_their_cells():
     sphere = icosphere(1)
-    directions = make_samples(1600, seed=5).directions_s3
+    directions = make_samples(576, seed=5).directions_s3
     found = transfer_vertices(sphere, 3, "shadowed", directions)
     np.testing.assert_allclose(found[:, :, 0].T, clamped_cosine(sphere.normals_v3, 3), atol=1e-6)
     above = directions[directions[:, 2] > 0]

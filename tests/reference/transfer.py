@@ -18,7 +18,7 @@ def clamped_cosine(normals, degree):
     return real_harmonics(normals, degree) * np.array(factors)[l]
 
 
-def sphere_grid(n_height=400, n_azimuth=800):
+def sphere_grid(n_height=240, n_azimuth=480):
     """Return directions in the middle of equal cells of the sphere, and the solid angle of each."""
     z = 1.0 - 2.0 * (np.arange(n_height) + 0.5) / n_height
     phi = 2.0 * np.pi * (np.arange(n_azimuth) + 0.5) / n_azimuth
