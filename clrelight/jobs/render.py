@@ -37,6 +37,7 @@ def render(
     *,
     out: str | os.PathLike[str] | None = None,
     mesh: Surface | str | os.PathLike[str] | None = None,
+    mesh_up: str | None = None,
     camera: Camera | Framing | Sequence[float] | None = None,
     size: int | Sequence[int] = 512,
     subsamples: int = SUBSAMPLES,
@@ -71,6 +72,8 @@ def render(
     mesh : path or Surface, optional
         Where the map holds no surface: a mesh file, a fit or stack of ours that holds one. Or a mesh with texture
         coordinates that wears the map as its texture.
+    mesh_up : str, optional
+        The axis of the mesh's file that points up, as `transfer` was told: ``"y"`` or ``"z"``.
     camera : Camera, Framing or three numbers, optional
         Numbers: from the surface to the eye, at the distance from which it is seen whole. Default: (1, -2, 1).
     size : int or two ints
@@ -128,7 +131,7 @@ def render(
     held = count_bytes(memory)
     inputs = paths_among(source, mesh, *(light if isinstance(light, list | tuple) else [light]))
     with claimed(names, inputs, kept), lend_map(source, device, kept, progress) as given:
-        surface, body = surface_for(given, mesh, kept)
+        surface, body = surface_for(given, mesh, mesh_up, kept)
         coefficients = _prepare(given, surface, degree, shading)
         unturned = sources_of(light, _light_degree(coefficients), kept)
         sources = turn_sources(unturned, rotate)

@@ -55,18 +55,20 @@ def lend_map(
 
 
 def surface_for(
-    coefficients: CoefficientMap, mesh: Surface | str | os.PathLike[str] | None, report: Report
+    coefficients: CoefficientMap, mesh: Surface | str | os.PathLike[str] | None, up: str | None, report: Report
 ) -> tuple[Surface, Surface | None]:
     """Return the surface of a map, or the one given beside it, and the mesh that wears the map as a texture, if any.
 
-    What is to be said of the mesh's file is noted.
+    What is to be said of the mesh's file is noted. `up` is that of `read_mesh`.
     """
     own, (height, width) = coefficients.surface, coefficients.image_shape[:2]
+    if up is not None and (mesh is None or isinstance(mesh, Surface)):
+        raise InputError("--mesh-up is for the file that --mesh names")
     if mesh is None:
         if own is None:
             raise InputError("the map holds no surface: say whose functions it has by --mesh (mesh file, fit or stack)")
         return own, None
-    surface = mesh if isinstance(mesh, Surface) else read_surface(mesh)
+    surface = mesh if isinstance(mesh, Surface) else read_surface(mesh, up)
     report.note(*surface.notes)
     worn = surface.texture_v2 is not None and surface.n_vertex != height * width and width > 1
     if own is not None:
@@ -84,11 +86,13 @@ def surface_for(
     return (surface if surface.map_shape == (height, width) else replace(surface, grid=(height, width))), None
 
 
-def read_surface(path: str | os.PathLike[str]) -> Surface:
-    """Return the surface in a mesh file, or that of a fit or stack of ours."""
+def read_surface(path: str | os.PathLike[str], up: str | None = None) -> Surface:
+    """Return the surface in a mesh file, whose `up` is that of `read_mesh`, or that of a fit or stack of ours."""
     name = path_text(path, "a mesh")
     if not name.lower().endswith((".h5", ".hdf5")):
-        return read_mesh(name)
+        return read_mesh(name, up=up)
+    if up is not None:
+        raise InputError("--mesh-up is for mesh files: fits and stacks hold their surface as it stands")
     opening: Any = open_stack if file_schema(name).startswith("stack") else open_fit
     with opening(name) as held:
         if held.surface is None:
