@@ -143,6 +143,26 @@ def test_functions_of_the_eye_are_seen_from_it(folder):
         cr.render(folder / "eyes.h5", LIGHT)
 
 
+def test_operators_are_seen_under_their_light():
+    """A glossy surface: what `reflect` makes of each vertex towards the eye, interpolated."""
+    ring = torus_grid(20, 12)
+    ring = replace(ring, grid=None)
+    glossy = cr.transfer_operators(ring, "phong:20", 4, diffuse=0.3, specular=0.6, samples=64)
+    made = cr.render(glossy, LIGHT, camera=CAMERA, size=SMALL)
+    towards = cr.reflect(glossy, LIGHT, view=unit(np.asarray(CAMERA.eye_3) - ring.vertices_v3))
+    expected = render_surface(ring, towards.reshape(ring.n_vertex, 3), CAMERA, SMALL)
+    np.testing.assert_allclose(made, expected, atol=1e-5 * expected.max())
+    assert cr.render(glossy, LIGHT, camera=CAMERA, size=SMALL, shading="pixel").shape == made.shape
+    for lamp, options in (
+        ((0, 0, 1), {}),
+        (None, {}),
+        (LIGHT, {"degree": 1}),
+        (LIGHT, {"turntable": 2, "turns": "light"}),
+    ):
+        with pytest.raises(cr.InputError):
+            cr.render(glossy, lamp, size=8, **options)
+
+
 def test_a_grid_is_read_as_a_texture():
     ring = torus_grid(16, 12)
     held = clamped_cosine(ring)
@@ -156,11 +176,21 @@ def test_a_grid_is_read_as_a_texture():
     assert np.abs(by_pixel - expected).mean() < 0.02 * expected.max()
 
 
+@pytest.mark.filterwarnings("ignore::clrelight.Note")
 def test_a_mesh_comes_beside_a_map_that_holds_none(folder):
     with_surface = cr.render(folder / "ball.h5", LIGHT, camera=CAMERA, size=SMALL)
     for mesh in (folder / "ball.obj", folder / "ball.h5", BALL):
         made = cr.render(folder / "bare.h5", LIGHT, camera=CAMERA, size=SMALL, mesh=mesh)
         np.testing.assert_allclose(made, with_surface, atol=1e-6)
+    z_up = "\n".join((folder / "ball.obj").read_text().splitlines())
+    swapped = [
+        " ".join((words[0], words[1], words[3], repr(-float(words[2])))) if words[0] in ("v", "vn") else line
+        for line in z_up.splitlines()
+        if (words := line.split())
+    ]
+    (folder / "y_up.obj").write_text("\n".join(swapped))  # z goes to y, and y to -z
+    made = cr.render(folder / "bare.h5", LIGHT, camera=CAMERA, size=SMALL, mesh=folder / "y_up.obj", mesh_up="y")
+    np.testing.assert_allclose(made, with_surface, atol=1e-6)
     coded = cr.encode(folder / "bare.h5", "half")
     made = cr.render(coded, LIGHT, camera=CAMERA, size=SMALL, mesh=BALL)
     np.testing.assert_allclose(made, with_surface, atol=2e-3 * with_surface.max())
@@ -346,6 +376,8 @@ def test_files_with_alpha_and_in_motion(folder, tmp_path):
         ("bare.h5 o.png --light 0,0,1 --mesh bare.h5", "holds no surface"),
         ("bare.h5 o.png --light 0,0,1 --mesh small.obj", "the mesh has 3 vertices, the map 2562 functions (2562×1)"),
         ("ball.h5 o.png --light 0,0,1 --mesh ball.obj", "leave out --mesh"),
+        ("ball.h5 o.png --light 0,0,1 --mesh-up y", "--mesh-up is for the file"),
+        ("bare.h5 o.png --light 0,0,1 --mesh ball.h5 --mesh-up y", "--mesh-up is for mesh files"),
         ("ball.h5 o.png", "give a light"),
         ("eyes.h5 o.png --light 0,0,1", "one fixed light"),
         ("cap.h5 o.png --light 0,0,1", "cap.h5"),

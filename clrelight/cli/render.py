@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,6 +11,9 @@ from clrelight.cli.options import Exposure, Numbers, device_option, json_option,
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.surface_lights import CameraWish, SurfaceLamps, camera_options, surface_light_options
+
+if TYPE_CHECKING:
+    from clrelight.jobs.report import Report
 
 
 class Ground(click.ParamType):
@@ -33,6 +36,7 @@ class Ground(click.ParamType):
     type=click.Path(),
     help="The surface, where MAP holds none: mesh file, fit or stack; or what wears MAP as a texture.",
 )
+@click.option("--mesh-up", type=click.Choice(["y", "z"]), help="Of the mesh file, as transfer was told by --up.")
 @surface_light_options
 @camera_options
 @click.option(
@@ -79,6 +83,7 @@ def render(
     fitted: str,
     image: str,
     mesh: str | None,
+    mesh_up: str | None,
     lamps: SurfaceLamps,
     wish: CameraWish,
     size: tuple[int, ...],
@@ -118,6 +123,7 @@ def render(
             lamps.lights(report) or None,
             out=image,
             mesh=mesh,
+            mesh_up=mesh_up,
             camera=wish.framing(),
             size=size,
             subsamples=subsamples,
@@ -137,6 +143,10 @@ def render(
             progress=bar,
             report=report,
         )
+    _print(report, as_json)
+
+
+def _print(report: Report, as_json: bool) -> None:
     told = report.facts
     files = told["files"]
     facts = {"image": ", ".join(files[:3]) + (" ..." if len(files) > 3 else "")}

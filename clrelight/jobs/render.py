@@ -25,7 +25,9 @@ from clrelight.surface import Surface
 from clrelight.transfer.cameras import Camera, Framing, picture_size
 from clrelight.transfer.lit_functions import seen_degree
 from clrelight.transfer.painting import Painter
-from clrelight.transfer.shading import cut_degree, is_hemispherical
+from clrelight.transfer.reflection import OPERATOR, operator_degrees, reflect_map
+from clrelight.transfer.shading import cut_degree, is_hemispherical, surface_of
+from clrelight.transfer.sources import DistantLight, Source, sum_lights
 from clrelight.transfer.views import MAX_SUBSAMPLES, SUBSAMPLES
 
 
@@ -35,6 +37,7 @@ def render(
     *,
     out: str | os.PathLike[str] | None = None,
     mesh: Surface | str | os.PathLike[str] | None = None,
+    mesh_up: str | None = None,
     camera: Camera | Framing | Sequence[float] | None = None,
     size: int | Sequence[int] = 512,
     subsamples: int = SUBSAMPLES,
@@ -69,6 +72,8 @@ def render(
     mesh : path or Surface, optional
         Where the map holds no surface: a mesh file, a fit or stack of ours that holds one. Or a mesh with texture
         coordinates that wears the map as its texture.
+    mesh_up : str, optional
+        The axis of the mesh's file that points up, as `transfer` was told: ``"y"`` or ``"z"``.
     camera : Camera, Framing or three numbers, optional
         Numbers: from the surface to the eye, at the distance from which it is seen whole. Default: (1, -2, 1).
     size : int or two ints
@@ -126,11 +131,12 @@ def render(
     held = count_bytes(memory)
     inputs = paths_among(source, mesh, *(light if isinstance(light, list | tuple) else [light]))
     with claimed(names, inputs, kept), lend_map(source, device, kept, progress) as given:
-        surface, body = surface_for(given, mesh, kept)
+        surface, body = surface_for(given, mesh, mesh_up, kept)
         coefficients = _prepare(given, surface, degree, shading)
-        wide = seen_degree(coefficients.degree) if is_hemispherical(coefficients) else coefficients.degree
-        unturned = sources_of(light, wide, kept)
+        unturned = sources_of(light, _light_degree(coefficients), kept)
         sources = turn_sources(unturned, rotate)
+        if coefficients.method == OPERATOR:
+            surface, coefficients, sources = *_reflected(coefficients, sources, degree), []
         behind, has_alpha = background_of(background, light, unturned)
         behind = turn_background(behind, rotate)
         painter = Painter(coefficients, surface, picture_size(size), _checked(subsamples), shading, held, body)
@@ -143,10 +149,30 @@ def render(
     return images_ihwc if frames.is_turntable else images_ihwc[0]
 
 
+def _light_degree(coefficients: CoefficientMap) -> int:
+    """Return the degree up to which light has an effect."""
+    if coefficients.method == OPERATOR:
+        return operator_degrees(coefficients)[0]
+    return seen_degree(coefficients.degree) if is_hemispherical(coefficients) else coefficients.degree
+
+
+def _reflected(
+    operators: CoefficientMap, sources: Sequence[Source], degree: int | None
+) -> tuple[Surface, CoefficientMap]:
+    """Return a surface and its functions of the direction to the eye, made of operators under distant light."""
+    lights = [source.light for source in sources if isinstance(source, DistantLight)]
+    if not lights or len(lights) < len(sources):
+        raise InputError("operators take light from everywhere: light files, environments, skies and caps")
+    if degree is not None:
+        raise InputError("--degree cuts functions; operators have two degrees")
+    made = reflect_map(operators, sum_lights(lights))
+    return surface_of(made), made
+
+
 def _prepare(given: CoefficientMap, surface: Surface, degree: int | None, shading: str) -> CoefficientMap:
     """Return the map on its surface, cut to a degree, and in memory where that is needed."""
     coefficients = replace(given, surface=surface)
-    coefficients = coefficients if degree is None else cut_degree(coefficients, degree)
+    coefficients = coefficients if degree is None or given.method == OPERATOR else cut_degree(coefficients, degree)
     return coefficients.to_float32() if shading == "pixel" else coefficients
 
 

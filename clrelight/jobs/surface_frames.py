@@ -63,6 +63,8 @@ class SurfaceFrames:
         by_light = self.turns == "light" and self.is_turntable
         if by_light and not all(isinstance(each, DistantLight | DirectionalLight) for each in sources):
             raise InputError("lights near the surface do not go round it: let the view turn (--turns view)")
+        if by_light and not sources:
+            raise InputError("under a fixed light only the view can turn (--turns view)")
         middle_3 = middle_of(painter.body or painter.surface)
         for step in range(self.count):
             since = time.perf_counter()

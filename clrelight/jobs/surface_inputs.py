@@ -16,6 +16,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import MAX_DEGREE, evaluate_basis
+from clrelight.harmonics.index import degree_of
 from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, opened_on, path_text
 from clrelight.jobs.report import Progress, Report
 from clrelight.lighting.environment import Environment
@@ -26,7 +27,7 @@ from clrelight.store import file_schema, open_fit, open_stack, read_light
 from clrelight.surface import Surface
 from clrelight.transfer.mesh_files import read_mesh
 from clrelight.transfer.painting import Background
-from clrelight.transfer.sources import DirectionalLight, DistantLight, Source
+from clrelight.transfer.sources import DirectionalLight, DistantLight, Source, sum_lights
 from clrelight.transfer.texels import texel_surface
 
 LightMaker = Callable[[int], Light]
@@ -54,18 +55,20 @@ def lend_map(
 
 
 def surface_for(
-    coefficients: CoefficientMap, mesh: Surface | str | os.PathLike[str] | None, report: Report
+    coefficients: CoefficientMap, mesh: Surface | str | os.PathLike[str] | None, up: str | None, report: Report
 ) -> tuple[Surface, Surface | None]:
     """Return the surface of a map, or the one given beside it, and the mesh that wears the map as a texture, if any.
 
-    What is to be said of the mesh's file is noted.
+    What is to be said of the mesh's file is noted. `up` is that of `read_mesh`.
     """
     own, (height, width) = coefficients.surface, coefficients.image_shape[:2]
+    if up is not None and (mesh is None or isinstance(mesh, Surface)):
+        raise InputError("--mesh-up is for the file that --mesh names")
     if mesh is None:
         if own is None:
             raise InputError("the map holds no surface: say whose functions it has by --mesh (mesh file, fit or stack)")
         return own, None
-    surface = mesh if isinstance(mesh, Surface) else read_surface(mesh)
+    surface = mesh if isinstance(mesh, Surface) else read_surface(mesh, up)
     report.note(*surface.notes)
     worn = surface.texture_v2 is not None and surface.n_vertex != height * width and width > 1
     if own is not None:
@@ -83,11 +86,13 @@ def surface_for(
     return (surface if surface.map_shape == (height, width) else replace(surface, grid=(height, width))), None
 
 
-def read_surface(path: str | os.PathLike[str]) -> Surface:
-    """Return the surface in a mesh file, or that of a fit or stack of ours."""
+def read_surface(path: str | os.PathLike[str], up: str | None = None) -> Surface:
+    """Return the surface in a mesh file, whose `up` is that of `read_mesh`, or that of a fit or stack of ours."""
     name = path_text(path, "a mesh")
     if not name.lower().endswith((".h5", ".hdf5")):
-        return read_mesh(name)
+        return read_mesh(name, up=up)
+    if up is not None:
+        raise InputError("--mesh-up is for mesh files: fits and stacks hold their surface as it stands")
     opening: Any = open_stack if file_schema(name).startswith("stack") else open_fit
     with opening(name) as held:
         if held.surface is None:
@@ -160,11 +165,9 @@ def background_of(
         return lambda directions_n3: look_up(maps[0], directions_n3), False
     if not distant:
         raise InputError("a background environment needs light from everywhere: an environment, sky or light file")
-    return lambda directions_n3: _sum_lights(distant, directions_n3), False
+    coeffs_kc = sum_lights(distant)
+    return lambda directions_n3: _evaluate(coeffs_kc, directions_n3), False
 
 
-def _sum_lights(lights: Sequence[Light], directions_n3: NDArray[np.float64]) -> NDArray[np.float64]:
-    total_nc = np.zeros((len(directions_n3), 1))
-    for light in lights:
-        total_nc = total_nc + evaluate_basis(directions_n3, light.degree) @ light.coeffs_kc
-    return np.maximum(total_nc, 0.0)
+def _evaluate(coeffs_kc: NDArray[np.float64], directions_n3: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.maximum(evaluate_basis(directions_n3, degree_of(len(coeffs_kc))) @ coeffs_kc, 0.0)

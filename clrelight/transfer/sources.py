@@ -84,6 +84,14 @@ def set_vector(record: object, label: str, what: str) -> None:
     object.__setattr__(record, label, tuple(float(v) for v in value))
 
 
+def sum_lights(lights: Sequence[Light]) -> NDArray[np.float64]:
+    """Return the coefficients of lights from everywhere together, (n_coeff, 1 or 3), of the largest degree."""
+    coeffs_kc = np.zeros((max(len(light.coeffs_kc) for light in lights), max(light.channels for light in lights)))
+    for light in lights:
+        coeffs_kc[: len(light.coeffs_kc)] += light.coeffs_kc
+    return coeffs_kc
+
+
 def add_light(total_nc: NDArray[np.float64], more_nc: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the sum of two lots of radiance, of which one may be gray."""
     if 1 not in (total_nc.shape[1], more_nc.shape[1]):
