@@ -262,6 +262,13 @@ class FitRecord:
         """Return the record of a fit."""
         return cls(**{each.name: getattr(coefficients, each.name) for each in fields(cls)})
 
+    def without_surface(self) -> FitRecord:
+        """Return the record of what holds no geometry; its config says in whose frames functions are, and of what."""
+        if self.surface is None:
+            return self
+        facts = {"frame": self.surface.frame, "argument": self.surface.argument}
+        return replace(self, surface=None, config={**self.config, "surface": facts})
+
     def to_map(self, coeffs_khwc: Any, lambda_hwc: Any = None, rank_hwc: Any = None) -> CoefficientMap:
         """Return the fit with these maps; InputError if they do not match the degree, or each other."""
         return CoefficientMap(coeffs_khwc, lambda_hwc=lambda_hwc, rank_hwc=rank_hwc, **vars(self))

@@ -111,6 +111,11 @@ class Surface:
         return self.grid or (self.n_vertex, 1)
 
     @property
+    def frame(self) -> str:
+        """``"local"`` where functions are in the frames of the vertices, else ``"global"``."""
+        return "global" if self.tangents_v3 is None else "local"
+
+    @property
     def diagonal(self) -> float:
         """Length of the diagonal of the box around it."""
         return float(np.linalg.norm(np.ptp(self.vertices_v3, axis=0)))

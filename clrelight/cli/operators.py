@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from clrelight.cli.options import Numbers, device_option, json_option, memory_option, whole_number
+from clrelight.cli.options import Numbers, device_option, json_option, memory_option, order_option, whole_number
 from clrelight.cli.output import print_report
 from clrelight.cli.progress import progress_bar
 
@@ -50,13 +50,7 @@ from clrelight.cli.progress import progress_bar
     show_default=True,
     help="Axes of the light; local, beside local views, makes operators alike: codecs take less.",
 )
-@click.option(
-    "--order",
-    type=click.Choice(["file", "morton", "hilbert", "graph", "blocks", "sorted"]),
-    default="file",
-    show_default=True,
-    help="Order of the vertices, for codecs; blocks and sorted are images of them.",
-)
+@order_option
 @click.option("--add", type=click.Path(), metavar="TRANSFER", help="Diffuse transfer of the same vertices, added.")
 @click.option("--colors", is_flag=True, help="Scale the matte part by the colours that the file has.")
 @click.option("--up", type=click.Choice(["y", "z"]), help="Axis of the file that points up; default: z, of GLB y.")

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from clrelight.cli.options import Numbers, is_given, json_option, memory_option, whole_number
+from clrelight.cli.options import Numbers, is_given, json_option, memory_option, order_option, whole_number
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError
@@ -73,6 +73,7 @@ class Albedo(click.ParamType):
     type=Numbers(int, "ROWS,COLUMNS", 2),
     help="At the middles of so many texels of its texture, instead of at vertices.",
 )
+@order_option
 @click.option("--seed", type=whole_number(0), default=0, show_default=True, help="Of the stratified directions.")
 @memory_option("256MiB", "rays and what they meet")
 @json_option

@@ -11,33 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, FitRecord
-from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.jobs.inputs import (
     FitLike,
-    Path,
     lend_fit,
     path_text,
     paths_among,
     whole,
 )
+from clrelight.jobs.meshes import MeshLike, mesh_config, take_surface
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
-from clrelight.store import open_fit, write_fit
+from clrelight.store import write_fit
 from clrelight.store.fits import create_fit
 from clrelight.surface import Surface
 from clrelight.threads import on_one_thread
 from clrelight.transfer.brdfs import Brdf, Colour, parse_brdf
 from clrelight.transfer.frames import with_frames
-from clrelight.transfer.mesh_files import read_mesh
 from clrelight.transfer.operator_plan import OperatorPlan, plan_operators
 from clrelight.transfer.operators import channel_count, operator_map, operator_tiles
 from clrelight.transfer.reflection import add_diffuse
 from clrelight.transfer.vertex_order import reorder
-
-MeshLike = Path | Surface
 
 
 @overload
@@ -184,7 +180,7 @@ def transfer_operators(
                 extension=extension,
                 light_frame=light_frame,
             )
-        plan.config["order"] = order
+        plan.config.update({"frame": frame, **mesh_config(order, up)})
         since = kept.add("plan", since)
         job = _Job(surface, plan, shadowed, budget, kept, progress)
         if target is None or add is not None:
@@ -199,19 +195,6 @@ def transfer_operators(
             job.to_file(target)
         kept.facts = {"file": target, **kept.facts, "bytes_on_disk": os.stat(target).st_size}
     return kept
-
-
-def take_surface(mesh: MeshLike, *, colors: bool = False, up: str | None = None) -> Surface:
-    """Return the surface of a mesh file (see `read_mesh`), or of a fit of ours; InputError where there is none."""
-    if isinstance(mesh, Surface):
-        return mesh
-    name = path_text(mesh, "a mesh")
-    if not name.lower().endswith((".h5", ".hdf5")):
-        return read_mesh(name, colors=colors, up=up)
-    with open_fit(name) as fitted:
-        if fitted.surface is None:
-            raise InputError(f"{name} holds a fit of no surface: give a mesh")
-        return fitted.surface
 
 
 class _Job:

@@ -13,7 +13,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.jobs.inputs import FittedLike, lend_coefficients, opened_on, path_text, paths_among
-from clrelight.jobs.operators import MeshLike, take_surface
+from clrelight.jobs.meshes import MeshLike, frame_as_made, take_surface_of
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.lighting.light import Light
@@ -64,7 +64,9 @@ def reflect(
         opened_on(device, kept) as opened,
         lend_coefficients(operators, opened, kept, progress) as lent,
     ):
-        held = lent if mesh is None else replace(lent, surface=take_surface(mesh))
+        held = lent
+        if mesh is not None:
+            held = replace(lent, surface=frame_as_made(lent.config, take_surface_of(lent.config, mesh)))
         since = time.perf_counter()
         with stage(progress, "reflecting"):
             if view is not None:

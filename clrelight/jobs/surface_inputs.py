@@ -17,15 +17,15 @@ from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import MAX_DEGREE, evaluate_basis
 from clrelight.harmonics.index import degree_of
-from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, opened_on, path_text
+from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, opened_on
+from clrelight.jobs.meshes import frame_as_made, is_mesh_file, take_surface_of
 from clrelight.jobs.report import Progress, Report
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
 from clrelight.lighting.lookup import look_up
 from clrelight.lighting.projection import project_environment
-from clrelight.store import file_schema, open_fit, open_stack, read_light
+from clrelight.store import read_light
 from clrelight.surface import Surface
-from clrelight.transfer.mesh_files import read_mesh
 from clrelight.transfer.painting import Background
 from clrelight.transfer.sources import DirectionalLight, DistantLight, Source, sum_lights
 from clrelight.transfer.texels import texel_surface
@@ -68,7 +68,9 @@ def surface_for(
         if own is None:
             raise InputError("the map holds no surface: say whose functions it has by --mesh (mesh file, fit or stack)")
         return own, None
-    surface = mesh if isinstance(mesh, Surface) else read_surface(mesh, up)
+    if up is not None and not is_mesh_file(mesh):
+        raise InputError("--mesh-up is for mesh files: fits and stacks hold their surface as it stands")
+    surface = take_surface_of(coefficients.config, mesh, up=up)
     report.note(*surface.notes)
     worn = surface.texture_v2 is not None and surface.n_vertex != height * width and width > 1
     if own is not None:
@@ -76,29 +78,15 @@ def surface_for(
             raise InputError("the map holds its surface: leave out --mesh, unless it wears the map as a texture")
         return own, surface
     if worn:
-        return texel_surface(surface, height, width), surface
+        return frame_as_made(coefficients.config, texel_surface(surface, height, width)), surface
     if surface.n_vertex != height * width:
         raise InputError(
             f"{surface.name}: the mesh has {surface.n_vertex} vertices, the map {height * width} functions "
             f"({height}×{width}): give the mesh that it was made of"
         )
     # A map of several columns says that the vertices are a grid, which mesh files do not.
-    return (surface if surface.map_shape == (height, width) else replace(surface, grid=(height, width))), None
-
-
-def read_surface(path: str | os.PathLike[str], up: str | None = None) -> Surface:
-    """Return the surface in a mesh file, whose `up` is that of `read_mesh`, or that of a fit or stack of ours."""
-    name = path_text(path, "a mesh")
-    if not name.lower().endswith((".h5", ".hdf5")):
-        return read_mesh(name, up=up)
-    if up is not None:
-        raise InputError("--mesh-up is for mesh files: fits and stacks hold their surface as it stands")
-    opening: Any = open_stack if file_schema(name).startswith("stack") else open_fit
-    with opening(name) as held:
-        if held.surface is None:
-            raise InputError(f"{name} holds no surface: its pixels are those of a picture")
-        surface: Surface = held.surface
-        return surface
+    gridded = surface if surface.map_shape == (height, width) else replace(surface, grid=(height, width))
+    return frame_as_made(coefficients.config, gridded), None
 
 
 def sources_of(light: LightLike, degree: int, report: Report) -> list[Source]:

@@ -16,6 +16,7 @@ from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.jobs.inputs import paths_among, read_directions, whole
+from clrelight.jobs.meshes import mesh_config
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
@@ -31,6 +32,7 @@ from clrelight.transfer.rays import RayScene
 from clrelight.transfer.samples import DEFAULT_COUNT, Samples, given_samples, make_samples
 from clrelight.transfer.texels import texel_surface
 from clrelight.transfer.transport import Transport
+from clrelight.transfer.vertex_order import reorder
 
 FROM_FILE = "file"
 """Albedo is what a file says of its vertices' colours."""
@@ -51,6 +53,7 @@ def transfer(
     threshold: float | None = None,
     up: str | None = None,
     texels: Sequence[int] | None = None,
+    order: str = "file",
     seed: int = 0,
     memory: int | str = DEFAULT_MEMORY,
     progress: Progress | None = None,
@@ -86,6 +89,8 @@ def transfer(
         The axis of the file that points up: ``"y"`` or ``"z"``; default: z, of GLB y.
     texels : two whole numbers, optional
         Rows and columns of a texture: functions at the middles of its texels instead of at vertices.
+    order : str
+        Of the vertices: ``"file"``, ``"morton"``, ``"hilbert"``, ``"graph"``; as images ``"blocks"``, ``"sorted"``.
     seed : int
         Of the stratified directions.
     memory : int or str
@@ -108,14 +113,16 @@ def transfer(
     kept, budget = report_for(report), count_bytes(memory)
     with claimed([out], paths_among(mesh, lights), kept), on_one_thread():
         given = _samples(kind, samples, lights, whole(seed, "seed"), kept)
+        if texels is not None and order != "file":
+            raise InputError("--order is of vertices: texels lie as they lie")
         share = (1e-3 if way == "shoot" else 0.0) if threshold is None else float(threshold)
         wanted = Transport(whole(degree, "degree"), kind, given, whole(bounces, "bounces"), share, way, budget)
         since = time.perf_counter()
         with stage(progress, "reading the mesh"):
-            body = _surface(mesh, albedo, up, kept)
+            body = reorder(_surface(mesh, albedo, up, kept), order)[0]
             surface = with_frames(body if texels is None else _texels(body, texels, kept), frame)
         kept.add("read", since)
-        config = _config(wanted, frame, samples, lights, seed)
+        config = {**_config(wanted, frame, samples, lights, seed), **mesh_config(order, up)}
         return _Transfer(surface, body, wanted, config, kept, progress).run(out)
 
 
