@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
+    from clrelight.jobs.normals import normals as normals
     from clrelight.jobs.pack import pack as pack
     from clrelight.jobs.relight import relight as relight
     from clrelight.jobs.report import Note as Note
@@ -82,6 +83,7 @@ _MODULES = {
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
+    "jobs.normals": "normals",
     "jobs.pack": "pack",
     "jobs.relight": "relight",
     "jobs.report": "Note Report",

@@ -19,6 +19,7 @@ from clrelight.cli import (
     irradiance,
     light,
     machines,
+    normals,
     pack,
     plan_lights,
     psnr,
@@ -53,7 +54,7 @@ def cli() -> None:
 
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, export),
-    *(light, irradiance, psnr, experiments, trade, transfer),
+    *(light, irradiance, psnr, experiments, trade, transfer, normals),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

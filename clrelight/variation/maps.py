@@ -1,0 +1,213 @@
+"""Normals of a whole stack: rows go through in tiles, and blocks of their pixels through every processor."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.conventions import srgb_to_linear
+from clrelight.dataset import LightStack
+from clrelight.errors import InputError
+from clrelight.memory import DEFAULT_MEMORY
+from clrelight.streaming import Buffer, reading_ahead
+from clrelight.threads import on_one_thread
+from clrelight.variation.normals import METHODS, PixelNormals, find_normals, light_condition, shadow_floor
+
+_BLOCK = 2048
+"""Pixels that are solved together: what is made of them stays in a processor's cache."""
+_WORK_ARRAYS = 10
+"""Arrays of float32 as large as a block's samples that are alive at once, beside one a channel."""
+_PROBE_ROWS, _PROBE_PIXELS = 16, 1 << 13
+
+
+@dataclass(frozen=True)
+class NormalMap:
+    """Normals, albedo and confidence of every pixel.
+
+    Attributes
+    ----------
+    normals_hw3 : ndarray, shape (height, width, 3), float32
+        Unit vectors, x right, y up, z towards the camera; 0 outside the mask, and where nothing is seen.
+    albedo_hwc : ndarray, shape (height, width, channel), float32
+        Linear radiance under a light along the normal, in units of the peak.
+    confidence_hw : ndarray, shape (height, width), float32
+        From 0 to 1: see `clrelight.variation.normals.PixelNormals`.
+    condition : float
+        Of the lights' directions.
+    floor : float
+        What shadows hold of light from elsewhere, as a share of the albedo.
+    """
+
+    normals_hw3: NDArray[np.float32]
+    albedo_hwc: NDArray[np.float32]
+    confidence_hw: NDArray[np.float32]
+    condition: float
+    floor: float
+
+
+def map_normals(
+    stack: LightStack,
+    method: str = "robust",
+    *,
+    memory_bytes: int = DEFAULT_MEMORY,
+    progress: Callable[[int, int], None] | None = None,
+    add_time: Callable[[str, float], float] | None = None,
+) -> NormalMap:
+    """Return the normals of a stack, whose rows are read tile by tile, the next tile while one is computed.
+
+    Parameters
+    ----------
+    stack : LightStack
+        Lights of equal intensity.
+    method : str
+        ``"robust"`` or ``"least-squares"``.
+    memory_bytes : int
+        Bytes that samples may take, and what is made of them on the way.
+    progress : callable, optional
+        Told rows done, and of how many.
+    add_time : callable, optional
+        Told a stage and when it began, returns now.
+
+    Raises
+    ------
+    InputError
+        If the method is unknown, the lights do not determine normals, a row does not fit the budget, or samples are
+        negative or not finite.
+    """
+    if method not in METHODS:
+        raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    condition = light_condition(stack.directions_i3)
+    height, width, channel = stack.image_shape
+    tally = add_time or (lambda _, since: time.perf_counter())
+    workers = os.cpu_count() or 1
+    step, block = _plan(stack, memory_bytes, workers)
+    tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
+    buffers = itertools.cycle([Buffer() for _ in tiles[:2]])
+
+    def read(rows: tuple[int, int]) -> NDArray:
+        shape = (stack.n_light, rows[1] - rows[0], width, channel)
+        return stack.read_rows(*rows, next(buffers).lend(shape, stack.images_ihwc.dtype))
+
+    curve = _Curve(stack)
+    found = NormalMap(
+        np.zeros((height, width, 3), np.float32),
+        np.zeros((height, width, channel), np.float32),
+        np.zeros((height, width), np.float32),
+        condition,
+        0.0 if method == "least-squares" else _probe_floor(stack, curve),
+    )
+    since = time.perf_counter()
+    with on_one_thread(), ThreadPoolExecutor(workers) as pool, reading_ahead(read, tiles) as samples:
+        for (first, end), tile_ihwc in zip(tiles, samples, strict=True):
+            since = tally("read", since)
+            _solve_tile(stack, curve, method, found, first, end, tile_ihwc, block, pool)
+            since = tally("solve", since)
+            if progress is not None:
+                progress(end, height)
+    return found
+
+
+def _plan(stack: LightStack, memory_bytes: int, workers: int) -> tuple[int, int]:
+    """Return rows of a tile and pixels of a block within the budget."""
+    height, width, channel = stack.image_shape
+    pixel = stack.n_light * channel * stack.images_ihwc.dtype.itemsize
+    work = 4 * stack.n_light * (channel + _WORK_ARRAYS) * workers
+    block = max(64, min(_BLOCK, memory_bytes // 4 // work))
+    rows = (memory_bytes - work * block) // (2 * width * pixel)
+    if rows < 1:
+        needed = 2 * width * pixel + work * block
+        raise InputError(f"one row of this stack takes {needed} bytes, more than the memory budget {memory_bytes}")
+    chunks = getattr(stack.images_ihwc, "chunks", None)
+    if chunks and chunks[1] <= rows:
+        rows -= rows % chunks[1]
+    return int(min(rows, height)), block
+
+
+class _Curve:
+    """What turns a stack's code values into linear radiance in units of its peak."""
+
+    def __init__(self, stack: LightStack) -> None:
+        dtype = np.dtype(stack.images_ihwc.dtype)
+        self._peak, self._is_srgb = stack.peak, stack.transfer == "srgb"
+        self._is_integer = dtype.kind == "u"
+        codes = np.arange(np.iinfo(dtype).max + 1) if self._is_integer else np.zeros(1)
+        self._table = self._decode(codes)
+        self._most = min(np.iinfo(dtype).max, stack.peak) if self._is_integer else np.inf
+
+    def _decode(self, values: NDArray) -> NDArray[np.float32]:
+        radiance = values / np.float64(self._peak)
+        return (srgb_to_linear(radiance) if self._is_srgb else radiance).astype(np.float32)
+
+    def linear(self, codes_ipc: NDArray) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+        """Return radiance, (channel, n_light, P), and which samples are at the end of an integer type's range."""
+        codes_cip = np.ascontiguousarray(codes_ipc.transpose(2, 0, 1))
+        if not self._is_integer:
+            return self._decode(codes_cip), None
+        clipped_ip = (codes_cip >= self._most).any(axis=0)
+        return np.take(self._table, codes_cip), clipped_ip if clipped_ip.any() else None
+
+
+def _probe_floor(stack: LightStack, curve: _Curve) -> float:
+    """Return what shadows hold, from some rows of the stack."""
+    height, width, _ = stack.image_shape
+    rows = np.unique(np.linspace(0, height - 1, min(height, _PROBE_ROWS)).round().astype(int))
+    stride = -(-len(rows) * width // _PROBE_PIXELS)
+    kept = []
+    for row in rows.tolist():
+        row_ipc = stack.read_rows(row, row + 1)[:, 0]
+        if stack.mask_hw is not None:
+            row_ipc = row_ipc[:, stack.mask_hw[row]]
+        kept.append(row_ipc[:, ::stride])
+    samples_cip, _ = curve.linear(np.concatenate(kept, axis=1))
+    with on_one_thread():
+        return shadow_floor(*_in_range(samples_cip)[:1], stack.directions_i3) if samples_cip.size else 0.0
+
+
+def _in_range(samples_cip: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
+    """Return samples by a power of two nearer to 1 where their squares would leave float32, and its exponent."""
+    exponent = int(np.frexp(samples_cip.max(initial=0.0))[1])
+    if abs(exponent) < 24:
+        return samples_cip, 0
+    return np.ldexp(samples_cip, -exponent), exponent
+
+
+def _solve_tile(
+    stack: LightStack,
+    curve: _Curve,
+    method: str,
+    found: NormalMap,
+    first: int,
+    end: int,
+    tile_ihwc: NDArray,
+    block: int,
+    pool: ThreadPoolExecutor,
+) -> None:
+    """Fill rows first..end of the maps from their samples; pixels outside the mask stay 0."""
+    n_light, _, width, channel = tile_ihwc.shape
+    columns_ipc = tile_ihwc.reshape(n_light, -1, channel)
+    inside_p = None if stack.mask_hw is None else np.flatnonzero(stack.mask_hw[first:end])
+    count = columns_ipc.shape[1] if inside_p is None else len(inside_p)
+
+    def solve(start: int) -> tuple[NDArray[np.intp] | slice, PixelNormals]:
+        pixels = slice(start, start + block) if inside_p is None else inside_p[start : start + block]
+        samples_cip, clipped_ip = curve.linear(columns_ipc[:, pixels])
+        samples_cip, exponent = _in_range(samples_cip)
+        solved = find_normals(samples_cip, stack.directions_i3, method, clipped_ip, found.floor)
+        if exponent:
+            np.ldexp(solved.albedo_pc, exponent, out=solved.albedo_pc)
+        return pixels, solved
+
+    normals_p3, albedo_pc, confidence_p = (
+        each[first:end].reshape(-1, *each.shape[2:])
+        for each in (found.normals_hw3, found.albedo_hwc, found.confidence_hw)
+    )
+    for pixels, solved in pool.map(solve, range(0, count, block)):
+        normals_p3[pixels], albedo_pc[pixels] = solved.normals_p3, solved.albedo_pc
+        confidence_p[pixels] = solved.confidence_p
