@@ -19,13 +19,13 @@ MOST_CONDITION = 100.0
 """Of the lights' directions: beyond, the samples' noise alone turns normals by more than they tell."""
 LEAST_LIGHTS = 3
 
-_DARK = 0.2
+_DARK = 0.1
 """Cosine of the angle to the light below which a sample is left out: little light, and most shadows of neighbours."""
 _SHADOW = 0.1
 """Share of the albedo below which a sample is in shadow."""
 _BRIGHTEST = 0.3
 """Share of the samples, the brightest of each pixel, that may be gloss."""
-_SCALES = (0.2, 0.12, 0.08, 0.055, 0.04, 0.03, 0.03, 0.03)
+_SCALES = (0.2, 0.12, 0.08, 0.05, 0.03, 0.03)
 """Residual, as a share of the albedo, at which a weight has halved, step by step: wide first, so that no start is lost."""
 _FAR = 1e6
 """Residual, in those, beyond which a weight is as good as 0: its powers stay within float32."""
@@ -190,8 +190,8 @@ def _limits(grey_ip: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[
     n_light = len(grey_ip)
     kept = min(n_light, max(_LEAST_KEPT, round((1.0 - _BRIGHTEST) * n_light)))
     dim = n_light // 4 if n_light >= 2 * _LEAST_KEPT else 0
-    sorted_ip = np.partition(grey_ip, sorted({0, dim, kept - 1}), axis=0)
-    return sorted_ip[kept - 1], sorted_ip[dim], sorted_ip[0]
+    sorted_pi = np.sort(np.ascontiguousarray(grey_ip.T), axis=1)  # a third of the time of a partition, or of columns
+    return sorted_pi[:, kept - 1].copy(), sorted_pi[:, dim].copy(), sorted_pi[:, 0].copy()
 
 
 def _products(lights_i3: NDArray[np.float32]) -> NDArray[np.float32]:
