@@ -39,6 +39,8 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
     from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
+    from clrelight.jobs.variation import inverse_lighting as inverse_lighting
+    from clrelight.jobs.variation import principal_components as principal_components
     from clrelight.lighting.environment import Environment as Environment
     from clrelight.lighting.environment import read_environment as read_environment
     from clrelight.lighting.lamps import blend_lights as blend_lights
@@ -90,6 +92,7 @@ _MODULES = {
     "jobs.target": "encode_to_quality",
     "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
+    "jobs.variation": "inverse_lighting principal_components",
     "lighting.environment": "Environment read_environment",
     "lighting.lamps": "blend_lights cap_light cast_shadow directional_light",
     "lighting.light": "Light",

@@ -33,7 +33,7 @@ def make_stack(*, gloss=0.0, floor=0.0, lights=49, dtype=np.float32, mask_hw=Non
     normals_hw3, _ = dome(size)
     directions_i3 = make_pattern("uniform", lights)
     cosine_ihw = np.maximum(np.einsum("ia,hwa->ihw", directions_i3, normals_hw3), 0.0)
-    half_i3 = directions_i3 + [0, 0, 1]
+    half_i3 = directions_i3 + np.array([0, 0, 1])
     half_i3 /= np.linalg.norm(half_i3, axis=1, keepdims=True)
     shine_ihw = gloss * np.maximum(np.einsum("ia,hwa->ihw", half_i3, normals_hw3), 0.0) ** 40
     if cast:
@@ -67,8 +67,10 @@ def test_matte_and_unshadowed_is_exact(method):
 )
 def test_robust_is_close_where_the_law_is_broken(broken, most):
     stack, (expected, _) = make_stack(**broken), dome()
-    errors = {name: angles(cr.normals(stack, method=name, report=cr.Report()).normals_hw3, expected).mean() for name in
-              ("robust", "least-squares")}
+    errors = {
+        name: angles(cr.normals(stack, method=name, report=cr.Report()).normals_hw3, expected).mean()
+        for name in ("robust", "least-squares")
+    }
     assert errors["robust"] < most
     assert errors["robust"] < 0.5 * errors["least-squares"]
 

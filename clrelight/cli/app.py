@@ -26,6 +26,7 @@ from clrelight.cli import (
     relight,
     trade,
     transfer,
+    variation,
 )
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.interrupts import end_watch, watch_interrupts
@@ -54,7 +55,7 @@ def cli() -> None:
 
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, export),
-    *(light, irradiance, psnr, experiments, trade, transfer, normals),
+    *(light, irradiance, psnr, experiments, trade, transfer, normals, variation),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

@@ -143,7 +143,7 @@ def _codes(values_hwc: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 def _write_ply(path: Path, heights_hw: NDArray[np.float32], found: NormalMap) -> None:
     """Write the pixels that have a normal as vertices, and two triangles between every four of them."""
-    inside_hw = found.normals_hw3.any(axis=2)
+    inside_hw: NDArray[np.bool_] = np.any(found.normals_hw3 != 0.0, axis=2)
     row_v, column_v = np.nonzero(inside_hw)
     number_hw = np.cumsum(inside_hw.ravel(), dtype=np.int32).reshape(inside_hw.shape) - 1
     whole_hw = inside_hw[1:, 1:] & inside_hw[1:, :-1] & inside_hw[:-1, 1:] & inside_hw[:-1, :-1]

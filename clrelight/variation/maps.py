@@ -95,7 +95,7 @@ def map_normals(
         shape = (stack.n_light, rows[1] - rows[0], width, channel)
         return stack.read_rows(*rows, next(buffers).lend(shape, stack.images_ihwc.dtype))
 
-    curve = _Curve(stack)
+    curve = SampleReader(stack)
     found = NormalMap(
         np.zeros((height, width, 3), np.float32),
         np.zeros((height, width, channel), np.float32),
@@ -130,7 +130,7 @@ def _plan(stack: LightStack, memory_bytes: int, workers: int) -> tuple[int, int]
     return int(min(rows, height)), block
 
 
-class _Curve:
+class SampleReader:
     """What turns a stack's code values into linear radiance in units of its peak."""
 
     def __init__(self, stack: LightStack) -> None:
@@ -150,11 +150,11 @@ class _Curve:
         codes_cip = np.ascontiguousarray(codes_ipc.transpose(2, 0, 1))
         if not self._is_integer:
             return self._decode(codes_cip), None
-        clipped_ip = (codes_cip >= self._most).any(axis=0)
+        clipped_ip: NDArray[np.bool_] = np.any(codes_cip >= self._most, axis=0)
         return np.take(self._table, codes_cip), clipped_ip if clipped_ip.any() else None
 
 
-def _probe_floor(stack: LightStack, curve: _Curve) -> float:
+def _probe_floor(stack: LightStack, curve: SampleReader) -> float:
     """Return what shadows hold, from some rows of the stack."""
     height, width, _ = stack.image_shape
     rows = np.unique(np.linspace(0, height - 1, min(height, _PROBE_ROWS)).round().astype(int))
@@ -180,7 +180,7 @@ def _in_range(samples_cip: NDArray[np.float32]) -> tuple[NDArray[np.float32], in
 
 def _solve_tile(
     stack: LightStack,
-    curve: _Curve,
+    curve: SampleReader,
     method: str,
     found: NormalMap,
     first: int,
@@ -190,7 +190,7 @@ def _solve_tile(
     pool: ThreadPoolExecutor,
 ) -> None:
     """Fill rows first..end of the maps from their samples; pixels outside the mask stay 0."""
-    n_light, _, width, channel = tile_ihwc.shape
+    n_light, _, _, channel = tile_ihwc.shape
     columns_ipc = tile_ihwc.reshape(n_light, -1, channel)
     inside_p = None if stack.mask_hw is None else np.flatnonzero(stack.mask_hw[first:end])
     count = columns_ipc.shape[1] if inside_p is None else len(inside_p)

@@ -25,10 +25,12 @@ _SHADOW = 0.1
 """Share of the albedo below which a sample is in shadow."""
 _BRIGHTEST = 0.3
 """Share of the samples, the brightest of each pixel, that may be gloss."""
-_SCALES = (0.2, 0.12, 0.08, 0.05, 0.03, 0.03)
-"""Residual, as a share of the albedo, at which a weight has halved, step by step: wide first, so that no start is lost."""
+_SCALES = (0.3, 0.2, 0.12, 0.08, 0.05, 0.03, 0.03)
+"""Residual, as a share of the albedo, at which a weight has halved, step by step: wide first, for a poor start."""
 _FAR = 1e6
 """Residual, in those, beyond which a weight is as good as 0: its powers stay within float32."""
+_LOST = 0.5
+"""Residual, as a share of the albedo, beyond which it no longer matters to the confidence how large it is."""
 _LEAST_KEPT = 6
 """Samples that a pixel keeps of its brightest, whatever their share."""
 _BEHIND, _LEAST_SHADOWED, _MOST_FLOOR = -0.1, 50, 0.3
@@ -48,7 +50,8 @@ class PixelNormals:
     albedo_pc : ndarray, shape (P, channel), float32
         Radiance under a light along the normal, in units of the peak.
     confidence_p : ndarray, shape (P,), float32
-        From 0 to 1: the share of the lights whose samples follow the law, by their weights.
+        From 0 to 1: 1 where all samples follow the law, shadows behind the surface among them; 0 where all are off by
+        half the albedo or more.
     """
 
     normals_p3: NDArray[np.float32]
@@ -110,14 +113,18 @@ def find_normals(
     is_found_p = length_p > _FLOOR
     normals_p3 = np.where(is_found_p[:, None], scaled_p3 / np.maximum(length_p, _FLOOR)[:, None], np.float32(0.0))
     shade_ip = np.maximum(lights_i3 @ normals_p3.T, np.float32(0.0))
-    share_p = np.einsum("ip,ip->p", weight_ip, (shade_ip > 0.0).astype(np.float32)) / np.float32(len(lights_i3))
+    residual_ip = np.abs(grey_ip - offset_p - shade_ip * length_p)
+    residual_ip /= np.maximum(length_p, np.float32(_FLOOR))
+    confidence_p = np.float32(1.0) - np.minimum(residual_ip, np.float32(_LOST)).mean(axis=0) / np.float32(_LOST)
     weight_ip *= shade_ip
     whole_p = np.einsum("ip,ip->p", weight_ip, shade_ip)
     above_p = offset_p * weight_ip.sum(axis=0)
     albedo_cp = np.stack([np.einsum("ip,ip->p", weight_ip, each_ip) - above_p for each_ip in samples_cip])
     albedo_cp /= np.maximum(whole_p, np.float32(_FLOOR))
     np.maximum(albedo_cp, np.float32(0.0), out=albedo_cp)
-    return PixelNormals(normals_p3, np.ascontiguousarray(albedo_cp.T), np.where(is_found_p, share_p, np.float32(0.0)))
+    return PixelNormals(
+        normals_p3, np.ascontiguousarray(albedo_cp.T), np.where(is_found_p, confidence_p, np.float32(0.0))
+    )
 
 
 def shadow_floor(samples_cip: NDArray[np.float32], directions_i3: NDArray[np.float64]) -> float:

@@ -1,6 +1,6 @@
 """How pictures of one view vary with light: principal components from normals alone, and from photographs.
 
-Illumination variation, 0.3.3, and Ramamoorthi 2002: under all distant lights a convex matte surface of normals n_p shows
+Illumination variation, 0.3.3, and Ramamoorthi 2002: under all distant lights a convex matte surface shows
 ``B_p = sum_lm A^_l L_lm Y_lm(n_p)``. Where every L_lm is as likely, the components of the pictures are the left
 singular vectors of ``diag(sqrt w) Y diag(A^)``, and their variances the squares of its singular values.
 """
@@ -18,8 +18,8 @@ from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degrees_of_coefficients
 from clrelight.lighting.irradiance import cosine_coefficients
 
-DEGREE = 8
-"""Of the half-cosine: what it holds beyond is less than 0.02% of its energy."""
+DEGREE = 2
+"""Of the half-cosine: the nine terms, which hold 99.2% of its energy."""
 _BLOCK = 1 << 16
 
 
