@@ -25,17 +25,16 @@ _SHADOW = 0.1
 """Share of the albedo below which a sample is in shadow."""
 _BRIGHTEST = 0.3
 """Share of the samples, the brightest of each pixel, that may be gloss."""
-_SCALES = (0.3, 0.2, 0.12, 0.08, 0.05, 0.03, 0.03)
+_SCALES = (0.3, 0.15, 0.08, 0.05, 0.03, 0.03)
 """Residual, as a share of the albedo, at which a weight has halved, step by step: wide first, for a poor start."""
-_FAR = 1e6
-"""Residual, in those, beyond which a weight is as good as 0: its powers stay within float32."""
 _LOST = 0.5
 """Residual, as a share of the albedo, beyond which it no longer matters to the confidence how large it is."""
 _LEAST_KEPT = 6
 """Samples that a pixel keeps of its brightest, whatever their share."""
 _BEHIND, _LEAST_SHADOWED, _MOST_FLOOR = -0.1, 50, 0.3
 """Cosine of a light that is behind a surface for sure; pixels that tell what shadows hold; the most that they may."""
-_RIDGE = 1e-7
+_LEAST_DETERMINANT = 1e-6
+"""Of a pixel's equations of trace 1: below, its samples left do not tell a normal."""
 _FLOOR = 1e-12
 
 
@@ -117,9 +116,9 @@ def find_normals(
     residual_ip /= np.maximum(length_p, np.float32(_FLOOR))
     confidence_p = np.float32(1.0) - np.minimum(residual_ip, np.float32(_LOST)).mean(axis=0) / np.float32(_LOST)
     weight_ip *= shade_ip
-    whole_p = np.einsum("ip,ip->p", weight_ip, shade_ip)
+    whole_p = np.multiply(weight_ip, shade_ip, out=shade_ip).sum(axis=0)
     above_p = offset_p * weight_ip.sum(axis=0)
-    albedo_cp = np.stack([np.einsum("ip,ip->p", weight_ip, each_ip) - above_p for each_ip in samples_cip])
+    albedo_cp = np.stack([(weight_ip * each_ip).sum(axis=0) - above_p for each_ip in samples_cip])
     albedo_cp /= np.maximum(whole_p, np.float32(_FLOOR))
     np.maximum(albedo_cp, np.float32(0.0), out=albedo_cp)
     return PixelNormals(
@@ -165,10 +164,12 @@ def _solve_robust(
         usable_ip &= ~clipped_ip
     products_i6 = _products(lights_i3)
     weight_ip = (usable_ip & (grey_ip >= dim_p)).astype(np.float32)
-    scaled_3p = _solve(weight_ip, grey_ip, lights_i3, products_i6)
+    plain_3p = np.linalg.pinv(lights_i3.astype(np.float64)).astype(np.float32) @ grey_ip
+    scaled_3p = _solve(weight_ip, weight_ip * grey_ip, lights_i3, products_i6, plain_3p)
     offset_p = np.minimum(least_p, np.float32(floor) * _lengths(scaled_3p))
     lit_ip = np.where(usable_ip, grey_ip - offset_p, np.float32(-1.0))
     shade_ip, above_ip, kept_ip, bright_ip = (np.empty_like(each) for each in (lit_ip, lit_ip, usable_ip, usable_ip))
+    product_ip = np.empty_like(lit_ip)
     for scale in _SCALES:
         length_p = _lengths(scaled_3p)
         np.matmul(lights_i3, scaled_3p, out=shade_ip)
@@ -177,14 +178,14 @@ def _solve_robust(
         np.logical_and(kept_ip, bright_ip, out=kept_ip)
         np.subtract(lit_ip, shade_ip, out=shade_ip)
         shade_ip *= np.float32(1.0) / np.maximum(np.float32(scale) * length_p, np.float32(_FLOOR))
-        np.minimum(shade_ip, np.float32(_FAR), out=shade_ip)
         np.maximum(shade_ip, np.float32(0.0), out=above_ip)
         for each_ip in (shade_ip, above_ip):
             np.multiply(each_ip, each_ip, out=each_ip)
             each_ip += np.float32(1.0)
         shade_ip *= above_ip
         np.divide(kept_ip, shade_ip, out=weight_ip, dtype=np.float32)
-        scaled_3p = _solve(weight_ip, lit_ip, lights_i3, products_i6, scaled_3p)
+        np.multiply(weight_ip, lit_ip, out=product_ip)
+        scaled_3p = _solve(weight_ip, product_ip, lights_i3, products_i6, scaled_3p)
     return np.ascontiguousarray(scaled_3p.T), weight_ip, offset_p
 
 
@@ -208,30 +209,29 @@ def _products(lights_i3: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _solve(
     weight_ip: NDArray[np.float32],
-    grey_ip: NDArray[np.float32],
+    weighted_ip: NDArray[np.float32],
     lights_i3: NDArray[np.float32],
     products_i6: NDArray[np.float32],
-    before_3p: NDArray[np.float32] | None = None,
+    before_3p: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """Return weighted least squares of each pixel, (3, P); where too few samples are left, what was found before.
+    """Return weighted least squares of each pixel, (3, P); where too few samples are left, what was there before.
 
     The symmetric 3 x 3 systems are solved by their adjugates, in float64: sums of products are well within it.
     """
-    a_p, b_p, c_p, d_p, e_p, f_p = (products_i6.T @ weight_ip).astype(np.float64)
-    right_3p = (lights_i3.T @ (weight_ip * grey_ip)).astype(np.float64)
-    trace_p = a_p + d_p + f_p
-    ridge_p = _RIDGE * trace_p
-    a_p, d_p, f_p = a_p + ridge_p, d_p + ridge_p, f_p + ridge_p
-    rows = (
-        (d_p * f_p - e_p * e_p, c_p * e_p - b_p * f_p, b_p * e_p - c_p * d_p),
-        (c_p * e_p - b_p * f_p, a_p * f_p - c_p * c_p, b_p * c_p - a_p * e_p),
-        (b_p * e_p - c_p * d_p, b_p * c_p - a_p * e_p, a_p * d_p - b_p * b_p),
+    sums_6p = products_i6.T @ weight_ip
+    trace_p = sums_6p[0] + sums_6p[3] + sums_6p[5]
+    a_p, b_p, c_p, d_p, e_p, f_p = (sums_6p / np.maximum(trace_p, np.float32(_FLOOR))).astype(np.float64)
+    right_3p = (lights_i3.T @ weighted_ip) / np.maximum(trace_p, np.float32(_FLOOR))
+    df_p, cb_p, be_p = d_p * f_p - e_p * e_p, c_p * e_p - b_p * f_p, b_p * e_p - c_p * d_p
+    af_p, bc_p, ad_p = a_p * f_p - c_p * c_p, b_p * c_p - a_p * e_p, a_p * d_p - b_p * b_p
+    determinant_p = a_p * df_p + b_p * cb_p + c_p * be_p
+    is_sound_p = determinant_p > _LEAST_DETERMINANT
+    x_p, y_p, z_p = right_3p / np.where(is_sound_p, determinant_p, 1.0)
+    solved_3p = np.stack(
+        [
+            df_p * x_p + cb_p * y_p + be_p * z_p,
+            cb_p * x_p + af_p * y_p + bc_p * z_p,
+            be_p * x_p + bc_p * y_p + ad_p * z_p,
+        ]
     )
-    determinant_p = a_p * rows[0][0] + b_p * rows[0][1] + c_p * rows[0][2]
-    is_sound_p = determinant_p > 1e-6 * trace_p**3
-    inverse_p = np.where(is_sound_p, 1.0 / np.where(is_sound_p, determinant_p, 1.0), 0.0)
-    solved_3p = np.stack([sum(x * y for x, y in zip(row, right_3p, strict=True)) * inverse_p for row in rows])
-    if before_3p is None:
-        plain_3p = np.linalg.pinv(lights_i3.astype(np.float64)) @ grey_ip
-        return np.where(is_sound_p, solved_3p, plain_3p).astype(np.float32)
     return np.where(is_sound_p, solved_3p, before_3p).astype(np.float32)
