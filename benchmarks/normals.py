@@ -124,7 +124,7 @@ def time_table(megapixels: float) -> Table:
 
 def _strip(rng: np.random.Generator, directions_i3: NDArray[np.float64], rows: int) -> NDArray[np.uint8]:
     """Return rows of a rough matte surface with some gloss."""
-    normals_p3 = rng.standard_normal((rows * WIDTH, 3)).astype(np.float32) * 0.3 + np.float32([0.0, 0.0, 1.0])
+    normals_p3 = rng.standard_normal((rows * WIDTH, 3)).astype(np.float32) * 0.3 + np.array([0.0, 0.0, 1.0], np.float32)
     normals_p3 /= np.linalg.norm(normals_p3, axis=1, keepdims=True)
     shade_ip = np.maximum(directions_i3.astype(np.float32) @ normals_p3.T, 0.0)
     shade_ip += 0.3 * shade_ip**30
