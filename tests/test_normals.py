@@ -9,6 +9,7 @@ import clrelight as cr
 from clrelight.errors import InputError
 from clrelight.sampling import make_pattern
 from clrelight.variation.heights import integrate_normals
+from clrelight.variation.kernel import NormalSolver
 from clrelight.variation.normals import find_normals
 from tests.commands import call, contents, succeed
 
@@ -212,3 +213,24 @@ def test_photographs_beside_least_squares(real_data, tmp_path):
         ]
         ratios.append(errors[0] / errors[1])
     assert np.mean(ratios) <= 0.7
+
+
+@pytest.mark.parametrize("count", [8, 56, 104])
+@pytest.mark.parametrize(("lights", "channel"), [(3, 1), (7, 3), (49, 3), (70, 1)])
+def test_kernel_is_the_numpy_form(device, count, lights, channel):
+    rng, directions_i3 = np.random.default_rng(count), make_pattern("uniform", lights)
+    normals_p3 = dome()[0].reshape(-1, 3)[:count]
+    shade_ip = np.maximum(directions_i3 @ normals_p3.T, 0.0) + 0.3 * rng.random((lights, count)) ** 12
+    albedo_c = ALBEDO[:channel, None, None]
+    samples_cip = (albedo_c * shade_ip + 0.01).astype(np.float32)
+    samples_cip[:, :, 3] = 0.0
+    held = find_normals(samples_cip, directions_i3, "robust", np.any(samples_cip >= 0.7, axis=0), 0.05)
+    found = NormalSolver(device, directions_i3, 0.05)(samples_cip, 0.7)
+    apart = angles(found.normals_p3, held.normals_p3)[np.arange(count) != 3]
+    assert not found.normals_p3[3].any()
+    assert found.confidence_p[3] == 0
+    assert np.median(apart) < 0.05
+    assert np.mean(apart < 1.0) >= 0.85  # a sample at the brightest that counts may fall to either side
+    close = np.flatnonzero(np.arange(count) != 3)[apart < 0.05]
+    np.testing.assert_allclose(found.albedo_pc[close], held.albedo_pc[close], rtol=0.05)
+    np.testing.assert_allclose(found.confidence_p[close], held.confidence_p[close], atol=0.02)

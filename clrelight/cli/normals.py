@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from clrelight.cli.options import json_option, memory_option
+from clrelight.cli.options import device_option, json_option, memory_option
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
 
@@ -33,6 +33,7 @@ from clrelight.cli.progress import progress_bar
 @click.option("--height", type=click.Path(), metavar="FILE.exr", help="Also the height towards the camera, in pixels.")
 @click.option("--ply", type=click.Path(), metavar="FILE.ply", help="Also the height as a mesh.")
 @memory_option("256MiB", "samples on their way")
+@device_option
 @json_option
 def normals(stack: str, out: str, as_json: bool, **asked: Any) -> None:
     """Find the normals of a stack: floats to .exr or .tif, 16 bits to .png.
@@ -55,6 +56,7 @@ def normals(stack: str, out: str, as_json: bool, **asked: Any) -> None:
         "method": f"{facts['method']}, {facts['n_light']} lights, condition {facts['condition']:.3g}",
         "pixels": f"{facts['pixels']}",
         "confidence": f"{facts['confidence_median']:.2f} in the median",
+        "device": report.device,
     }
     print_report(report, as_json, lines)
 

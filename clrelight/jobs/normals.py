@@ -8,10 +8,11 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.device import Device
 from clrelight.durable import replacing
 from clrelight.errors import InputError
 from clrelight.images import write_image
-from clrelight.jobs.inputs import StackLike, lend_stack, path_text, paths_among
+from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, path_text, paths_among
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import holds_floats
 from clrelight.jobs.report import Progress, Report, report_for, stage
@@ -38,6 +39,7 @@ def normals(
     height: Path | None = None,
     ply: Path | None = None,
     memory: int | str = DEFAULT_MEMORY,
+    device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
 ) -> NormalMap | Report:
@@ -60,6 +62,8 @@ def normals(
         The height as a mesh.
     memory : int or str
         Bytes that samples may take on their way; the maps come on top.
+    device : Device or str, optional
+        As ``--device`` names it; default: a GPU if there is one, else the packaged PoCL.
     progress : callable, optional
         Told (done, total or None, stage).
     report : Report, optional
@@ -85,9 +89,13 @@ def normals(
         raise InputError(f"heights are floats, for .exr or .tif, got {os.fsdecode(height)}")
     if ply is not None and not path_text(ply, "a mesh").lower().endswith(".ply"):
         raise InputError(f"a mesh goes to a .ply, got {os.fsdecode(ply)}")
-    with claimed([out, *beside.values()], paths_among(source), kept), lend_stack(source, kept) as stack:
+    with (
+        claimed([out, *beside.values()], paths_among(source), kept),
+        opened_on(device, kept) as opened,
+        lend_stack(source, kept) as stack,
+    ):
         with stage(progress, "finding normals") as tell:
-            found = map_normals(stack, method, memory_bytes=budget, progress=tell, add_time=kept.add)
+            found = map_normals(stack, method, device=opened, memory_bytes=budget, progress=tell, add_time=kept.add)
         _tell(found, stack.n_light, method, kept)
         if out is None:
             return found

@@ -113,7 +113,7 @@ def _blocks(stack: LightStack, budget: int, tell: object) -> Iterator[NDArray[np
             columns_ipc = tile_ihwc.reshape(stack.n_light, -1, channel)
             if stack.mask_hw is not None:
                 columns_ipc = columns_ipc[:, stack.mask_hw[first:end].ravel()]
-            yield from reader.linear(columns_ipc)[0]
+            yield from reader.linear(columns_ipc)
             tell(end, height)  # type: ignore[operator]
 
 

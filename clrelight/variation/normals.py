@@ -19,21 +19,21 @@ MOST_CONDITION = 100.0
 """Of the lights' directions: beyond, the samples' noise alone turns normals by more than they tell."""
 LEAST_LIGHTS = 3
 
-_DARK = 0.1
+DARK = 0.1
 """Cosine of the angle to the light below which a sample is left out: little light, and most shadows of neighbours."""
-_SHADOW = 0.1
+SHADOW = 0.1
 """Share of the albedo below which a sample is in shadow."""
 _BRIGHTEST = 0.3
 """Share of the samples, the brightest of each pixel, that may be gloss."""
-_SCALES = (0.3, 0.15, 0.08, 0.05, 0.03, 0.03)
+SCALES = (0.3, 0.15, 0.08, 0.05, 0.03, 0.03)
 """Residual, as a share of the albedo, at which a weight has halved, step by step: wide first, for a poor start."""
-_LOST = 0.5
+LOST = 0.5
 """Residual, as a share of the albedo, beyond which it no longer matters to the confidence how large it is."""
 _LEAST_KEPT = 6
 """Samples that a pixel keeps of its brightest, whatever their share."""
 _BEHIND, _LEAST_SHADOWED, _MOST_FLOOR = -0.1, 50, 0.3
 """Cosine of a light that is behind a surface for sure; pixels that tell what shadows hold; the most that they may."""
-_LEAST_DETERMINANT = 1e-6
+LEAST_DETERMINANT = 1e-6
 """Of a pixel's equations of trace 1: below, its samples left do not tell a normal."""
 _FLOOR = 1e-12
 
@@ -114,7 +114,7 @@ def find_normals(
     shade_ip = np.maximum(lights_i3 @ normals_p3.T, np.float32(0.0))
     residual_ip = np.abs(grey_ip - offset_p - shade_ip * length_p)
     residual_ip /= np.maximum(length_p, np.float32(_FLOOR))
-    confidence_p = np.float32(1.0) - np.minimum(residual_ip, np.float32(_LOST)).mean(axis=0) / np.float32(_LOST)
+    confidence_p = np.float32(1.0) - np.minimum(residual_ip, np.float32(LOST)).mean(axis=0) / np.float32(LOST)
     weight_ip *= shade_ip
     whole_p = np.multiply(weight_ip, shade_ip, out=shade_ip).sum(axis=0)
     above_p = offset_p * weight_ip.sum(axis=0)
@@ -170,11 +170,11 @@ def _solve_robust(
     lit_ip = np.where(usable_ip, grey_ip - offset_p, np.float32(-1.0))
     shade_ip, above_ip, kept_ip, bright_ip = (np.empty_like(each) for each in (lit_ip, lit_ip, usable_ip, usable_ip))
     product_ip = np.empty_like(lit_ip)
-    for scale in _SCALES:
+    for scale in SCALES:
         length_p = _lengths(scaled_3p)
         np.matmul(lights_i3, scaled_3p, out=shade_ip)
-        np.greater(shade_ip, np.float32(_DARK) * length_p, out=kept_ip)
-        np.greater(lit_ip, np.float32(_SHADOW) * length_p, out=bright_ip)
+        np.greater(shade_ip, np.float32(DARK) * length_p, out=kept_ip)
+        np.greater(lit_ip, np.float32(SHADOW) * length_p, out=bright_ip)
         np.logical_and(kept_ip, bright_ip, out=kept_ip)
         np.subtract(lit_ip, shade_ip, out=shade_ip)
         shade_ip *= np.float32(1.0) / np.maximum(np.float32(scale) * length_p, np.float32(_FLOOR))
@@ -193,11 +193,15 @@ def _lengths(scaled_3p: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.sqrt(np.einsum("ap,ap->p", scaled_3p, scaled_3p))
 
 
+def order_limits(n_light: int) -> tuple[int, int]:
+    """Return how many samples of a pixel count, from the darkest, and how many of them the start leaves out."""
+    kept = min(n_light, max(_LEAST_KEPT, round((1.0 - _BRIGHTEST) * n_light)))
+    return kept, n_light // 4 if n_light >= 2 * _LEAST_KEPT else 0
+
+
 def _limits(grey_ip: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Return each pixel's brightest sample that counts, the darkest that the start counts, and the least."""
-    n_light = len(grey_ip)
-    kept = min(n_light, max(_LEAST_KEPT, round((1.0 - _BRIGHTEST) * n_light)))
-    dim = n_light // 4 if n_light >= 2 * _LEAST_KEPT else 0
+    kept, dim = order_limits(len(grey_ip))
     sorted_pi = np.sort(np.ascontiguousarray(grey_ip.T), axis=1)  # a third of the time of a partition, or of columns
     return sorted_pi[:, kept - 1].copy(), sorted_pi[:, dim].copy(), sorted_pi[:, 0].copy()
 
@@ -225,7 +229,7 @@ def _solve(
     df_p, cb_p, be_p = d_p * f_p - e_p * e_p, c_p * e_p - b_p * f_p, b_p * e_p - c_p * d_p
     af_p, bc_p, ad_p = a_p * f_p - c_p * c_p, b_p * c_p - a_p * e_p, a_p * d_p - b_p * b_p
     determinant_p = a_p * df_p + b_p * cb_p + c_p * be_p
-    is_sound_p = determinant_p > _LEAST_DETERMINANT
+    is_sound_p = determinant_p > LEAST_DETERMINANT
     x_p, y_p, z_p = right_3p / np.where(is_sound_p, determinant_p, 1.0)
     solved_3p = np.stack(
         [
