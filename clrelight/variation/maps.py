@@ -20,7 +20,7 @@ from clrelight.threads import on_one_thread
 from clrelight.variation.kernel import LANES, NormalSolver
 from clrelight.variation.normals import METHODS, PixelNormals, find_normals, light_condition, shadow_floor
 
-_BLOCK = 1 << 15
+_BLOCK = 1 << 14
 """Pixels that go to the device together: enough to make a launch worth while."""
 _WORK = 3
 """Arrays of float32 as large as a block's samples that are alive at once: one being made, one on the device."""
@@ -151,12 +151,19 @@ class SampleReader:
     @property
     def most(self) -> float:
         """Radiance from which on samples are at the end of an integer type's range; inf of floats."""
-        return float(self._decode(np.array([self._most]))[0]) if self._is_integer else np.inf
+        if not self._is_integer:
+            return np.inf
+        # Half a code below the last, whatever way radiance is rounded.
+        return float(self._decode(np.array([self._most - 0.5]))[0])
 
     def linear(self, codes_ipc: NDArray) -> NDArray[np.float32]:
         """Return radiance, (channel, n_light, P)."""
         codes_cip = np.ascontiguousarray(codes_ipc.transpose(2, 0, 1))
-        return np.take(self._table, codes_cip) if self._is_integer else self._decode(codes_cip)
+        if not self._is_integer:
+            return self._decode(codes_cip)
+        if self._is_srgb:
+            return np.take(self._table, codes_cip)
+        return np.multiply(codes_cip, np.float32(1.0 / self._peak), dtype=np.float32)
 
 
 def _probe_floor(stack: LightStack, curve: SampleReader) -> float:

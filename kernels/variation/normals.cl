@@ -15,7 +15,7 @@
  *   CHANNELS       C
  *   DARK, SHADOW, LOST, LEAST_DETERMINANT   as clrelight/variation/normals.py has them
  *
- * clrelight.variation.normals does the same in NumPy, but that order statistics are bracketed here to 2^-12 of a pixel's
+ * clrelight.variation.normals does the same in NumPy, but that order statistics are bracketed here to 2^-8 of a pixel's
  * brightest sample, and systems solved in float: for directions of condition k, n is off by some k^2 eps32.
  */
 #include "common/lanes.clh"
@@ -82,7 +82,7 @@ INLINE void bracket(const float8 *grey, const int size_i, const int wanted, cons
 {
     *low = 0.0f;
     *high = greatest;
-    for (int step = 0; step < 12; step++) {
+    for (int step = 0; step < 8; step++) {
         const float8 middle = 0.5f * (*low + *high);
         int8 count = 0;
         for (int i = 0; i < size_i; i++) count -= ABSOLUTE(grey[i]) <= middle;
