@@ -96,7 +96,7 @@ INLINE float8 weight_of(const float8 lit, const float8 shade, const float8 lengt
 {
     const float8 off = (lit - shade) * inverse, above = off > 0.0f ? off : (float8)0.0f;
     const float8 weight = 1.0f / ((off * off + 1.0f) * (above * above + 1.0f));
-    return (shade > DARK * length) & (lit > SHADOW * length) ? weight : (float8)0.0f;
+    return ((shade > DARK * length) & (lit > SHADOW * length)) ? weight : (float8)0.0f;
 }
 
 __kernel void solve_normals_dq(__global float *restrict scaled_dq, __global float *restrict albedo_cq,
@@ -132,12 +132,12 @@ __kernel void solve_normals_dq(__global float *restrict scaled_dq, __global floa
     sums s = none;
     for (int i = 0; i < size_i; i++) {
         const float8 grey = lit[i];
-        const float8 weight = (grey >= darkest) & (grey <= bright) ? (float8)1.0f : (float8)0.0f;
+        const float8 weight = ((grey >= darkest) & (grey <= bright)) ? (float8)1.0f : (float8)0.0f;
         add(&s, weight, grey, light_id[3 * i], light_id[3 * i + 1], light_id[3 * i + 2]);
     }
     vectors found = solve(s, plain);
     const float8 held = share * length_of(found), offset = LESSER(least, held);
-    for (int i = 0; i < size_i; i++) lit[i] = (lit[i] >= 0.0f) & (lit[i] <= bright) ? lit[i] - offset : (float8)-1.0f;
+    for (int i = 0; i < size_i; i++) lit[i] = ((lit[i] >= 0.0f) & (lit[i] <= bright)) ? lit[i] - offset : (float8)-1.0f;
     for (int step = 0; step < size_s; step++) {
         const float8 length = length_of(found), inverse = 1.0f / GREATER(scale_s[step] * length, (float8)TINY);
         s = none;
