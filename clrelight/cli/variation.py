@@ -35,6 +35,7 @@ def variation() -> None:
 @click.option("--centred/--raw", default=True, show_default=True, help="Whether the mean over all lights is taken off.")
 @click.option("--degree", type=whole_number(0, 30), default=2, show_default=True, help="Of light (mesh, normals).")
 @_green_option
+@click.option("--up", type=click.Choice(["y", "z"]), help="Axis of a mesh's file that points up; default: z, of GLB y.")
 @memory_option("256MiB", "samples of a stack on their way")
 @json_option
 def pca(source: str, as_json: bool, **asked: Any) -> None:

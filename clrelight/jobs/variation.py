@@ -42,6 +42,7 @@ def principal_components(
     centred: bool = True,
     degree: int = DEGREE,
     green: str = "up",
+    up: str | None = None,
     memory: int | str = DEFAULT_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -59,6 +60,8 @@ def principal_components(
         Of the harmonics (mesh, normals).
     green : str
         Which way the second channel of a picture of normals grows.
+    up : str, optional
+        The axis of a mesh's file that points up: ``"y"`` or ``"z"``; default: z, of GLB y.
     memory : int or str
         Bytes that a stack's samples may take on their way.
     progress : callable, optional
@@ -70,7 +73,7 @@ def principal_components(
     since = time.perf_counter()
     suffix = pathlib.Path(os.fsdecode(source)).suffix.lower() if isinstance(source, str | os.PathLike) else ""
     if isinstance(source, Surface) or suffix in MESHES:
-        surface = source if isinstance(source, Surface) else read_mesh(source)  # type: ignore[arg-type]
+        surface = source if isinstance(source, Surface) else read_mesh(source, up=up)  # type: ignore[arg-type]
         kept.note(*surface.notes)
         weights_v = vertex_areas(surface) * np.maximum(surface.normals_v3[:, 2], 0.0)
         if surface.albedo_vc is not None:
