@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
+    from clrelight.jobs.normals import normals as normals
     from clrelight.jobs.operators import transfer_operators as transfer_operators
     from clrelight.jobs.pack import pack as pack
     from clrelight.jobs.reflect import reflect as reflect
@@ -41,6 +42,8 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
     from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
+    from clrelight.jobs.variation import inverse_lighting as inverse_lighting
+    from clrelight.jobs.variation import principal_components as principal_components
     from clrelight.lighting.environment import Environment as Environment
     from clrelight.lighting.environment import read_environment as read_environment
     from clrelight.lighting.expressions import parse_expression as parse_expression
@@ -95,6 +98,7 @@ _MODULES = {
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
     "jobs.operators": "transfer_operators",
+    "jobs.normals": "normals",
     "jobs.pack": "pack",
     "jobs.reflect": "reflect",
     "jobs.relight": "relight",
@@ -103,6 +107,7 @@ _MODULES = {
     "jobs.target": "encode_to_quality",
     "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
+    "jobs.variation": "inverse_lighting principal_components",
     "lighting.environment": "Environment read_environment",
     "lighting.expressions": "parse_expression",
     "lighting.lamps": "blend_lights cap_light cast_shadow directional_light",

@@ -19,6 +19,7 @@ from clrelight.cli import (
     irradiance,
     light,
     machines,
+    normals,
     operators,
     pack,
     plan_lights,
@@ -29,6 +30,7 @@ from clrelight.cli import (
     shader,
     trade,
     transfer,
+    variation,
 )
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.interrupts import end_watch, watch_interrupts
@@ -57,7 +59,7 @@ def cli() -> None:
 
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
-    *(light, sampled, irradiance, psnr, experiments, trade, operators, transfer),
+    *(light, sampled, irradiance, psnr, experiments, trade, operators, transfer, normals, variation),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
