@@ -13,6 +13,7 @@ from clrelight.cli.maps import MapReading, map_options, refuse_map_options
 from clrelight.cli.options import Exposure, Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
+from clrelight.cli.reflection_bench import bench
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
@@ -289,4 +290,5 @@ def info(file: str, as_json: bool) -> None:
     print_report(report, as_json, lines)
 
 
+shrm.add_command(bench)
 COMMANDS = (shrm, brdf)

@@ -60,7 +60,8 @@ def time_phong(
 ) -> list[dict[str, Any]]:
     """Return table 4: seconds of a size × size reflection map of Phong lobes by angles and by orders.
 
-    The angular peer runs on the device in float32, orders on the host in float64. As the paper: by orders ``F = 1 + sqrt(6 s)``, by angles within what sends on 95%.
+    The angular peer runs on the device in float32, within what a lobe sends on 95%; orders run on the host in float64,
+    up to ``F = 1 + sqrt(6 s)``: both as the paper's.
     """
     map_hwc, directions_t3, weighted_tc = square_light(light, size)
     central_n3 = grid_directions(size, size).reshape(-1, 3)
@@ -126,8 +127,8 @@ def cost_slopes(size: int = SIZE) -> dict[str, dict[str, Any]]:
     """
     measured: dict[str, tuple[list[float], list[float]]] = {
         "F": _grown((23, 35, 47, 71, 95), lambda f: _orders_seconds(f, 4, size)),
-        "P": _grown((2, 3, 5, 8, 11), lambda p: _orders_seconds(31, p, size)),
-        "S": _grown((64, 96, 128, 192, 256), lambda s: _orders_seconds(31, 4, s), shift=0),
+        "P": _grown((2, 3, 4, 6, 8), lambda p: _orders_seconds(31, p, 96)),
+        "S": _grown((64, 96, 128, 160, 192), lambda s: _orders_seconds(31, 4, s), shift=0),
     }
     theory = {"F": 1.0, "P": 2.0, "S": 2.0}
     return {

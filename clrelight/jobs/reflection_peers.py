@@ -44,8 +44,8 @@ def compare_peers(
 ) -> dict[str, Any]:
     """Return relative RMS errors over maps of some views, by each order P and by the two earlier methods.
 
-    ``orders``: by P, with the share of the reflectance's energy; ``texture``: Kautz and McCool's 3-D texture, what q = 0
-    holds of order `_TEXTURE_ORDER`; ``icosahedron``: Cabral's twelve maps, integrated over angles, in between weighed.
+    ``orders``: by P, with the share of the reflectance's energy; ``texture``: Kautz and McCool's 3-D texture, what
+    q = 0 holds of order `_TEXTURE_ORDER`; ``icosahedron``: Cabral's twelve maps, integrated over angles and weighed.
 
     Parameters
     ----------

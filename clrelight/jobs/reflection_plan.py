@@ -48,8 +48,8 @@ def plan_reflection(
     """Return a report of the orders that a reflectance needs for an accuracy, and of their accuracy under a light.
 
     Its facts: ``degree`` and ``order``, the least F and P; ``rows`` and ``views``, S = 10 F and T = 10 P; ``shares``,
-    the energy up to each P at F = `degree`; of Phong's lobes ``estimate``, ``width`` and ``crossover`` (section 6.3); of
-    a map ``accuracy``, rows of F, the truth, the light's, the reflectance's and the bound's ``1 - epsilon``, and, of one
+    the energy up to each P at F = `degree`; of Phong's lobes ``estimate``, ``width`` and ``crossover`` (section 6.3);
+    of a map ``accuracy``, rows of F and of ``1 - epsilon`` of the truth, light, reflectance and bound, and, of one
     lobe, ``bilinear``, the error of lookups at S = 2, 3, 5, 10 and 20 F.
 
     Parameters

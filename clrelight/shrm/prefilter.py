@@ -146,7 +146,7 @@ def _expand_fft(spectrum_khmc: NDArray[np.complex128], width: int) -> NDArray[np
 def expand_product(
     spectrum_khmc: NDArray[np.complex128], width: int, multiply: Callable[[NDArray, NDArray], NDArray]
 ) -> NDArray[np.floating]:
-    """Return maps (k, height, width, channel) of `sum_degrees` by one product of waves (width, 2 n) and sums (2 n, x)."""
+    """Return maps (k, height, width, channel) of `sum_degrees` by a product of waves (width, 2 n) and sums (2 n, x)."""
     k, height, n_order, channel = spectrum_khmc.shape
     angle_wm = np.outer(longitude_azimuths(width), np.arange(n_order))
     waves_wn = np.concatenate([np.cos(angle_wm), -np.sin(angle_wm)], axis=1)
