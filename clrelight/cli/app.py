@@ -22,6 +22,7 @@ from clrelight.cli import (
     pack,
     plan_lights,
     psnr,
+    reflectance,
     reflection,
     relight,
     trade,
@@ -53,7 +54,7 @@ def cli() -> None:
 
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, export),
-    *(light, irradiance, reflection, psnr, experiments, trade),
+    *(light, irradiance, reflection, reflectance, psnr, experiments, trade),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

@@ -1,4 +1,4 @@
-"""``clrelight shrm`` and ``clrelight brdf``: reflection maps of environments, and the reflectances behind them."""
+"""``clrelight shrm``: reflection maps of environments."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 @click.group()
 def shrm() -> None:
-    """Make, show and plan reflection maps: what glossy surfaces reflect of an environment, for every view."""
+    """Make, show and plan reflection maps: what glossy surfaces reflect of an environment, for every view.
 
-
-@click.group()
-def brdf() -> None:
-    """Look at measured reflectances."""
+    \b
+    Example:
+      clrelight shrm build probe.hdr glossy.h5 --brdf microfacet --sigma 0.2
+    """
 
 
 def brdf_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -262,33 +262,5 @@ def _print_plan(report: Report, as_json: bool) -> None:
         print_table(["F", "reflected", "light", "reflectance", "bound"], rows)
 
 
-@brdf.command()
-@click.argument("file", type=click.Path())
-@json_option
-def info(file: str, as_json: bool) -> None:
-    """Say what a .brdf file holds, and how its energy falls to orders P of the view.
-
-    \b
-    Example:
-      clrelight brdf info krylon_blue.brdf
-    """
-    from clrelight.jobs.reflection_plan import describe_brdf
-
-    report = make_report(as_json)
-    describe_brdf(file, report=report)
-    facts = report.facts
-    waves = facts["wavelengths"]
-    (first, last), (low, high) = facts["light_degrees"], facts["view_degrees"]
-    lines = {
-        "file": file,
-        "measured": f"{facts['pairs']} pairs of directions, light {first:.0f} to {last:.0f}°, "
-        f"view {low:.0f} to {high:.0f}°",
-        "wavelengths": f"{len(waves)}, {waves[0]:g} to {waves[-1]:g} nm",
-        "values": f"{facts['least']:.4g} to {facts['largest']:.4g} 1/sr",
-        f"energy up to P, F = {facts['degree']}": ", ".join(f"{row.mean():.3f}" for row in facts["shares"]),
-    }
-    print_report(report, as_json, lines)
-
-
 shrm.add_command(bench)
-COMMANDS = (shrm, brdf)
+COMMANDS = (shrm,)
