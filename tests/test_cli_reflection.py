@@ -8,6 +8,7 @@ from clrelight.errors import StoreFormatError
 from clrelight.images import read_header, read_image, write_image
 from clrelight.jobs.reflection import build_reflection, render_reflection
 from clrelight.jobs.reflection_bench import cost_slopes, frame_rates, prefilter_shares, time_microfacets, time_phong
+from clrelight.jobs.reflection_codecs import code_maps, principal_shares
 from clrelight.jobs.reflection_peers import compare_peers
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
@@ -178,6 +179,20 @@ def test_tables_have_their_rows(device):
     radiance = np.random.default_rng(0).random((32, 64, 3), np.float32)
     assert prefilter_shares(radiance, 0.5).keys() == {"whole", "with_reflectance", "transforms"}
     assert cost_slopes.__doc__
+
+
+def test_codecs_take_reflection_maps(made, device):
+    """Their error is that of radiance over all views; so many principal axes hold no less than so many maps."""
+    shrm = read_shrm(made / "glossy.h5")
+    rows = {row["codec"]: row for row in code_maps(shrm, device)}
+    assert rows["half"]["bits"] == 16
+    assert rows["half"]["error"] < 1e-3
+    assert rows["klt"]["bytes"] < rows["wavelet"]["bytes"] < rows["half"]["bytes"]
+    assert max(row["error"] for row in rows.values()) < 0.05
+    shares = principal_shares(shrm)
+    energy = np.sort((shrm.maps_khwc.astype(np.float64) ** 2).sum(axis=(1, 2, 3)))[::-1]
+    assert (shares >= np.cumsum(energy) / energy.sum() - 1e-9).all()
+    assert shares[-1] == pytest.approx(1.0)
 
 
 def test_orders_beat_earlier_methods(made):

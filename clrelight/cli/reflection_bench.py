@@ -26,11 +26,12 @@ _DEGREE = 63
 @map_options
 @click.option(
     "--table",
-    type=click.Choice(["costs", "phong", "microfacets", "peers", "rates"]),
+    type=click.Choice(["costs", "phong", "microfacets", "peers", "codecs", "rates"]),
     default="phong",
     show_default=True,
     help="Growth of costs (the paper's table 3), Phong lobes by angles and by orders (4), microfacets (5), errors of "
-    "orders and of earlier methods (figures 7, 9, 10), or rates of dynamic maps and of prefiltering.",
+    "orders and of earlier methods (figures 7, 9, 10), codecs on a map of microfacets, or rates of dynamic maps and of "
+    "prefiltering.",
 )
 @click.option(
     "--brdf",
@@ -94,6 +95,8 @@ def _measure(
         return headers, _rows(facets, columns), facets
     if table == "peers":
         return _peers(names, light)
+    if table == "codecs":
+        return _codecs(light, device)
     rates = {f"P = {order}": measure.frame_rates(order, device) for order in (2, 3, 5)}
     shares = measure.prefilter_shares(environment.radiance_hwc) if environment.layout == "latlong" else {}
     rows = [[f"maps of 64² × 6 a second, {name}", f"{each['device']:.0f}"] for name, each in rates.items()]
@@ -112,6 +115,21 @@ def _peers(names: tuple[str, ...], light: Light) -> tuple[list[str], list[list[s
         for each in found
     ]
     return ["RMS error", *(f"P = {p}" for p in orders), "3-D texture", "12 maps"], rows, found
+
+
+def _codecs(light: Light, device: Device) -> tuple[list[str], list[list[str]], Any]:
+    from clrelight.brdf.named import make_brdf
+    from clrelight.jobs.reflection import build_reflection
+    from clrelight.jobs.reflection_codecs import code_maps, principal_shares
+    from clrelight.jobs.report import Report
+
+    shrm = build_reflection(light, make_brdf("microfacet"), epsilon=0.03, device=device, report=Report())
+    coded, shares = code_maps(shrm, device), principal_shares(shrm)
+    rows = [[each["codec"], f"{each['bytes']}", f"{each['bits']:.3f}", f"{each['error']:.2e}"] for each in coded]
+    rows += [
+        [f"{n} principal axes", "", "", f"{(1 - share) ** 0.5:.2e}"] for n, share in enumerate(shares[:-1], start=1)
+    ]
+    return ["", "bytes", "bits a coefficient", "error"], rows, {"codecs": coded, "principal": shares}
 
 
 def _errors(found: dict[str, Any], orders: list[int]) -> list[float]:
