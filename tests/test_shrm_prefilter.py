@@ -164,6 +164,18 @@ def test_global_maps_equal_local_ones(channels, method):
         np.testing.assert_allclose(view_map(world, view), local_view(local, view), atol=1e-12 * size)
 
 
+@pytest.mark.parametrize("method", ["fft", "product"])
+@pytest.mark.parametrize("frame", ["local", "global"])
+def test_float32_is_within_1e5(method, frame):
+    light, brdf = random_light(), random_brdf()
+    single = build_shrm(light, brdf, ROWS, COLUMNS, frame=frame, method=method, dtype=np.float32)
+    assert single.maps_khwc.dtype == np.float32
+    exact = build_shrm(light, brdf, ROWS, COLUMNS, frame=frame)
+    np.testing.assert_allclose(single.maps_khwc, exact.maps_khwc, atol=1e-5 * np.abs(exact.maps_khwc).max())
+    with pytest.raises(InputError, match="float32 or float64"):
+        build_shrm(light, brdf, ROWS, COLUMNS, dtype=np.float16)
+
+
 def test_global_maps_are_smooth_over_the_poles():
     """Local coefficients of q > 0 turn about a pole with the azimuth; maps of one view run through it."""
     light, brdf = random_light(channels=1), random_brdf()

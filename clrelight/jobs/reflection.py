@@ -95,19 +95,16 @@ def build_reflection(
         light = _light_of(source, chosen.degree, opened)
         since = kept.add("project", since)
         count = rows or max(_FEWEST_ROWS, SAMPLES_PER_DEGREE * chosen.degree)
-        made = build_shrm(light, chosen, count, frame=frame, method=method, device=opened)
-        single = Shrm(
-            made.maps_khwc.astype(np.float32), frame, made.degree, made.centre, made.source, made.axes, made.config
-        )
+        made = build_shrm(light, chosen, count, frame=frame, method=method, dtype=np.float32, device=opened)
         since = kept.add("prefilter", since)
         if out is not None:
-            write_shrm(out, single)
+            write_shrm(out, made)
             kept.add("write", since)
     share = float(chosen.shares()[-1, -1].min())
     kept.facts = {"file": out, "degree": made.degree, "order": made.order, "rows": count, "columns": 2 * count}
     kept.facts |= {"channels": made.channels, "frame": frame, "centre": made.centre, "config": dict(made.config)}
-    kept.facts |= {"share": share, "bytes": single.maps_khwc.nbytes}
-    return single
+    kept.facts |= {"share": share, "bytes": made.maps_khwc.nbytes}
+    return made
 
 
 def _coefficients(brdf: CentredBrdf, epsilon: float | None, degree: int | None, order: int | None) -> BrdfCoefficients:

@@ -183,8 +183,9 @@ def frame_rates(order: int, device: Device) -> dict[str, float]:
 def prefilter_shares(map_hwc: NDArray[np.floating], sigma: float = 0.2, epsilon: float = 0.03) -> dict[str, float]:
     """Return the seconds of a whole reflection map of a map, beside those of projecting and reconstructing the map.
 
-    ``whole`` is projection, sums over degrees and orders; ``with_reflectance`` finds the reflectance's coefficients
-    and orders too; ``transforms`` is projection to F and the map's own reconstruction from it, at its own size.
+    Float32, as files hold. ``whole`` is projection, sums over degrees and orders; ``with_reflectance`` finds the
+    reflectance's coefficients and orders too; ``transforms`` is projection to F and the map's own reconstruction from
+    it, at its own size.
     """
     brdf = Microfacet(sigma)
     orders = sufficient_coefficients(brdf, epsilon)
@@ -192,7 +193,7 @@ def prefilter_shares(map_hwc: NDArray[np.floating], sigma: float = 0.2, epsilon:
 
     def whole(found: BrdfCoefficients) -> object:
         projected = Light(project_latlong(map_hwc, found.degree))
-        return build_shrm(projected, found, 10 * found.degree, frame="global")
+        return build_shrm(projected, found, 10 * found.degree, frame="global", dtype=np.float32)
 
     return {
         "whole": best_seconds(lambda: whole(orders)),

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from clrelight.brdf.coefficients import BrdfCoefficients
 from clrelight.device import Device
@@ -26,7 +26,7 @@ METHODS = ("fft", "product", "device")
 
 _FFT_THREADS = 2
 
-Expand = Callable[[NDArray[np.complex128], int], NDArray[np.floating]]
+Expand = Callable[[NDArray[np.complexfloating], int], NDArray[np.floating]]
 
 
 def build_shrm(
@@ -37,6 +37,7 @@ def build_shrm(
     *,
     frame: str = "local",
     method: str = "fft",
+    dtype: DTypeLike = np.float64,
     device: Device | None = None,
 ) -> Shrm:
     """Return the reflection map of a light and a reflectance (frequency-space-environment-maps, eq. 14 and appendix C).
@@ -56,11 +57,15 @@ def build_shrm(
         ``"local"`` or ``"global"``, see `record.FRAMES`.
     method : str
         One of `METHODS`.
+    dtype : float64 or float32
+        Of the sum over orders and of the maps, by FFT or product.
     device : Device, optional
-        Of ``"device"``, whose maps are float32; others are float64.
+        Of ``"device"``, whose maps are float32.
     """
     width = 2 * height if width is None else width
     degree = min(light.degree, brdf.degree)
+    if np.dtype(dtype) not in (np.float32, np.float64):
+        raise InputError(f"maps are float32 or float64, got {dtype!r}")
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if min(height, width) < 1:
@@ -70,6 +75,7 @@ def build_shrm(
     if light.channels != brdf.channels and 1 not in (light.channels, brdf.channels):
         raise InputError(f"the light has {light.channels} channels and the reflectance {brdf.channels}")
     spectrum_khmc = sum_degrees(light.coeffs_kc, brdf.cut(degree, brdf.order), height)
+    spectrum_khmc = spectrum_khmc.astype(np.result_type(dtype, np.complex64), copy=False)
     if frame == "global":
         spectrum_khmc = _turn_rows(spectrum_khmc, brdf.order, grid_angles(height, width)[0])
     maps_khwc = _expansion(method, device)(spectrum_khmc, width)
@@ -134,22 +140,23 @@ def _expansion(method: str, device: Device | None) -> Expand:
     )
 
 
-def _expand_fft(spectrum_khmc: NDArray[np.complex128], width: int) -> NDArray[np.float64]:
+def _expand_fft(spectrum_khmc: NDArray[np.complexfloating], width: int) -> NDArray[np.floating]:
     n_order = spectrum_khmc.shape[2]
     phase_m = np.exp(-1j * np.arange(n_order) * longitude_azimuths(width)[0]) * (0.5 * width)
     phase_m[0] = width
-    padded = np.zeros((*spectrum_khmc.shape[:2], width // 2 + 1, spectrum_khmc.shape[3]), np.complex128)
-    padded[:, :, :n_order] = spectrum_khmc.conj() * phase_m[:, None]  # azimuths fall from column to column
+    padded = np.zeros((*spectrum_khmc.shape[:2], width // 2 + 1, spectrum_khmc.shape[3]), spectrum_khmc.dtype)
+    phase_m1 = phase_m[:, None].astype(spectrum_khmc.dtype)
+    np.multiply(spectrum_khmc.conj(), phase_m1, out=padded[:, :, :n_order])  # azimuths fall from column to column
     return scipy.fft.irfft(padded, width, axis=2, workers=_FFT_THREADS)
 
 
 def expand_product(
-    spectrum_khmc: NDArray[np.complex128], width: int, multiply: Callable[[NDArray, NDArray], NDArray]
+    spectrum_khmc: NDArray[np.complexfloating], width: int, multiply: Callable[[NDArray, NDArray], NDArray]
 ) -> NDArray[np.floating]:
     """Return maps (k, height, width, channel) of `sum_degrees` by a product of waves (width, 2 n) and sums (2 n, x)."""
     k, height, n_order, channel = spectrum_khmc.shape
     angle_wm = np.outer(longitude_azimuths(width), np.arange(n_order))
-    waves_wn = np.concatenate([np.cos(angle_wm), -np.sin(angle_wm)], axis=1)
+    waves_wn = np.concatenate([np.cos(angle_wm), -np.sin(angle_wm)], axis=1).astype(spectrum_khmc.real.dtype)
     parts_nkhc = np.moveaxis(np.concatenate([spectrum_khmc.real, spectrum_khmc.imag], axis=2), 2, 0)
     maps_wx = multiply(waves_wn, np.ascontiguousarray(parts_nkhc).reshape(2 * n_order, -1))
     return np.ascontiguousarray(np.moveaxis(maps_wx.reshape(width, k, height, channel), 0, 2))
