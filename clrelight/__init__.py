@@ -31,14 +31,19 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
+    from clrelight.jobs.operators import transfer_operators as transfer_operators
     from clrelight.jobs.pack import pack as pack
+    from clrelight.jobs.reflect import reflect as reflect
     from clrelight.jobs.relight import relight as relight
+    from clrelight.jobs.render import render as render
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
+    from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
     from clrelight.lighting.environment import Environment as Environment
     from clrelight.lighting.environment import read_environment as read_environment
+    from clrelight.lighting.expressions import parse_expression as parse_expression
     from clrelight.lighting.lamps import blend_lights as blend_lights
     from clrelight.lighting.lamps import cap_light as cap_light
     from clrelight.lighting.lamps import cast_shadow as cast_shadow
@@ -46,6 +51,8 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.lighting.light import Light as Light
     from clrelight.lighting.projection import project_environment as project_environment
     from clrelight.lighting.rotation import rotate_light as rotate_light
+    from clrelight.lighting.sampled import multiply_lights as multiply_lights
+    from clrelight.lighting.sampled import sample_light as sample_light
     from clrelight.lighting.sky import sky_light as sky_light
     from clrelight.metrics import measure_errors as measure_errors
     from clrelight.metrics import summarize_errors as summarize_errors
@@ -61,6 +68,14 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.store import write_fit as write_fit
     from clrelight.store import write_light as write_light
     from clrelight.store import write_stack as write_stack
+    from clrelight.surface import Surface as Surface
+    from clrelight.transfer.cameras import Camera as Camera
+    from clrelight.transfer.cameras import Framing as Framing
+    from clrelight.transfer.local_light import LocalLights as LocalLights
+    from clrelight.transfer.mesh_files import read_mesh as read_mesh
+    from clrelight.transfer.near_lights import PointLight as PointLight
+    from clrelight.transfer.near_lights import PolygonLight as PolygonLight
+    from clrelight.transfer.near_lights import SphereLight as SphereLight
 
 __version__ = "0.1.0"
 
@@ -79,22 +94,33 @@ _MODULES = {
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
+    "jobs.operators": "transfer_operators",
     "jobs.pack": "pack",
+    "jobs.reflect": "reflect",
     "jobs.relight": "relight",
+    "jobs.render": "render",
     "jobs.report": "Note Report",
     "jobs.target": "encode_to_quality",
+    "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
     "lighting.environment": "Environment read_environment",
+    "lighting.expressions": "parse_expression",
     "lighting.lamps": "blend_lights cap_light cast_shadow directional_light",
     "lighting.light": "Light",
     "lighting.projection": "project_environment",
     "lighting.rotation": "rotate_light",
+    "lighting.sampled": "multiply_lights sample_light",
     "lighting.sky": "sky_light",
     "metrics": "measure_errors summarize_errors",
     "opencl.devices": "list_devices",
     "report": "write_report",
     "store": "open_fit open_stack read_encoded read_fit read_light read_results "
     "write_encoded write_fit write_light write_stack",
+    "surface": "Surface",
+    "transfer.cameras": "Camera Framing",
+    "transfer.local_light": "LocalLights",
+    "transfer.mesh_files": "read_mesh",
+    "transfer.near_lights": "PointLight PolygonLight SphereLight",
 }
 _HOMES = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names.split()}
 
@@ -130,7 +156,7 @@ class _Verb:
 class _Package(ModuleType):
     """The package, whose verbs of the names of its modules stay verbs."""
 
-    export, fit, ingest, relight = map(_Verb, ("export", "fit", "ingest", "relight"))
+    export, fit, ingest, relight, transfer = map(_Verb, ("export", "fit", "ingest", "relight", "transfer"))
 
 
 sys.modules[__name__].__class__ = _Package

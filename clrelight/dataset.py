@@ -25,6 +25,7 @@ from clrelight.arrays import (
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import PIECE_BYTES
+from clrelight.surface import Surface, check_surface
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class LightStack:
         Where each image stands in the stack that `select` took it from, for messages.
     notes : tuple of str
         What a file left open, and how it was taken.
+    surface : Surface, optional
+        What the pixels are vertices of; directions are then in the surface's frames.
     """
 
     images_ihwc: Any
@@ -63,6 +66,7 @@ class LightStack:
     name: str = "stack"
     picked_i: NDArray[np.intp] | None = None
     notes: tuple[str, ...] = ()
+    surface: Surface | None = None
 
     def __post_init__(self) -> None:
         _convert(
@@ -88,6 +92,7 @@ class LightStack:
             raise InputError("weights must not all be 0")
         if self.mask_hw is not None and (self.mask_hw.shape != shape[1:3] or self.mask_hw.dtype != np.bool_):
             raise InputError(f"mask must be bool of shape {shape[1:3]}, got {self.mask_hw.dtype} {self.mask_hw.shape}")
+        check_surface(self.surface, shape[1:3])
 
     def read_rows(self, first: int, end: int, out_ihwc: NDArray | None = None) -> NDArray:
         """Return rows first..end of every image, C-contiguous (n_light, end - first, width, channel).
@@ -162,6 +167,8 @@ class CoefficientMap:
         Number of eigenvectors kept in each column, where the method has one.
     name : str
         Name of the stack it was fitted to.
+    surface : Surface, optional
+        What the pixels are vertices of; the functions are then in the surface's frames.
     """
 
     coeffs_khwc: Any
@@ -174,6 +181,7 @@ class CoefficientMap:
     lambda_hwc: NDArray[np.float32] | None = None
     rank_hwc: NDArray[np.int32] | None = None
     name: str = "stack"
+    surface: Surface | None = None
 
     def __post_init__(self) -> None:
         _convert(
@@ -196,6 +204,7 @@ class CoefficientMap:
                 raise InputError(
                     f"{label} must be {np.dtype(dtype)} of shape {shape[1:]}, got {value.dtype} {value.shape}"
                 )
+        check_surface(self.surface, shape[1:3])
 
     def read_rows(self, first: int, end: int, out_khwc: NDArray) -> NDArray:
         """Fill `out_khwc`, C-contiguous (n_coeff, end - first, width, channel), with rows first..end and return it.
@@ -246,11 +255,19 @@ class FitRecord:
     directions_i3: NDArray[np.float64]
     config: Mapping[str, Any]
     name: str
+    surface: Surface | None = None
 
     @classmethod
     def of(cls, coefficients: CoefficientMap) -> FitRecord:
         """Return the record of a fit."""
         return cls(**{each.name: getattr(coefficients, each.name) for each in fields(cls)})
+
+    def without_surface(self) -> FitRecord:
+        """Return the record of what holds no geometry; its config says in whose frames functions are, and of what."""
+        if self.surface is None:
+            return self
+        facts = {"frame": self.surface.frame, "argument": self.surface.argument}
+        return replace(self, surface=None, config={**self.config, "surface": facts})
 
     def to_map(self, coeffs_khwc: Any, lambda_hwc: Any = None, rank_hwc: Any = None) -> CoefficientMap:
         """Return the fit with these maps; InputError if they do not match the degree, or each other."""

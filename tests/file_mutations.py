@@ -8,6 +8,7 @@ byte of each file to 0x00 and then to 0xFF, one at a time.
 import faulthandler
 import tempfile
 import zlib
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -26,8 +27,9 @@ from clrelight.store import writing
 from tests import campaign
 from tests.campaign import Tally, bounded
 from tests.hdf5 import content
+from tests.surfaces import make_grid
 
-KINDS = ("stack", "fit", "encoded", "results", "light", "shrm")
+KINDS = ("stack", "fit", "encoded", "results", "light", "surface", "shrm")
 WAYS = ("files", "refused", "same")
 """What becomes of files: refused, or read as the sound one, which holds bytes that nobody needs."""
 FREE_BYTES = 1 << 28
@@ -66,6 +68,8 @@ def write_all(folder):
         maps = rng.standard_normal((4, 5, 9, 3), np.float32)
         store.write_shrm(paths["shrm"], Shrm(maps, "global", 3, "reflection", "sky", "", {"brdf": "phong"}))
         store.write_light(paths["light"], Light(rng.standard_normal((9, 3)), "sky", "", {"cap": 1.5}))
+        surface = make_grid(*size[:2])
+        store.write_fit(paths["surface"], replace(fit, surface=surface))
     finally:
         writing.CHUNK_BYTES = whole
     return paths

@@ -2,6 +2,7 @@
 
 from clrelight import store
 from clrelight.store.seal import SEAL_ATTRIBUTE
+from tests.surfaces import surface_content
 
 
 def unseal(file):
@@ -18,10 +19,12 @@ def content(kind, path):
             with store.open_stack(path) as s:
                 arrays = (s.images_ihwc[...], s.directions_i3, s.weights_i, s.mask_hw)
                 return (*(a.tobytes() for a in arrays), s.peak, s.transfer, s.name, s.images_ihwc.shape)
-        case "fit":
+        case "fit" | "surface":
             f = store.read_fit(path)
             arrays = (f.coeffs_khwc, f.lambda_hwc, f.rank_hwc, f.directions_i3)
-            return (*(a.tobytes() for a in arrays), f.method, f.degree, f.peak, f.transfer, f.name, str(f.config))
+            return (*(a.tobytes() for a in arrays), f.method, f.degree, f.peak, f.transfer, f.name, str(f.config)) + (
+                () if f.surface is None else surface_content(f.surface)
+            )
         case "encoded":
             e, r = store.read_encoded(path)
             return (e.to_bytes(), str(e.config), str(e.info), r.directions_i3.tobytes(), str(r.config), r.name, r.peak)

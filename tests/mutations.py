@@ -22,7 +22,7 @@ import numpy as np
 
 from clrelight.codec import codec_class, codec_ids, decode, decode_view, encode
 from clrelight.codec.entropy.unit_index import pack_index
-from clrelight.codec.entropy.units import list_units
+from clrelight.codec.entropy.units import count_units
 from clrelight.codec.formats.inner import name_inner
 from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, count_streams
 from clrelight.codec.formats.wavelet_units import VERSION as WAVELET_VERSION
@@ -151,7 +151,7 @@ def _front_of_wavelet(body, shape):
     rotations = (count if flags & 8 else 1) if flags & 4 else 0
     angles = rotations * (channel * (channel - 1) // 2) * (2 if flags & 16 else 1)
     front = 5 + 2 * n_coeff + angles + (5 * channel * count if flags & 2 else 0)
-    return (front, -(-count // group) * (1 if flags & 1 else len(list_units(*shape[1:3])))) if count else (0, 0)
+    return (front, -(-count // group) * (1 if flags & 1 else count_units(*shape[1:3]))) if count else (0, 0)
 
 
 def _crc(content):

@@ -8,9 +8,10 @@ import click
 import pytest
 
 from clrelight.cli.app import cli
-from clrelight.experiment.toml import _RING_KEYS, _TOML_KEYS
+from clrelight.experiment.toml import _TOML_KEYS
 from clrelight.results import ROW_DTYPE
 from clrelight.store.schemas import SCHEMAS
+from datasets_synth.scenes import SCENES
 from tests.commands import ROOT
 
 DOCS = ROOT / "docs"
@@ -32,7 +33,7 @@ def test_experiments_page_names_every_key():
     table = page[page.index("| key |") : page.index("A key, method")]
     missing = [key for key in _TOML_KEYS if not re.search(rf"`\[*{key}(\.ID)?\]*`", table)]
     assert missing == []
-    assert [key for key in _RING_KEYS if f"`{key}`" not in table] == []
+    assert [o.name for s in SCENES.values() for o in s.options if f"`{o.name}`" not in table] == []
 
 
 @pytest.mark.parametrize("kind", SCHEMAS)

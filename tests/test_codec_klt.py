@@ -1,8 +1,11 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from clrelight.codec import codec_class, decode, decode_view, encode
 from clrelight.codec.formats.klt import Klt
+from clrelight.codec.minimum_size import pad_to_minimum
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
@@ -151,6 +154,22 @@ def test_few_bytes_cannot_claim_gigabytes(device):
     check_large_claims(device, Klt, [body, b"", bytes(40)])
     wavelet = codec_class("wavelet")
     check_large_claims(device, wavelet, [encode(np.zeros((9, 8, 8, 3), np.float32), wavelet(), device).body])
+
+
+@pytest.mark.parametrize("codec", ["klt", "wavelet"])
+def test_units_that_are_only_claimed_take_no_memory(device, codec):
+    """A body long enough for such a map: its millions of units have no streams."""
+    noise = np.random.default_rng(3).standard_normal((1, 600, 600, 1)).astype(np.float32)
+    body = encode(noise, codec_class(codec)(rate=1.0), device).body
+    claimed = (1, 1 << 18, 1 << 18, 1)
+    padded = pad_to_minimum(body, claimed)
+    tracemalloc.start()
+    try:
+        with pytest.raises(PayloadError, match="index of units"):
+            codec_class(codec).decode_body(padded, claimed, device)
+        assert tracemalloc.get_traced_memory()[1] < 64 << 20
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("codec", ["klt", "whitened"])

@@ -20,7 +20,7 @@ RING = {"size": 12, "lights": 60}
 
 def auto_grid(**changes):
     return paper_experiment(**{"methods": ("auto",), "degrees": ("auto",), "codecs": ("none", "half"), "holdout": 5,
-                               "ring": RING} | changes)  # fmt: skip
+                               "synth": RING} | changes)  # fmt: skip
 
 
 @pytest.fixture

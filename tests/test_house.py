@@ -20,9 +20,9 @@ FLOORS = [
     {
         *("dataset", "directions", "holdout", "lights", "light_columns", "light_files", "masks", "negatives"),
         *("plan_lights", "sampling", "image_bands", "image_header", "image_names", "image_parts", "image_set"),
-        *("image_sink", "images", "radiance_header"),
+        *("image_sink", "images", "radiance_header", "surface"),
     },
-    {"fit", "codec", "lighting", "brdf", "shrm", "metrics", "perception", "relight"},
+    {"fit", "codec", "lighting", "brdf", "shrm", "metrics", "perception", "relight", "transfer"},
     {"store", "export", "ingest", "results", "selftest", "selftest_packing", "selftest_photographs", "truth"},
     {"jobs"},
     {"experiment"},

@@ -347,6 +347,17 @@ def test_too_few_bytes_are_refused_before_a_photograph_is_read(folder, stack, tm
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize("way", ["folder", "stack", "keep"])
+def test_lights_that_are_too_few_are_said_before_a_photograph_is_read(folder, stack, tmp_path, monkeypatch, way):
+    refuse_reading(monkeypatch)
+    kept = ("--keep-stack", tmp_path / "kept.h5") if way == "keep" else ()
+    source = stack if way == "stack" else folder
+    ended = call("pack", source, tmp_path / "o.h5", "--method", "uls", "--degree", 20, "--holdout", 5, *kept)
+    assert ended.code == 2
+    assert "uls at degree 20 has 441 coefficients but there are" in ended.err
+    assert os.listdir(tmp_path) == []
+
+
 def test_a_full_disk_is_said_of_a_folder(folder, tmp_path, monkeypatch):
     def full(descriptor, at, count):
         raise OSError(28, "No space left on device")

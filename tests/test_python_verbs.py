@@ -89,7 +89,19 @@ def test_every_example_of_the_page_runs(stack, tmp_path):
         lines.append(f"{i:02}.png " + " ".join(f"{v:.9f}" for v in direction))
     (tmp_path / "photos" / "dome.lp").write_text("\n".join(lines) + "\n")
     code = "".join(examples("docs/python.md"))
-    for verb in ("pack", "unpack", "ingest", "fit", "encode", "decode", "relight", "measure", "export"):
+    for verb in (
+        "pack",
+        "unpack",
+        "ingest",
+        "fit",
+        "encode",
+        "decode",
+        "relight",
+        "measure",
+        "export",
+        "transfer",
+        "render",
+    ):
         assert f"cr.{verb}(" in code
     done = run_python(code + "\nprint(image.shape, images.shape, turned.shape)", tmp_path)
     assert done.stdout.splitlines()[-1] == "(16, 16, 3) (2, 16, 16, 3) (4, 16, 16, 3)"

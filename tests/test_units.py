@@ -7,7 +7,16 @@ import pytest
 
 from clrelight.codec import encode
 from clrelight.codec.entropy.unit_streams import FLAGS, Tables, decode_streams, default_tables, encode_streams
-from clrelight.codec.entropy.units import LEVELS, Window, lay_out, list_tiles, list_units, low_side, place_units
+from clrelight.codec.entropy.units import (
+    LEVELS,
+    Window,
+    count_units,
+    lay_out,
+    list_tiles,
+    list_units,
+    low_side,
+    place_units,
+)
 from clrelight.codec.formats import klt_regions
 from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_decode import UnitView
@@ -55,6 +64,12 @@ def random_values(shape, scale, seed=0):
     """Mostly small numbers, and some large ones."""
     rng = np.random.default_rng(seed)
     return rng.laplace(size=shape) * scale * np.exp(rng.standard_normal(shape[:1]) * 2)[:, None, None]
+
+
+@pytest.mark.parametrize("sides", [(1, 1), (1, 4097), (64, 64), (65, 63), (513, 1030), (2049, 128)])
+def test_units_are_counted_without_being_listed(sides):
+    assert count_units(*sides) == len(list_units(*sides))
+    assert count_units(1 << 31, 1 << 31) > 1 << 47
 
 
 @pytest.mark.parametrize("shape", [(3, 64, 96), (1, 1, 1), (2, 1, 70), (2, 33, 1), (4, 47, 131), (2, 200, 150)])

@@ -19,13 +19,18 @@ from clrelight.cli import (
     irradiance,
     light,
     machines,
+    operators,
     pack,
     plan_lights,
     psnr,
     reflectance,
     reflection,
     relight,
+    render,
+    sampled,
+    shader,
     trade,
+    transfer,
 )
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.interrupts import end_watch, watch_interrupts
@@ -53,8 +58,8 @@ def cli() -> None:
 
 
 for module in (
-    *(machines, pack, files, plan_lights, fit, coding, relight, export),
-    *(light, irradiance, reflection, reflectance, psnr, experiments, trade),
+    *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
+    *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade, operators, transfer),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("what", metavar="[ring|STACK.h5|EXPERIMENT.toml]", required=False)
+@click.argument("what", metavar="[ring|torus|dama|STACK.h5|EXPERIMENT.toml]", required=False)
 @click.option("--out", type=click.Path(), help=f"Results file; default results.h5, with --speed {DEFAULT_OUT}.")
 @click.option("--methods", type=Names(), help="Fits, such as uls,cls,auto; default: the paper's four.")
 @click.option("--degrees", type=Degrees(), help="SH degrees, or auto; default 6. With --speed: those to compare.")
@@ -40,12 +40,18 @@ if TYPE_CHECKING:
 @holdout_option("the fits")
 @holdout_by_option
 @click.option("--precision", help="Of the fits' kernels: mixed (default), single or double.")
-@click.option("--size", type=whole_number(8, 1 << 16), help="Ring: width and height; default 256.")
 @click.option(
-    "--lights", type=Numbers(int, "64,256"), help="Ring: number of lights; default 256. With --speed: those to compare."
+    "--size", type=whole_number(8, 1 << 16), help="Scene: width and height; default 256, of torus and dama 128."
 )
-@click.option("--pattern", help="Ring: uniform, grid or scattered.")
-@click.option("--seed", type=whole_number(0), help="Ring: seed; default 0.")
+@click.option(
+    "--lights",
+    type=Numbers(int, "64,256"),
+    help="Scene: number of lights; default 256. With --speed: those to compare.",
+)
+@click.option("--pattern", help="Scene: uniform, grid or scattered.")
+@click.option("--seed", type=whole_number(0), help="Scene: seed; default 0.")
+@click.option("--albedo", help="Torus: white or tiles.")
+@click.option("--material", help="Dama: phong, blinn or ggx.")
 @click.option("--force", is_flag=True, help="Start anew although the results file exists.")
 @click.option("--speed", is_flag=True, help="Measure seconds and bytes beside NumPy, on pictures made for it.")
 @click.option("--sizes", type=Numbers(int, "64,1024"), help="Speed: widths (and heights) to compare.")
@@ -72,6 +78,8 @@ def bench(
     lights: tuple[int, ...] | None,
     pattern: str | None,
     seed: int | None,
+    albedo: str | None,
+    material: str | None,
     force: bool,
     speed: bool,
     sizes: tuple[int, ...] | None,
@@ -102,6 +110,7 @@ def bench(
     of_experiments.update(
         given(holdout_by=holdout_by, precision=precision, pattern=pattern, seed=seed, force=force or None)
     )
+    of_experiments.update(given(albedo=albedo, material=material))
     of_speed = given(sizes=sizes, threads=threads, rounds=rounds, quick=quick or None, memory=memory, report=report_to)
     _check_kind(speed, what, of_experiments, of_speed)
     if speed:
@@ -121,10 +130,11 @@ def bench(
             as_json=as_json,
         )
     elif what is not None:
-        ring = given(size=size, lights=_only_number("--lights", lights), pattern=pattern, seed=seed)
+        synth = given(size=size, lights=_only_number("--lights", lights), pattern=pattern, seed=seed)
+        synth.update(given(albedo=albedo, material=material))
         grid = given(methods=methods, degrees=degrees, codecs=codecs, rates=rates, holdout=holdout, precision=precision)
         grid.update(given(holdout_by=holdout_by))
-        _bench_grid(what, out or "results.h5", grid, ring, force=force, device=device, as_json=as_json)
+        _bench_grid(what, out or "results.h5", grid, synth, force=force, device=device, as_json=as_json)
 
 
 def _check_kind(speed: bool, what: str | None, of_experiments: dict, of_speed: dict) -> None:
@@ -132,7 +142,9 @@ def _check_kind(speed: bool, what: str | None, of_experiments: dict, of_speed: d
     if speed and what is not None:
         raise InputError(f"--speed makes its own pictures: leave out {what}")
     if not speed and what is None:
-        raise click.UsageError("Missing argument: ring, STACK.h5 or EXPERIMENT.toml, or the option --speed")
+        raise click.UsageError(
+            "Missing argument: a scene such as ring, STACK.h5 or EXPERIMENT.toml, or the option --speed"
+        )
     if speed and of_experiments:
         raise InputError(
             f"--{next(iter(of_experiments)).replace('_', '-')} is an option of experiments, not of --speed"
@@ -147,14 +159,16 @@ def _only_number(option: str, numbers: tuple[int, ...] | None) -> int | None:
     return None if numbers is None else numbers[0]
 
 
-def _bench_grid(what: str, out: str, grid: dict, ring: dict, *, force: bool, device: str | None, as_json: bool) -> None:
+def _bench_grid(
+    what: str, out: str, grid: dict, synth: dict, *, force: bool, device: str | None, as_json: bool
+) -> None:
     from clrelight.device import open_device
     from clrelight.experiment import run_experiment
     from clrelight.experiment.scenes import read_notes
     from clrelight.report import summary_rows
     from clrelight.store import check_output
 
-    experiment = _experiment(what, grid, ring)
+    experiment = _experiment(what, grid, synth)
     check_output(out, [what])
     taken = read_notes(experiment)
     told: list[str] = []
@@ -177,13 +191,17 @@ def _bench_grid(what: str, out: str, grid: dict, ring: dict, *, force: bool, dev
     print_facts({"results": out, "next": f"clrelight report {out} --out report"})
 
 
-def _experiment(what: str, grid: dict, ring: dict) -> Experiment:
-    from clrelight.experiment import RING, load_experiment, paper_experiment
+def _experiment(what: str, grid: dict, synth: dict) -> Experiment:
+    from clrelight.experiment import load_experiment, paper_experiment
+    from datasets_synth.scenes import SCENES, scenes_with
 
-    if what == RING:
-        return paper_experiment(RING, ring=ring, **grid)
-    if ring:
-        raise InputError(f"--{next(iter(ring))} is an option of the ring scene, not of {what}")
+    for option in synth:
+        if what not in scenes_with(option):
+            owners = scenes_with(option)
+            kind = f"the {owners[0]} scene" if len(owners) == 1 else f"the scenes {', '.join(owners)}"
+            raise InputError(f"--{option} is an option of {kind}, not of {what}")
+    if what in SCENES:
+        return paper_experiment(what, synth=synth, **grid)
     if Path(what).suffix.lower() == ".toml":
         if grid:
             raise InputError(f"--{next(iter(grid))}: {what} says itself what to measure")

@@ -19,6 +19,7 @@ from clrelight.cli.options import (
 )
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
+from datasets_synth.scenes import SCENES, Option, Scene
 
 _READING = (
     click.option(
@@ -105,53 +106,46 @@ def synth() -> None:
     """Render a test scene into a stack file."""
 
 
-@synth.command()
-@click.argument("out", type=click.Path())
-@click.option(
-    "--size", type=whole_number(8, 1 << 16), default=256, show_default=True, help="Width and height in pixels."
-)
-@click.option("--lights", type=whole_number(1, 1 << 20), default=256, show_default=True, help="Number of lights.")
-@click.option(
-    "--pattern",
-    type=click.Choice(["uniform", "grid", "scattered"]),
-    default="uniform",
-    show_default=True,
-    help="Where the lights are (the paper's figure 2).",
-)
-@click.option(
-    "--seed", type=whole_number(0), default=0, show_default=True, help="Of the texture and of scattered lights."
-)
-@click.option(
-    "--dtype",
-    type=click.Choice(["uint8", "float16", "float32"]),
-    default="uint8",
-    show_default=True,
-    help="Sample type.",
-)
-@json_option
-def ring(out: str, size: int, lights: int, pattern: str, seed: int, dtype: str, as_json: bool) -> None:
-    """Rings on a textured ground, ray traced with cast shadows and highlights.
+def _synth_command(scene: Scene) -> click.Command:
+    """Return the command that renders a scene."""
 
-    \b
-    Example:
-      clrelight synth ring ring.h5 --size 256 --lights 256 --pattern uniform --seed 0
-    """
-    from clrelight.store import write_stack
-    from datasets_synth.ring import render_ring
+    def render(out: str, as_json: bool, **options: Any) -> None:
+        from clrelight.store import write_stack
 
-    claim_output(out)
-    since = time.perf_counter()
-    with progress_bar("rendering") as bar:
-        stack = render_ring(size=size, lights=lights, pattern=pattern, seed=seed, dtype=dtype, progress=bar)
-    seconds = {"render": time.perf_counter() - since}
-    since = time.perf_counter()
-    write_stack(out, stack)
-    seconds["write"] = time.perf_counter() - since
-    facts = {"file": out, "lights": stack.n_light, "size": size, "pattern": pattern, "seed": seed, "dtype": dtype}
-    if as_json:
-        print_json({**facts, "seconds": seconds})
-    else:
-        print_facts({**facts, "time": seconds_line(seconds)})
+        claim_output(out)
+        since = time.perf_counter()
+        with progress_bar("rendering") as bar:
+            stack = scene.render(options, bar)
+        seconds = {"render": time.perf_counter() - since}
+        since = time.perf_counter()
+        write_stack(out, stack)
+        seconds["write"] = time.perf_counter() - since
+        facts = {"file": out, "lights": stack.n_light, **options}
+        if as_json:
+            print_json({**facts, "seconds": seconds})
+        else:
+            print_facts({**facts, "time": seconds_line(seconds)})
+
+    parameters = [
+        click.Option([f"--{o.name}"], type=_type_of(o), default=o.default, show_default=True, help=o.help)
+        for o in scene.options
+    ]
+    example = f"\b\nExample:\n  clrelight synth {scene.name} {scene.name}.h5 {scene.example}"
+    command = click.Command(
+        scene.name,
+        callback=render,
+        params=[click.Argument(["out"], type=click.Path()), *parameters],
+        help=f"{scene.summary}\n\n{example}",
+    )
+    return json_option(command)
+
+
+def _type_of(option: Option) -> click.ParamType:
+    return click.Choice(option.choices) if option.choices else whole_number(option.least, option.most)
+
+
+for _scene in SCENES.values():
+    synth.add_command(_synth_command(_scene))
 
 
 @click.command()

@@ -182,6 +182,13 @@ perceptual_option = click.option(
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on standard output."
 )
+order_option = click.option(
+    "--order",
+    type=click.Choice(["file", "morton", "hilbert", "graph", "blocks", "sorted"]),
+    default="file",
+    show_default=True,
+    help="Order of the vertices, for codecs; blocks and sorted are images of them.",
+)
 layer_option = click.option(
     "--layer",
     metavar="NAME",

@@ -21,7 +21,7 @@ MAGIC = b"CLRE"
 WRAPPER_VERSION = 1
 MAX_EXTENT = 1 << 20
 MAX_CHANNELS = 1 << 10
-MAX_COEFFICIENTS = 1 << 32
+MAX_COEFFICIENTS = 1 << 40
 MAX_HEADER_BYTES = 6 + 255 + 28
 _PIECE_BYTES = 1 << 22
 """Of a body that are summed up at a time."""
@@ -44,8 +44,9 @@ class Encoded:
     info : mapping
         What else the codec measured, such as ``entropy_bits`` (an estimate, bits per coefficient).
     record : FitRecord, optional
-        What becomes a fit again with the coefficients; arrays alone have none, and no two encodings differ by it. Its
-        directions are rounded as those of a file are.
+        What becomes a fit again with the coefficients; arrays alone have none, and no two encodings differ by it. As
+        of a file, its directions are rounded, and it holds no surface: its ``config["surface"]`` says in whose frames
+        functions are, and of which directions.
     due_sum : int, optional
         The checksum that header and body should have, where they were not compared with it yet: `summed` does that.
     """
@@ -60,8 +61,9 @@ class Encoded:
 
     def __post_init__(self) -> None:
         if self.record is not None:
-            kept_i3 = kept_directions(self.record.directions_i3)
-            object.__setattr__(self, "record", replace(self.record, directions_i3=kept_i3))
+            bare = self.record.without_surface()
+            kept = replace(bare, directions_i3=kept_directions(bare.directions_i3))
+            object.__setattr__(self, "record", kept)
 
     @property
     def encoded_bytes(self) -> int:

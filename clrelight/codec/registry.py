@@ -37,6 +37,8 @@ class Codec(Configurable, ABC):
     decoding_holds: ClassVar[float] = 3.0
     """Times the bytes of a float32 map that the two take in any workspace; 0 for codecs that take parts."""
 
+    hemisphere: ClassVar[bool] = False  # whether what functions are at z < 0 is left open
+
     def bytes_to_encode(self, shape: tuple[int, int, int, int]) -> int:
         """Return about how many bytes of memory encoding takes at least, beside those of a workspace."""
         return int(4 * self.encoding_holds * math.prod(shape))

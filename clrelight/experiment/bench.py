@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,9 +20,10 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.experiment.grid import CodecSetting, Experiment
+from clrelight.experiment.portraits import Portrait, portrait_of
 from clrelight.experiment.provenance import software_versions, source_commit
 from clrelight.experiment.row import append, fill, fixed, json_text, without_quality
-from clrelight.experiment.scenes import Survey, shrink_picture, survey_stack
+from clrelight.experiment.scenes import Survey, survey_stack
 from clrelight.fit import FitMethod, FitReport, collect_fit, prepare_fit
 from clrelight.fit.precision import MIXED, check_precision
 from clrelight.fit.selection import AUTO
@@ -29,7 +31,6 @@ from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import split_chosen
 from clrelight.jobs.coding_noise import coding_psnr
 from clrelight.metrics import measure_errors, summarize_errors
-from clrelight.relight import relight, to_display
 from clrelight.results import ROW_DTYPE, Results
 
 _CORNER = 32
@@ -207,13 +208,18 @@ class Bench:
             except InputError as error:
                 raise _RefusalError(str(error)) from error
             # A kernel is built when it is first launched, which is no part of the time of a fit.
-            first_row = replace(self.fit_stack, images_ihwc=self.fit_stack.images_ihwc[:, :1], mask_hw=None)
+            row_ihwc = self.fit_stack.images_ihwc[:, :1]
+            first_row = replace(self.fit_stack, images_ihwc=row_ihwc, mask_hw=None, surface=None)
             collect_fit(replace(prepared, stack=first_row, report=FitReport()))
             planned = sum(prepared.report.seconds.values())
             coefficients, seconds = self._timed(lambda: collect_fit(prepared), _BUILDING)
             taken = prepared.choice.chosen.method if prepared.choice else prepared.method
             self._fit = (key, coefficients, taken, planned + seconds)
         return self._fit[1], self._fit[2], self._fit[3]
+
+    @cached_property
+    def _portrait(self) -> Portrait:
+        return portrait_of(self.stack, self.survey, self.device)
 
     def _timed(self, work: Callable[[], Made], long: float = _LONG) -> tuple[Made, float]:
         """Return what some work makes, and its seconds; work that takes `long` or more is done once."""
@@ -249,10 +255,8 @@ class Bench:
             profiles[name] = column.astype(np.float64)
         key = f"{name}/{setting.picture_name}"
         if key not in pictures and setting.is_pictured:
-            towards = self.stack.directions_i3[survey.light : survey.light + 1]
-            image = relight(coefficients, towards, device=self.device)[0]
-            pictures[f"{self.stack.name}/reference"] = survey.picture_hwc
-            pictures[key] = shrink_picture(to_display(image, self.stack.transfer))
+            pictures[f"{self.stack.name}/reference"] = self._portrait.reference
+            pictures[key] = self._portrait.draw(coefficients)
         return pictures, profiles
 
 

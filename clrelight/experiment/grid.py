@@ -19,12 +19,12 @@ from clrelight.harmonics.basis import MAX_DEGREE
 from clrelight.holdout import HOLDOUTS
 from clrelight.results import NO_CODEC
 
-RING = "ring"
+DEFAULT_SCENE = "ring"
 PAPER_METHODS = ("uls", "sloan", "cls", "ceb")
 PAPER_RATES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Bits per coefficient of the wavelet curve, figure 15."""
-PICTURE_RATE = 4.0
-"""Of the wavelet rows, the rate whose pictures are kept (figures 4c, 8c, 12c)."""
+PICTURE_RATES = (4.0, 1.0)
+"""Of the wavelet rows, the rates whose pictures are kept: figures 4c, 8c, 12c; and where our wavelet's noise shows."""
 
 
 TYPE_NAMES: dict[type, str] = {
@@ -62,8 +62,8 @@ class CodecSetting:
 
     @property
     def is_pictured(self) -> bool:
-        """Whether the results keep its pictures: of the paper's curve of wavelet rates, those at `PICTURE_RATE`."""
-        return self.id != "wavelet" or self.rate == PICTURE_RATE
+        """Whether the results keep its pictures: of the paper's curve of wavelet rates, those at `PICTURE_RATES`."""
+        return self.id != "wavelet" or self.rate in PICTURE_RATES
 
     @property
     def picture_name(self) -> str:
@@ -78,7 +78,7 @@ class Experiment:
     Attributes
     ----------
     scenes : tuple of str
-        ``"ring"`` or paths of stack files.
+        Names of `datasets_synth.scenes.SCENES`, or paths of stack files.
     methods : tuple of FitMethod or str
         ``"auto"`` leaves the choice to the lights, as `clrelight.fit.fit` does.
     degrees : tuple of int or str
@@ -88,8 +88,8 @@ class Experiment:
         Keep every K-th light out of the fits and measure there too.
     weights, sampling : str
         As in `clrelight.fit.fit`.
-    ring : mapping
-        Arguments of `datasets_synth.ring.render_ring`.
+    synth : mapping of str to mapping
+        Options of scenes that are rendered, by their names.
     lights : int or None
         Fit so many well-spread lights only (`clrelight.sampling.split_chosen`).
     precision : str
@@ -98,14 +98,14 @@ class Experiment:
         Which lights `holdout` keeps out, one of `clrelight.holdout.HOLDOUTS`.
     """
 
-    scenes: tuple[str, ...] = (RING,)
+    scenes: tuple[str, ...] = (DEFAULT_SCENE,)
     methods: tuple[FitMethod | str, ...] = ()
     degrees: tuple[int | str, ...] = (6,)
     codecs: tuple[CodecSetting, ...] = ()
     holdout: int | None = None
     weights: str = "uniform"
     sampling: str = "hemisphere"
-    ring: Mapping[str, Any] = field(default_factory=dict)
+    synth: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     lights: int | None = None
     precision: str = MIXED
     holdout_by: str = "index"
@@ -148,7 +148,7 @@ def _label(value: Any) -> str:
 
 
 def paper_experiment(
-    scene: str = RING,
+    scene: str = DEFAULT_SCENE,
     *,
     methods: tuple[str, ...] = PAPER_METHODS,
     degrees: tuple[int | str, ...] = (6,),
@@ -157,11 +157,12 @@ def paper_experiment(
     holdout: int | None = None,
     holdout_by: str = "index",
     precision: str = MIXED,
-    ring: Mapping[str, Any] | None = None,
+    synth: Mapping[str, Any] | None = None,
 ) -> Experiment:
     """Return the paper's experiment (table I and III, figures 7 and 15) on one scene.
 
     `rates` are those of every codec that takes one; without, `PAPER_RATES` of wavelet and the others' own default.
+    `synth` are options of the scene, where it is one that is rendered.
     """
     rated = [name for name in codecs if name != NO_CODEC and "rate" in get_type_hints(codec_class(name))]
     if rates is not None and not rated:
@@ -177,7 +178,7 @@ def paper_experiment(
         degrees,
         tuple(settings),
         holdout,
-        ring=dict(ring or {}),
+        synth={scene: dict(synth)} if synth else {},
         precision=precision,
         holdout_by=holdout_by,
     )

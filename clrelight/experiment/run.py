@@ -13,12 +13,13 @@ import numpy as np
 from clrelight.device import Device, open_device
 from clrelight.durable import claiming, no_locks
 from clrelight.experiment.bench import Bench
-from clrelight.experiment.grid import RING, Experiment
+from clrelight.experiment.grid import Experiment
 from clrelight.experiment.row import row_key
 from clrelight.experiment.scenes import check_names, open_scene, scene_name
 from clrelight.holdout import describe_distance
 from clrelight.results import ROW_DTYPE, Results
 from clrelight.store import check_output, read_results, write_results
+from datasets_synth.scenes import SCENES
 
 Progress = Callable[[str, int, int], None]
 
@@ -59,7 +60,7 @@ def run_experiment(
         If a scene or `out` cannot be used, another program has `out`, two scenes have one name, or `out` holds rows of
         another stack of the same name.
     """
-    check_output(out, [scene for scene in experiment.scenes if scene != RING])
+    check_output(out, [scene for scene in experiment.scenes if scene not in SCENES])
     check_names(experiment)
     # Rows are added to what was read: of two experiments on one file, each would write over the other's.
     with claiming(out) as is_claimed:
@@ -81,10 +82,10 @@ def _measure_rows(
     planned = list(itertools.product(experiment.methods, experiment.degrees, experiment.codecs))
     count = 0
     for scene in experiment.scenes:
-        rendering = partial(_report_light, report, count, experiment.row_count)
+        rendering = partial(_report_part, report, count, experiment.row_count, scene)
         report(f"open {scene_name(scene)}", count, experiment.row_count)
         with open_scene(scene, experiment, progress=rendering) as stack:
-            bench = Bench(stack, experiment, device, experiment.ring.get("seed", 0) if scene == RING else 0)
+            bench = Bench(stack, experiment, device, experiment.synth.get(scene, {}).get("seed", 0))
             bench.check_earlier(results, out)
             if tell is not None and len(bench.held):
                 tell(f"{stack.name}: {describe_distance(stack.directions_i3, bench.fitted, bench.held)}")
@@ -106,5 +107,5 @@ def earlier_results(out: str | os.PathLike[str], force: bool) -> Results:
     return read_results(out) if Path(out).exists() and not force else Results(np.empty(0, ROW_DTYPE))
 
 
-def _report_light(report: Progress, count: int, total: int, light: int, lights: int) -> None:
-    report(f"render ring, light {light} of {lights}", count, total)
+def _report_part(report: Progress, count: int, total: int, scene: str, part: int, parts: int) -> None:
+    report(f"render {scene}, {part} of {parts}", count, total)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +15,10 @@ from numpy.typing import NDArray
 from clrelight.conventions import TRANSFERS
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.experiment.grid import RING, Experiment
+from clrelight.experiment.grid import Experiment
 from clrelight.relight import to_display
 from clrelight.store import open_stack
+from datasets_synth.scenes import SCENES
 
 PICTURE_LIGHT = np.array([0.5, 0.5, math.sqrt(0.5)])
 """Pictures show the light nearest to this direction."""
@@ -27,15 +27,16 @@ MAX_PICTURE_SIDE = 512
 
 def scene_name(scene: str) -> str:
     """Return what progress calls a scene that is not open yet."""
-    return scene if scene == RING else Path(scene).stem
+    return scene if scene in SCENES else Path(scene).stem
 
 
 def check_names(experiment: Experiment) -> None:
     """Raise InputError where rows could not tell two scenes apart."""
     owners: dict[str, str] = {}
     for scene in experiment.scenes:
-        name = _ring_name(experiment.ring)
-        if scene != RING:
+        if scene in SCENES:
+            name = SCENES[scene].stack_name(experiment.synth.get(scene, {}))
+        else:
             with open_stack(scene) as stack:
                 name = stack.name
         if name in owners:
@@ -47,30 +48,23 @@ def read_notes(experiment: Experiment) -> list[str]:
     """Return what the files of stacks left open, and how it is taken."""
     notes = []
     for scene in experiment.scenes:
-        if scene != RING:
+        if scene not in SCENES:
             with open_stack(scene) as stack:
                 notes += [f"{scene}: {note}" for note in stack.notes]
     return notes
-
-
-def _ring_name(ring: Mapping[str, Any]) -> str:
-    """Return "ring" for the paper's sampling and samples of 8 bits, else what differs and then ring."""
-    unusual = [value for value in (ring.get("pattern"), ring.get("dtype")) if value not in (None, "uniform", "uint8")]
-    return "-".join([*unusual, RING])
 
 
 @contextmanager
 def open_scene(
     scene: str, experiment: Experiment, *, progress: Callable[[int, int], None] | None = None
 ) -> Iterator[LightStack]:
-    """Lend the stack of a scene; the ring is rendered, and `progress` called with lights done and in all."""
-    if scene != RING:
+    """Lend the stack of a scene; what has no file is rendered, and `progress` called with parts done and in all."""
+    if scene not in SCENES:
         with open_stack(scene) as stack:
             yield stack
         return
-    from datasets_synth.ring import render_ring
-
-    yield replace(render_ring(**experiment.ring, progress=progress), name=_ring_name(experiment.ring))
+    made, options = SCENES[scene], experiment.synth.get(scene, {})
+    yield replace(made.render(options, progress), name=made.stack_name(options))
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing import Any
 
 from clrelight.errors import InputError
 from clrelight.experiment.grid import (
+    DEFAULT_SCENE,
     PAPER_METHODS,
-    RING,
     TYPE_NAMES,
     CodecSetting,
     Experiment,
@@ -23,10 +23,10 @@ from clrelight.fit import method_class
 from clrelight.fit.precision import MIXED
 from clrelight.fit.selection import AUTO
 from clrelight.results import NO_CODEC
+from datasets_synth.scenes import SCENES
 
-_RING_KEYS = {"size": int, "lights": int, "pattern": str, "seed": int, "dtype": str}
 _MODEL_KEYS = ("methods", "degrees", "holdout", "holdout_by", "weights", "sampling", "precision", "lights")
-_TOML_KEYS = ("scenes", *_MODEL_KEYS, "ring", "method", "codec")
+_TOML_KEYS = ("scenes", *_MODEL_KEYS, *SCENES, "method", "codec")
 
 
 def load_experiment(path: str | os.PathLike[str]) -> Experiment:
@@ -46,10 +46,10 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
 
 def experiment_text(experiment: Experiment, folder: Path, comment: str = "") -> str:
     """Return the TOML of an experiment with one method, for a file in `folder`; `load_experiment` reads it back."""
-    if len(experiment.methods) != 1 or experiment.ring:
+    if len(experiment.methods) != 1 or experiment.synth:
         raise ValueError("expected an experiment with one method on stack files")
     method = experiment.methods[0]
-    scenes = [s if s == RING else os.path.relpath(s, folder).replace(os.sep, "/") for s in experiment.scenes]
+    scenes = [s if s in SCENES else os.path.relpath(s, folder).replace(os.sep, "/") for s in experiment.scenes]
     values: dict[str, Any] = {
         "scenes": scenes,
         "methods": [method if isinstance(method, str) else method.id],
@@ -97,27 +97,33 @@ def _experiment_of(given: Mapping[str, Any], file: Path) -> Experiment:
         if not isinstance(entry.get("id"), str):
             raise InputError("every [[codec]] needs an id")
         settings += make_settings(entry["id"], {k: v for k, v in entry.items() if k != "id"})
-    scenes = _list_of(str, given, "scenes", [RING])
-    ring = _typed(dict, given, "ring", {})
-    for key, value in ring.items():
-        if key not in _RING_KEYS:
-            raise InputError(f"ring has no option {key!r}; it has: {', '.join(_RING_KEYS)}")
-        _typed(_RING_KEYS[key], ring, key, value)
-    if ring and RING not in scenes:
-        raise InputError(f"[ring] has options of a scene that is not among the scenes {', '.join(scenes)}")
+    scenes = _list_of(str, given, "scenes", [DEFAULT_SCENE])
+    for name in SCENES:
+        if name in given and name not in scenes:
+            raise InputError(f"[{name}] has options of a scene that is not among the scenes {', '.join(scenes)}")
     return Experiment(
-        tuple(scene if scene == RING else str(file.parent / scene) for scene in scenes),
+        tuple(scene if scene in SCENES else str(file.parent / scene) for scene in scenes),
         tuple(methods),
         tuple(_degrees(given)),
         tuple(settings),
         _typed(int, given, "holdout", None),
         _typed(str, given, "weights", "uniform"),
         _typed(str, given, "sampling", "hemisphere"),
-        ring,
+        {scene: _scene_options(scene, given) for scene in SCENES if scene in given},
         _typed(int, given, "lights", None),
         _typed(str, given, "precision", MIXED),
         _typed(str, given, "holdout_by", "index"),
     )
+
+
+def _scene_options(scene: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    options = _typed(dict, given, scene, {})
+    kinds = {option.name: option.kind for option in SCENES[scene].options}
+    for key, value in options.items():
+        if key not in kinds:
+            raise InputError(f"{scene} has no option {key!r}; it has: {', '.join(kinds)}")
+        _typed(kinds[key], options, key, value)
+    return options
 
 
 def _typed(kind: type, given: Mapping[str, Any], key: str, default: Any) -> Any:

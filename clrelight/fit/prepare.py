@@ -67,7 +67,14 @@ class PreparedFit:
         """What the fit holds beside its maps."""
         stack = self.stack
         return FitRecord(
-            self.degree, self.method.id, stack.peak, stack.transfer, stack.directions_i3, self.config, stack.name
+            self.degree,
+            self.method.id,
+            stack.peak,
+            stack.transfer,
+            stack.directions_i3,
+            self.config,
+            stack.name,
+            stack.surface,
         )
 
 
@@ -112,6 +119,14 @@ def prepare_fit(
     report.add("plan", start)
     config = {**method.to_config(), "weights": weights, "sampling": sampling, "precision": precision}
     return PreparedFit(stack, method, degree, config, plan, device, report, choice, precision)
+
+
+def check_lights(stack: LightStack, method: str | FitMethod, degree: int | str) -> None:
+    """Raise the InputError of `prepare_fit` for which there is reason without a look at the samples."""
+    methods, degrees = _check_model(method, degree, {})
+    learns = type(methods[0]).settle is not FitMethod.settle
+    if AUTO not in (method, degree) and not learns:
+        methods[0].plan(make_lighting(stack, "uniform", "hemisphere"), degrees[0])
 
 
 def _note_precision(method: FitMethod, plan: FitPlan, precision: str, device: Device) -> list[str]:

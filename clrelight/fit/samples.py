@@ -49,7 +49,7 @@ class Samples:
         picked = _pick_pixels(source, max(1, columns // source.image_shape[2]))
         # Only rows with a picked pixel are read.
         rows = [source.read_rows(row, row + 1)[:, :, pixels] for row, pixels in picked.items()]
-        return replace(source, images_ihwc=np.concatenate(rows, axis=2), mask_hw=None)
+        return replace(source, images_ihwc=np.concatenate(rows, axis=2), mask_hw=None, surface=None)
 
     @cached_property
     def radiance_ip(self) -> NDArray[np.float64]:

@@ -75,12 +75,17 @@ def cap_kernel(angle: float, degree: int) -> NDArray[np.float64]:
     """
     if not 0.0 < angle <= np.pi:
         raise InputError(f"the angle of a cap must be above 0 and at most 180 degrees, got {np.degrees(angle):g}")
-    edge = float(np.cos(angle))
-    legendre = [1.0, 1.0, edge]  # of degrees -1, 0, 1
+    return cap_kernels(np.array([angle]), degree)[0]
+
+
+def cap_kernels(angle_n: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+    """Return what `cap_kernel` does of many angles, 0 to pi, (n, degree + 1) float64."""
+    edge_n = np.cos(angle_n)
+    legendre = [np.ones_like(edge_n), np.ones_like(edge_n), edge_n]  # of degrees -1, 0, 1
     for l in range(2, degree + 2):
-        legendre.append(((2 * l - 1) * edge * legendre[l] - (l - 1) * legendre[l - 1]) / l)
-    values = np.array(legendre[: degree + 3])
-    zonal_l = np.sqrt(np.pi / (2.0 * np.arange(degree + 1) + 1.0)) * (values[:-2] - values[2:])
+        legendre.append(((2 * l - 1) * edge_n * legendre[l] - (l - 1) * legendre[l - 1]) / l)
+    values = np.stack(legendre[: degree + 3], axis=1)
+    zonal_nl = np.sqrt(np.pi / (2.0 * np.arange(degree + 1) + 1.0)) * (values[:, :-2] - values[:, 2:])
     # 1 - cos a, without cancellation for a small cap
-    zonal_l[0] = np.sqrt(np.pi) * 2.0 * np.sin(0.5 * angle) ** 2
-    return zonal_l
+    zonal_nl[:, 0] = np.sqrt(np.pi) * 2.0 * np.sin(0.5 * angle_n) ** 2
+    return zonal_nl

@@ -274,6 +274,9 @@ class _Encode:
         report, workspace, shape = self.report, self.workspace, tuple(self.coefficients.coeffs_khwc.shape)
         since = time.perf_counter()
         codec = self.wanted.make(shape).for_transfer(self.coefficients.transfer)
+        surface = self.coefficients.surface
+        if codec.hemisphere and surface is not None and surface.frame == "global":
+            report.note(f"{codec.id} leaves open what functions are at z < 0, from where these take light: see wavelet")
         needed = codec.bytes_to_encode(shape)
         report.note(*check_memory(f"encoding by {codec.id}", needed, self.memory, _IN_PARTS))
         maps = take_source(self.coefficients, codec, self.device, workspace)

@@ -25,6 +25,7 @@ from clrelight.lighting.light import Light, share_below
 from clrelight.lighting.relighting import automatic_exposure, relight_under
 from clrelight.lighting.rotation import rotate_light
 from clrelight.relight import relight
+from clrelight.transfer.reflection import OPERATOR
 
 MAX_STEPS = 1 << 16
 _PICTURE_BYTES = 1 << 26
@@ -108,6 +109,7 @@ class LightFrames:
         since, salvage = time.perf_counter(), self._salvage
         with lend_fitted(source, report, parts=not self._part.is_all, salvage=salvage) as held:
             report.add("read", since)
+            _refuse_operators(held)
             coefficients = _part_of(held, source, self._part, salvage, device, report, progress)
             yield self._images(coefficients, device, report), coefficients.transfer
 
@@ -117,7 +119,8 @@ class LightFrames:
             since = time.perf_counter()
             turn = ("axis", (*self._axis, 360.0 * step / self.count))
             turned = turn_light(self._light, turn) if step else self._light
-            below = max(below, share_below(turned))
+            # Functions of a surface know the whole sphere.
+            below = max(below, share_below(turned) if coefficients.surface is None else 0.0)
             image_hwc = relight_under(coefficients, turned, device=device)
             if exposure is None:
                 exposure = automatic_exposure(image_hwc)  # of the first image, for all of them
@@ -151,6 +154,7 @@ def _lend_view(
     since = time.perf_counter()
     with lend_fitted(source, report, parts=not part.is_all, salvage=salvage) as held:
         since = report.add("read", since)
+        _refuse_operators(held)
         if isinstance(held, Packed):
             encoded = held.encoded
             region, light = part.of(*encoded.shape[1:3]), None
@@ -168,6 +172,12 @@ def _lend_view(
             4 * math.prod(coefficients.image_shape),
             coefficients.transfer,
         )
+
+
+def _refuse_operators(held: CoefficientMap | Packed) -> None:
+    """Raise InputError where entries of matrices would be taken for coefficients."""
+    if (held.record.method if isinstance(held, Packed) else held.method) == OPERATOR:
+        raise InputError("these are operators, from light to views: clrelight reflect makes radiance of them")
 
 
 def _part_of(

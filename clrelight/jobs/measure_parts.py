@@ -61,8 +61,8 @@ def measure_parts(
             rows, columns = (window.top, window.bottom), (window.left, window.right)
             mask_hw = None if stack.mask_hw is None else stack.mask_hw[slice(*rows), slice(*columns)]
             if mask_hw is None or mask_hw.any():
-                part = replace(stack, images_ihwc=bands.part(rows, columns), mask_hw=mask_hw)
-                fitted = record.to_map(regions.coefficients(window, device))
+                part = replace(stack, images_ihwc=bands.part(rows, columns), mask_hw=mask_hw, surface=None)
+                fitted = replace(record, surface=None).to_map(regions.coefficients(window, device))
                 counts_w[number] = mask_hw.sum() if mask_hw is not None else math.prod(window.shape)
                 sums_wi[number] = measure_errors(fitted, part, device=device) * counts_w[number]
             tell(number + 1, len(windows))

@@ -10,11 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from clrelight.codec.transforms.colour import METRICS, RADIANCE, check_metric
 from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit import prepare_fit
+from clrelight.fit.prepare import check_lights
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
 from clrelight.ingest import read_folder
@@ -118,7 +121,7 @@ def pack(
         raise InputError(f"the stack that is kept and the packed file have the same name, {os.fsdecode(out)}")
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
-    look = _looking(size, rule, metric, perceptual, wanted)
+    look = _looking(size, rule, metric, perceptual, method, wanted)
     with (
         claimed([out, keep_stack], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
@@ -143,7 +146,7 @@ def pack(
 
 
 def _looking(
-    size: Size, rule: HoldoutRule, metric: str, perceptual: bool, degree: int | str
+    size: Size, rule: HoldoutRule, metric: str, perceptual: bool, method: str, degree: int | str
 ) -> Callable[[LightStack], None]:
     """Return what refuses, before a photograph is read, a stack of which that cannot be asked."""
 
@@ -151,7 +154,9 @@ def _looking(
         check_metric(metric, stack.image_shape[2])
         if perceptual:
             check_perception(stack.image_shape[2])
-        size.check_least(stack, rule.split(stack.directions_i3)[0], degree)
+        fitted = rule.split(stack.directions_i3)[0]
+        check_lights(LightStack(np.zeros((len(fitted), 1, 1, 1)), stack.directions_i3[fitted], 1.0), method, degree)
+        size.check_least(stack, fitted, degree)
 
     return look
 

@@ -256,8 +256,9 @@ class Pack:
             stack,
             images_ihwc=np.concatenate(images, axis=2),
             mask_hw=np.concatenate(masks, axis=1) if masks else None,
+            surface=None,
         )
-        return record.to_map(np.ascontiguousarray(np.concatenate(coeffs, axis=2))), mosaic
+        return replace(record, surface=None).to_map(np.ascontiguousarray(np.concatenate(coeffs, axis=2))), mosaic
 
 
 def _regions_of(encoded: Encoded) -> Regions:

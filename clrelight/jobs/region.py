@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,13 +78,14 @@ def refuse_level(part: Part, what: str) -> None:
 
 
 def crop(coefficients: CoefficientMap, part: Part) -> CoefficientMap:
-    """Return a part of a fit at full resolution."""
+    """Return a part of a fit at full resolution: without the surface, of which it has not all vertices."""
     region = part.of(*coefficients.image_shape[:2])
     rows, columns = slice(region.top, region.bottom), slice(region.left, region.right)
     n_coeff, _, width, channel = coefficients.coeffs_khwc.shape
     whole_rows = np.empty((n_coeff, region.shape[0], width, channel), coefficients.coeffs_khwc.dtype)
     read_rows_into(coefficients.coeffs_khwc, rows.start, rows.stop, whole_rows)
-    return FitRecord.of(coefficients).to_map(np.ascontiguousarray(whole_rows[:, :, columns], np.float32))
+    record = replace(FitRecord.of(coefficients), surface=None)
+    return record.to_map(np.ascontiguousarray(whole_rows[:, :, columns], np.float32))
 
 
 def decode_part(packed: Packed, part: Part, device: Device) -> CoefficientMap:
@@ -92,6 +93,6 @@ def decode_part(packed: Packed, part: Part, device: Device) -> CoefficientMap:
     encoded, record = packed.encoded, packed.record
     regions, region = packed.regions(), part.of(*encoded.shape[1:3])
     if regions is not None:
-        return record.to_map(regions.coefficients(region, device))
+        return replace(record, surface=None).to_map(regions.coefficients(region, device))
     refuse_level(part, f"an encoding by {encoded.codec}")
     return crop(record.to_map(decode(encoded, device)), part)

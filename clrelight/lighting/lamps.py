@@ -100,11 +100,7 @@ def blend_lights(
         raise InputError(f"the power of a blend must be a finite number above 0, got {power:g}")
     if len(np.unique(positions_i3, axis=0)) < len(lights):
         raise InputError("two lights of a blend have the same position")
-    distance_i = np.linalg.norm(positions_i3 - place_3, axis=1)
-    nearest = float(distance_i.min())
-    # Relative to the nearest, so that no power overflows; where that is 0, it alone counts.
-    weight_i = (nearest / distance_i) ** power if nearest > 0.0 else (distance_i == 0.0).astype(np.float64)
-    weight_i = weight_i / weight_i.sum()
+    weight_i = distance_weights(positions_i3, place_3[None], power)[0]
     channels = max(light.channels for light in lights)
     coeffs_kc = np.zeros((coefficient_count(max(light.degree for light in lights)), channels))
     for weight, light in zip(weight_i, lights, strict=True):
@@ -112,6 +108,18 @@ def blend_lights(
     source = "blend of " + ", ".join(light.source or "a light" for light in lights)
     axes = {light.axes for light in lights}
     return Light(coeffs_kc, source, axes.pop() if len(axes) == 1 else "", {"blend": weight_i.tolist(), "power": power})
+
+
+def distance_weights(
+    positions_i3: NDArray[np.float64], points_n3: NDArray[np.float64], power: float = BLEND_POWER
+) -> NDArray[np.float64]:
+    """Return the shares ``1 / distance**power`` of samples at points, (n_point, n_sample) float64; rows sum to 1."""
+    distance_ni = np.linalg.norm(points_n3[:, None] - positions_i3, axis=2)
+    nearest_n1 = distance_ni.min(axis=1, keepdims=True)
+    # Relative to the nearest, so that no power overflows; where that is 0, it alone counts.
+    away_ni = np.where(distance_ni > 0.0, distance_ni, 1.0)
+    weight_ni = np.where(nearest_n1 > 0.0, (nearest_n1 / away_ni) ** power, distance_ni == 0.0)
+    return weight_ni / weight_ni.sum(axis=1, keepdims=True)
 
 
 def _unit(direction: Sequence[float] | NDArray[np.float64], degree: int) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ from clrelight.errors import InputError
 from clrelight.harmonics.hemisphere import project_onto_hemisphere
 from clrelight.lighting.light import Light
 from clrelight.relight import combine_maps
+from clrelight.surface import Surface
 
 TONEMAPS = ("clip", "reinhard")
 """How radiance above 1 is shown: clipped, or compressed by ``v / (1 + v)`` (Reinhard et al. 2002, eq. 3)."""
@@ -22,7 +23,8 @@ AUTO_PERCENTILE = 99.0
 def relight_under(coefficients: CoefficientMap, light: Light, *, device: Device | None = None) -> NDArray[np.float32]:
     """Return the view under a light from everywhere, ``image = c^T A l`` (noise-resistant-fitting, eq. 4 and 5).
 
-    What comes from below the horizon is cut: fits of stacks know the upper hemisphere only.
+    What comes from below the horizon is cut: fits of stacks know the upper hemisphere only. Functions of a surface in
+    the axes of its positions know the whole sphere; InputError of others of a surface.
 
     Returns
     -------
@@ -30,13 +32,27 @@ def relight_under(coefficients: CoefficientMap, light: Light, *, device: Device 
         Linear radiance in units of the peak, not clipped. A gray view under a coloured light is coloured.
     """
     device = device or open_device()
-    seen_kc = project_onto_hemisphere(light.coeffs_kc, coefficients.degree)
+    if coefficients.surface is None:
+        seen_kc = project_onto_hemisphere(light.coeffs_kc, coefficients.degree)
+    else:
+        seen_kc = _seen_by(coefficients.surface, light, coefficients.n_coeff)
     channel = coefficients.image_shape[2]
     images_ahwc = combine_maps(device, seen_kc.T, coefficients)
     if channel == 1 or light.channels == 1:
         return np.concatenate(list(images_ahwc), axis=2) if channel == 1 else images_ahwc[0]
     check_channels(channel, light.channels)
     return np.stack([images_ahwc[c, ..., c] for c in range(channel)], axis=2)
+
+
+def _seen_by(surface: Surface, light: Light, n_coeff: int) -> NDArray[np.float64]:
+    if surface.tangents_v3 is not None:
+        raise InputError("these functions are in each vertex's own frame, where a light is another at each vertex")
+    if surface.argument != "light":
+        raise InputError("these functions are of the direction to the eye, under a light that is fixed")
+    seen_kc = np.zeros((n_coeff, light.channels))
+    count = min(n_coeff, len(light.coeffs_kc))
+    seen_kc[:count] = light.coeffs_kc[:count]
+    return seen_kc
 
 
 def automatic_exposure(image_hwc: NDArray) -> float:

@@ -133,25 +133,26 @@ def _draw(
     for i, setting in enumerate(settings):
         y = MARGIN + i * row_step + LABEL
         page.write(MARGIN, y - 8, "reference", fontsize=8)
-        _show(page, (MARGIN, y, width, height), reference[crop])
+        show_picture(page, (MARGIN, y, width, height), reference[crop])
         page.write(MARGIN, y + height + 30, setting.label, fontweight="bold", fontsize=10)
         page.write(MARGIN, y + height + 54, _bits_label(results, scene, degree, setting), fontsize=7.5)
         for j, method in enumerate(methods):
             x = MARGIN + (j + 1) * (column + GAP)
             picture = pictures.get((method, setting))
             page.write(x, y - 8, method_label(method), fontweight="bold", fontsize=8)
-            page.write(x + column, y - 8, _worth(picture, reference), ha="right", fontsize=8)
+            page.write(x + column, y - 8, picture_psnr(picture, reference), ha="right", fontsize=8)
             if picture is not None:
                 error = np.abs(picture.astype(np.int16) - reference).mean(axis=2)
-                _show(page, (x, y, width, height), picture[crop])
-                _show(page, (x, y + height + GAP // 2, width, height), error[crop], **_error_scale())
+                show_picture(page, (x, y, width, height), picture[crop])
+                show_picture(page, (x, y + height + GAP // 2, width, height), error[crop], **_error_scale())
     _colour_bar(page, foot + GAP)
     for i, note in enumerate(notes):
         page.write(MARGIN, foot + 60 + LINE * (i + 1) - 6, note, fontsize=7.5)
     return page.figure
 
 
-def _show(page: Page, box: tuple[int, int, int, int], picture: NDArray, **style: Any) -> None:
+def show_picture(page: Page, box: tuple[int, int, int, int], picture: NDArray, **style: Any) -> None:
+    """Show a picture in a box (x, y, width, height) of a page."""
     if picture.ndim == 3 and picture.shape[2] == 1:
         picture, style = picture[:, :, 0], {"cmap": "gray", "vmin": 0, "vmax": 255}
     axes = page.add_axes(*box)
@@ -160,7 +161,8 @@ def _show(page: Page, box: tuple[int, int, int, int], picture: NDArray, **style:
     axes.imshow(picture, aspect="auto", interpolation="nearest" if whole else "antialiased", **style)
 
 
-def _worth(picture: NDArray[np.uint8] | None, reference: NDArray[np.uint8]) -> str:
+def picture_psnr(picture: NDArray[np.uint8] | None, reference: NDArray[np.uint8]) -> str:
+    """Return what to write of a picture: its PSNR, or that there is none."""
     if picture is None:
         return "no picture"
     psnr = psnr_8bit(picture, reference)

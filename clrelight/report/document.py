@@ -13,7 +13,16 @@ from clrelight.report import paper
 from clrelight.report.charts import figure_7, figure_15
 from clrelight.report.contact_sheet import AMPLIFICATION, MAX_SETTINGS, contact_sheet
 from clrelight.report.markup import escape_markdown, to_markdown
-from clrelight.report.rows import file_suffixes, parse_picture_key, parse_profile_key, scene_names, scene_rows, text
+from clrelight.report.paper_figures import SETTINGS, figure_1, figure_of_method, figures_of
+from clrelight.report.rows import (
+    file_suffixes,
+    method_label,
+    parse_picture_key,
+    parse_profile_key,
+    scene_names,
+    scene_rows,
+    text,
+)
 from clrelight.report.size_chart import quality_vs_size
 from clrelight.report.tables import Table, all_rows, noise_table, repeated_rows, table_i, table_iii
 from clrelight.results import Results
@@ -117,6 +126,7 @@ def _degree_parts(results: Results, scene: str, degree: int, tail: str, title: s
         partial(figure_7, results, scene, degree),
         "the results hold no coefficient profiles",
     )
+    yield from _surface_parts(results, scene, degree, tail, title)
     yield Part(
         f"contact_sheet{tail}",
         f"Contact sheet (figures 4, 8, 12){title}",
@@ -126,6 +136,23 @@ def _degree_parts(results: Results, scene: str, degree: int, tail: str, title: s
         partial(contact_sheet, results, scene, degree),
         "the results hold no pictures, or no reference to set them against",
     )
+
+
+def _surface_parts(results: Results, scene: str, degree: int, tail: str, title: str) -> Iterator[Part]:
+    """Yield the paper's figures of a scene that is a surface."""
+    figures = figures_of(scene)
+    shown = (
+        "Left under an environment, right under one directional light" if 5 in figures.values() else "From two sides"
+    )
+    how = f"{shown}. The dB compare with the rendering of the samples themselves."
+    missing = f"no pictures of two of {', '.join(setting.label for setting in SETTINGS)}"
+    if 5 in figures.values():
+        make = partial(figure_1, results, scene, degree)
+        yield Part(f"figure_1{tail}", f"Figure 1: what coding does to coefficients{title}", how, make, missing)
+    for method, number in figures.items():
+        make = partial(figure_of_method, results, scene, degree, method)
+        heading = f"Figure {number}: {method_label(method)}, as fitted and coded{title}"
+        yield Part(f"figure_{number}{tail}", heading, how, make, missing)
 
 
 def _degrees(results: Results, scene: str) -> list[int]:

@@ -7,6 +7,12 @@ CITATION = "Lam, Leung, Wong: Noise-Resistant Fitting for Spherical Harmonics"
 SCENE_PREFIX = "ring"
 """Tables I and III measure the example "ring" (section III-A, figure 3a)."""
 
+FIGURES = {
+    "torus": {"uls": 5, "sloan": 9, "cls": 13},
+    "dama": {"uls": 6, "sloan": 10, "cls": 14},
+}
+"""Figures that show surfaces, by scene and method."""
+
 DEGREE = 6
 """The first 49 coefficients of each pixel (section VI, first paragraph)."""
 

@@ -79,7 +79,7 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
     if record is None:
         raise InputError("these encoded bytes come without the record of their fit: say which fit was encoded")
     with drafting(path, ENCODED, encoded.encoded_bytes + CHUNK_BYTES) as draft:
-        _fill(draft, encoded, record)
+        _fill(draft, encoded, record.without_surface())
 
 
 def _fill(draft: Draft, encoded: Encoded, record: FitRecord) -> None:
@@ -272,4 +272,8 @@ def container_bytes(record: FitRecord, shape: Shape) -> int:
     encoded = Encoded(
         "klt", config, shape, bytes(2 * COMPACT_BYTES), {"step": 0.12345678901234567, "planes": 123.0}, record
     )
-    return drafted_bytes(ENCODED, lambda draft: _fill(draft, encoded, record)) - encoded.encoded_bytes + _MARGIN
+    return (
+        drafted_bytes(ENCODED, lambda draft: _fill(draft, encoded, record.without_surface()))
+        - encoded.encoded_bytes
+        + _MARGIN
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import FIT
+from clrelight.store.surfaces import surface_bytes, surface_of, write_surface
 from clrelight.store.writing import Draft, Sink, chunk_shape, config_text, drafting, padded_bytes
 
 _IMAGE_AXES = ("height", "width", "channel")
@@ -102,9 +103,10 @@ def create_fit(
     chunks = chunk_shape(shape, stored.itemsize)
     map_chunks = chunks[1:]  # written and read together
     n_bytes = padded_bytes(shape, chunks, stored.itemsize)
-    n_bytes += (has_lambda + has_rank) * padded_bytes(image_shape, map_chunks, 4)
+    n_bytes += (has_lambda + has_rank) * padded_bytes(image_shape, map_chunks, 4) + surface_bytes(record.surface)
     with drafting(path, FIT, n_bytes) as draft:
         write_record(draft, record, "config")
+        write_surface(draft, record.surface)
         yield FitSink(
             draft.sink("coefficients", shape, stored, ("coefficient", *_IMAGE_AXES), chunks),
             draft.sink("lambda", image_shape, np.float32, _IMAGE_AXES, map_chunks) if has_lambda else None,
@@ -205,7 +207,7 @@ def fit_of(opened: Opened, array: Callable[[str], Any]) -> CoefficientMap:
 
     Raises StoreFormatError or InputError if it is not sound.
     """
-    record = read_record(opened, opened.attributes(), "config")
+    record = replace(read_record(opened, opened.attributes(), "config"), surface=surface_of(opened))
     return record.to_map(array("coefficients"), array("lambda"), array("rank"))
 
 

@@ -17,6 +17,7 @@ from clrelight.memory import PIECE_BYTES
 from clrelight.store.blocks import box_of
 from clrelight.store.opening import Opened
 from clrelight.store.stored import StoredArray
+from clrelight.store.surfaces import surface_of
 
 LEAST_LENGTH, MOST_LENGTH = 0.99, 1.01
 """Directions of such lengths are made unit vectors; others are no directions."""
@@ -123,6 +124,7 @@ def stack_of_others(opened: Opened) -> LightStack:
         _read_mask(opened, images.shape[1:3], axes, notes),
         name,
         notes=tuple(notes),
+        surface=surface_of(opened),
     )
 
 

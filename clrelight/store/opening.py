@@ -101,7 +101,9 @@ class Opened:
         field = self.schema.field_of(name)
         if field is None or not field.attributes:
             return {}
-        return self.floats(name) if field.attributes == "floats" else {"key": self.attribute("key", str, of=name)}
+        if field.attributes == "floats":
+            return self.floats(name)
+        return {field.attributes: self.attribute(field.attributes, str, of=name)}
 
     def attribute(self, name: str, kind: type, of: str | None = None) -> Any:
         """Return an attribute as int, float, str or bytes, of the root or of a dataset."""

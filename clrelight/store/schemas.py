@@ -25,7 +25,7 @@ class Field:
     Attributes
     ----------
     attributes : str
-        ``key`` for one of that name, ``floats`` for all that are numbers with a fraction; else none.
+        ``floats`` for all that are numbers with a fraction, else the name of a text; none where empty.
     """
 
     axes: tuple[str, ...]
@@ -83,6 +83,19 @@ _IMAGE = ("height", "width", "channel")
 _DIRECTIONS = Field(("light", "xyz"), _dtypes("float64"))
 _FIT_ATTRIBUTES = {"method": str, "degree": int, "peak": float, "transfer": str, "name": str}
 
+SURFACE_FACTS = "surface"
+"""The attribute of a surface's vertices with what is no array, JSON."""
+
+SURFACE = {
+    "surface/vertices": Field(("vertex", "xyz"), _dtypes("float64"), required=False, attributes=SURFACE_FACTS),
+    "surface/faces": Field(("face", "corner"), _dtypes("int32"), required=False),
+    "surface/normals": Field(("vertex", "xyz"), _dtypes("float64"), required=False),
+    "surface/tangents": Field(("vertex", "xyz"), _dtypes("float64"), required=False),
+    "surface/albedo": Field(("vertex", "albedo_channel"), _dtypes("float32"), required=False),
+    "surface/texture": Field(("vertex", "uv"), _dtypes("float64"), required=False),
+}
+"""What the pixels of a stack or a fit are vertices of: all of the group or nothing, but for the last three."""
+
 STACK = Schema(
     "stack",
     1,
@@ -91,6 +104,7 @@ STACK = Schema(
         "directions": _DIRECTIONS,
         "weights": Field(("light",), _dtypes("float64"), required=False),
         "mask": Field(("height", "width"), _dtypes("uint8"), required=False),
+        **SURFACE,
     },
     {"peak": float, "transfer": str, "name": str},
 )
@@ -102,6 +116,7 @@ FIT = Schema(
         "directions": _DIRECTIONS,
         "lambda": Field(_IMAGE, _dtypes("float32"), required=False),
         "rank": Field(_IMAGE, _dtypes("int32"), required=False),
+        **SURFACE,
     },
     {**_FIT_ATTRIBUTES, "config": str},
 )

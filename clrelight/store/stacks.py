@@ -12,6 +12,7 @@ from clrelight.dataset import LightStack
 from clrelight.store.foreign import stack_of_others
 from clrelight.store.opening import Opened, opening, refusing
 from clrelight.store.schemas import STACK
+from clrelight.store.surfaces import surface_bytes, surface_of, write_surface
 from clrelight.store.writing import Sink, chunk_shape, drafting, padded_bytes
 
 
@@ -38,13 +39,15 @@ def create_stack(path: str | os.PathLike, stack: LightStack, *, chunk_lights: in
     """
     shape, dtype = tuple(stack.images_ihwc.shape), stack.images_ihwc.dtype
     chunks = chunk_shape(shape, dtype.itemsize, chunk_lights)
-    with drafting(path, STACK, padded_bytes(shape, chunks, dtype.itemsize)) as draft:
+    n_bytes = padded_bytes(shape, chunks, dtype.itemsize) + surface_bytes(stack.surface)
+    with drafting(path, STACK, n_bytes) as draft:
         draft.attributes({"peak": float(stack.peak), "transfer": stack.transfer, "name": stack.name})
         draft.dataset("directions", stack.directions_i3, ("light", "xyz"))
         if stack.weights_i is not None:
             draft.dataset("weights", stack.weights_i, ("light",))
         if stack.mask_hw is not None:
             draft.dataset("mask", stack.mask_hw.astype(np.uint8), ("height", "width"))
+        write_surface(draft, stack.surface)
         yield draft.sink("images", shape, dtype, ("light", "height", "width", "channel"), chunks)
 
 
@@ -80,4 +83,5 @@ def stack_of(opened: Opened) -> LightStack:
         opened.optional("weights"),
         None if mask is None else mask.astype(np.bool_),
         attributes["name"],
+        surface=surface_of(opened),
     )

@@ -13,7 +13,9 @@ from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import STACK
 from clrelight.store.shrms import shrm_of
 from clrelight.store.stacks import stack_of
+from clrelight.store.surfaces import describe_surface
 from clrelight.store.tables import results_of
+from clrelight.surface import Surface
 
 
 def file_schema(path: str | os.PathLike) -> str:
@@ -30,7 +32,8 @@ def describe(path: str | os.PathLike) -> dict[str, Any]:
     dict
         JSON values: ``file``, ``schema``, ``bytes_on_disk``, ``attributes``, and ``datasets`` with ``shape``,
         ``dtype``, ``axes`` and ``chunks`` of each; of results, numbers of rows and keys instead of each picture; of a
-        stack, ``notes`` on what another program left open; of a file behind a URL, ``fetched``.
+        stack, ``notes`` on what another program left open; where there is one, what ``surface`` it is of; of a file
+        behind a URL, ``fetched``.
 
     Raises
     ------
@@ -63,7 +66,7 @@ def _checked(opened: Opened) -> dict[str, Any]:
         case "stack":
             return _stack_facts(opened)
         case "fit":
-            fit_of(opened, opened.arrays.get)
+            return _surface_facts(fit_of(opened, opened.arrays.get).surface)
         case "encoded":
             encoded, record = encoded_of(opened, *parts_of(opened), summed=opened.place.remote is None)
             info = {key: value if math.isfinite(value) else None for key, value in encoded.info.items()}
@@ -95,7 +98,11 @@ def _stack_facts(opened: Opened) -> dict[str, Any]:
     datasets["images"]["shape"] = list(stack.images_ihwc.shape)
     facts = {"peak": stack.peak, "transfer": stack.transfer, "name": stack.name}
     notes = {"notes": list(stack.notes)} if stack.notes else {}
-    return {"attributes": facts, "datasets": datasets, **notes}
+    return {"attributes": facts, "datasets": datasets, **notes, **_surface_facts(stack.surface)}
+
+
+def _surface_facts(surface: Surface | None) -> dict[str, Any]:
+    return {} if surface is None else {"surface": describe_surface(surface)}
 
 
 def _datasets(opened: Opened) -> dict[str, Any]:

@@ -82,6 +82,15 @@ def list_units(height: int, width: int) -> list[Unit]:
     return units
 
 
+def count_units(height: int, width: int) -> int:
+    """Return the number of `list_units`, of images of any size that a header claims."""
+    count = 0
+    for level in range(LEVELS + 1):
+        side, depth = unit_side(level), level or LEVELS
+        count += -(-low_side(height, depth) // side) * -(-low_side(width, depth) // side)
+    return count
+
+
 def low_side(side: int, level: int) -> int:
     """Return the samples of a side of the low subband of a level: the pixels of the image at that level."""
     return -(-side >> level)

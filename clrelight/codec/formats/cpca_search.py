@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.slabs import slabs
 from clrelight.codec.transforms.vectors import spread_sample
+from clrelight.threads import on_one_thread
 
 SAMPLES = 16384
 """Vectors that the clustering iterates over; the last two passes see all of them."""
@@ -40,6 +41,11 @@ def fit_subspaces(vectors_pd: NDArray[np.float32], n_cluster: int, n_axis: int) 
     n_cluster, n_axis : int
         At most the number of vectors, and of dimensions.
     """
+    with on_one_thread():  # five times as fast as many threads that wait for each other
+        return _fit(vectors_pd, n_cluster, n_axis)
+
+
+def _fit(vectors_pd: NDArray[np.float32], n_cluster: int, n_axis: int) -> Subspaces:
     rng = np.random.default_rng(0)
     sample_pd = vectors_pd[spread_sample(len(vectors_pd), SAMPLES)]
     means_kd = _seed_means(sample_pd, n_cluster, rng)

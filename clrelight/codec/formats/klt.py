@@ -66,6 +66,7 @@ class Klt(PartsCodec):
     """
 
     id: ClassVar[str] = "klt"
+    hemisphere: ClassVar[bool] = True
     summary: ClassVar[str] = (
         "whitened principal axes, 9/7 wavelet and units of rANS: quality per byte, regions and levels"
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.range_coding import Decoder, Encoder
 from clrelight.codec.entropy.unit_index import Stored, read_index, seal_front
-from clrelight.codec.entropy.units import LEVELS, list_units
+from clrelight.codec.entropy.units import LEVELS, count_units
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import MEAN_STEPS, STEP_RANGE, Axes, code_vectors, make_operator
 from clrelight.codec.transforms.whitening import AXES
@@ -51,7 +51,7 @@ def is_together(shape: Shape) -> bool:
 
 def count_streams(shape: Shape) -> int:
     """Return the number of streams of a map."""
-    return 1 if is_together(shape) else len(list_units(shape[1], shape[2]))
+    return 1 if is_together(shape) else count_units(shape[1], shape[2])
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.units import list_units
+from clrelight.codec.entropy.units import count_units
 from clrelight.codec.formats.wavelet_planes import Scan
 from clrelight.codec.formats.wavelet_units import ABSENT, MOST_CHANNELS, MOST_TOGETHER, Tables
 from clrelight.codec.transforms.channels import angles_of, count_angles
@@ -23,7 +23,7 @@ def draft_tables(known: Scan, shape: Shape, budget: int) -> Tables:
     """Return tables without steps: rotations, groups, and whether units are streams of their own."""
     _, height, width, channel = shape
     present = np.flatnonzero(known.present_k)
-    units = len(list_units(height, width))
+    units = count_units(height, width)
     together = height * width <= MOST_TOGETHER and budget < _STREAM_BYTES * units
     parts = budget // (_STREAM_BYTES * (1 if together else units))
     group = min(max(-(-len(present) // max(parts, 1)), _GROUP), 65535)

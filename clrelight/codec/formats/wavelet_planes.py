@@ -80,7 +80,10 @@ class Part:
     def samples(self, device: Device, *, coded: bool = False) -> NDArray[np.float32]:
         """Return some of each plane's magnitudes, (n_plane, n), at the same places; only of what is coded."""
         values_jp = device.download(self.values).reshape(self.values.shape[0], -1)
-        places = np.flatnonzero(mask_of(self.layout, self.values.shape[1:])) if coded else np.arange(values_jp.shape[1])
+        if coded:
+            places = np.flatnonzero(mask_of(self.layout, self.values.shape[1:]))
+        else:  # not what rows are padded with: most of a list of vertices, whose rows have one pixel
+            places = np.flatnonzero(np.arange(values_jp.shape[1]) % self.values.shape[2] < self.width)
         return np.abs(values_jp[:, places[:: max(len(places) // _SAMPLES, 1) | 1]])
 
     def sizes(self, device: Device) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.unit_index import LEAST_ENTRY, Stored, read_index, seal_front
-from clrelight.codec.entropy.units import LEVELS, PRECINCT, list_units
+from clrelight.codec.entropy.units import LEVELS, PRECINCT, count_units
 from clrelight.codec.transforms.channels import count_angles, rotations_of
 from clrelight.codec.workspace import Shape
 from clrelight.errors import PayloadError
@@ -136,7 +136,7 @@ def is_in_units(body: Body) -> bool:
 def count_streams(shape: Shape, tables: Tables) -> int:
     """Return the number of streams of a map."""
     groups = -(-len(tables.present_m) // tables.group)
-    return groups if tables.together else groups * len(list_units(shape[1], shape[2]))
+    return groups if tables.together else groups * count_units(shape[1], shape[2])
 
 
 def pack_body(tables: Tables, streams: list[bytes]) -> bytes:

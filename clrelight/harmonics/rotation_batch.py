@@ -1,0 +1,77 @@
+"""One function under many rotations at once, as each vertex of a surface sees it in its own frame."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.harmonics.index import band, degree_of
+from clrelight.harmonics.rotation import rotation_blocks
+from clrelight.threads import on_one_thread
+
+_CACHED_BYTES = 1 << 19
+"""Of coefficients that go through all turns together: they stay in the processor's cache."""
+_QUARTER_ABOUT_X = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def rotate_many(coeffs_kc: NDArray[np.float64], matrices_n33: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the coefficients of one function after each of many rotations, (n, n_coeff, channel) float64.
+
+    Function j of the result says of ``matrices[j] @ d`` what the given one says of d (`rotation.rotation_blocks`).
+    ``R = Z(alpha) X(-90) Z(beta) X(90) Z(gamma)`` (spherical-harmonic-lighting, section Rotating Spherical Harmonics):
+    turns about z mix orders m and -m alone, and those about x are two matrices for all rotations.
+
+    Parameters
+    ----------
+    coeffs_kc : ndarray, shape (n_coeff, channel), float64
+    matrices_n33 : ndarray, shape (n, 3, 3), float64
+        Orthogonal, of determinant 1.
+    """
+    made_nkc = np.empty((len(matrices_n33), *coeffs_kc.shape))
+    step = max(1, _CACHED_BYTES // max(8 * coeffs_kc.size, 1))
+    with on_one_thread():  # many small products, for whose threads BLAS would wait
+        for at in range(0, len(made_nkc), step):
+            made_nkc[at : at + step] = _rotate(coeffs_kc, np.asarray(matrices_n33[at : at + step], np.float64))
+    return made_nkc
+
+
+def _rotate(coeffs_kc: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    degree = degree_of(len(coeffs_kc))
+    # Whatever alpha is where beta is 0 or 180 degrees, gamma makes good for it.
+    alpha_n = np.arctan2(turn[:, 1, 2], turn[:, 0, 2])
+    cosine_n, sine_n = np.cos(alpha_n), np.sin(alpha_n)
+    beta_n = np.arctan2(cosine_n * turn[:, 0, 2] + sine_n * turn[:, 1, 2], turn[:, 2, 2])
+    gamma_n = np.arctan2(
+        cosine_n * turn[:, 1, 0] - sine_n * turn[:, 0, 0], cosine_n * turn[:, 1, 1] - sine_n * turn[:, 0, 1]
+    )
+    turned_kcn = _about_z(np.broadcast_to(coeffs_kc[..., None], (*coeffs_kc.shape, 1)), gamma_n, degree)
+    turned_kcn = _about_z(_about_x(turned_kcn, degree, back=False), beta_n, degree)
+    return np.moveaxis(_about_z(_about_x(turned_kcn, degree, back=True), alpha_n, degree), 2, 0)
+
+
+def _about_x(coeffs_kcn: NDArray[np.float64], degree: int, *, back: bool) -> NDArray[np.float64]:
+    """Return functions turned by 90 degrees about x, or back."""
+    turned_kcn = np.empty_like(coeffs_kcn)
+    for l, block in enumerate(_quarter_turns(degree)):
+        own = coeffs_kcn[band(l)]
+        turn = block.T if back else block
+        turned_kcn[band(l)] = (turn @ own.reshape(len(own), -1)).reshape(own.shape)
+    return turned_kcn
+
+
+@functools.lru_cache(maxsize=4)
+def _quarter_turns(degree: int) -> list[NDArray[np.float64]]:
+    """Return the blocks of the turn by 90 degrees about x."""
+    return rotation_blocks(_QUARTER_ABOUT_X, degree)
+
+
+def _about_z(coeffs_kcn: NDArray[np.float64], angle_n: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+    """Return functions turned about z, each by its own angle."""
+    order_k = np.concatenate([np.arange(-l, l + 1) for l in range(degree + 1)])
+    opposite_k = np.arange(len(order_k)) - 2 * order_k
+    angle_mn = np.arange(degree + 1)[:, None] * angle_n
+    cosine_k1n = np.cos(angle_mn)[np.abs(order_k), None]
+    sine_k1n = (np.sign(order_k)[:, None] * np.sin(angle_mn)[np.abs(order_k)])[:, None]
+    return cosine_k1n * coeffs_kcn - sine_k1n * coeffs_kcn[opposite_k]

@@ -1,0 +1,1 @@
+"""Precomputed radiance transfer: what light reaches a surface, and what it sends on."""

@@ -1,0 +1,73 @@
+"""Frames of vertices: tangents, and functions turned from the axes of the positions into them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.errors import InputError
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import degree_of
+from clrelight.harmonics.quadrature import product_rule
+from clrelight.surface import Surface
+
+FRAMES = ("global", "local")
+_SOUTH = 1e-7
+_AT_ONCE = 1 << 16
+"""Directions whose basis is held at a time."""
+
+
+def tangents_of(normals_v3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a unit vector orthogonal to each normal, (n, 3): smooth in the normal everywhere but at -z.
+
+    The first axis of the frame that the shortest turn makes of the axes as it takes z to the normal (Frisvad 2012).
+    """
+    x_v, y_v, z_v = normals_v3.T
+    south_v = z_v < _SOUTH - 1.0
+    a_v = 1.0 / np.where(south_v, 1.0, 1.0 + z_v)
+    tangents_v3 = np.stack([1.0 - a_v * x_v * x_v, -a_v * x_v * y_v, -x_v], axis=1)
+    tangents_v3[south_v] = [1.0, 0.0, 0.0]
+    off_v = np.einsum("va,va->v", tangents_v3, normals_v3)
+    tangents_v3 -= off_v[:, None] * normals_v3  # normals are of unit length within rounding, or less
+    return tangents_v3 / np.linalg.norm(tangents_v3, axis=1, keepdims=True)
+
+
+def with_frames(surface: Surface, frame: str) -> Surface:
+    """Return the surface with functions in the axes of the positions, or in each vertex's own frame.
+
+    ``local`` keeps the tangents that there are, else makes them by `tangents_of`.
+    """
+    if frame not in FRAMES:
+        raise InputError(f"frame must be {' or '.join(FRAMES)}, got {frame!r}")
+    if frame == "global":
+        return replace(surface, tangents_v3=None)
+    if surface.tangents_v3 is not None:
+        return surface
+    return replace(surface, tangents_v3=tangents_of(surface.normals_v3))
+
+
+def turn_into_frames(coeffs_vck: NDArray[np.float32], frames_v33: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return functions in the vertices' frames that are given in the axes of the positions.
+
+    ``f'(d) = f(d_x t + d_y b + d_z n)``, projected by a quadrature that is exact for them.
+
+    Parameters
+    ----------
+    coeffs_vck : ndarray, shape (n_vertex, channel, n_coeff), float32
+    frames_v33 : ndarray, shape (n_vertex, 3, 3), float64
+        As of `Surface.frames`.
+    """
+    degree = degree_of(coeffs_vck.shape[2])
+    local_j3, weights_j = product_rule(degree, sphere=True)
+    analysis_jk = evaluate_basis(local_j3, degree) * weights_j[:, None]
+    turned_vck = np.empty_like(coeffs_vck)
+    step = max(1, _AT_ONCE // len(local_j3))
+    for first in range(0, len(coeffs_vck), step):
+        part = slice(first, first + step)
+        global_vj3 = local_j3 @ frames_v33[part]
+        basis_vjk = evaluate_basis(global_vj3.reshape(-1, 3), degree).reshape(*global_vj3.shape[:2], -1)
+        values_vcj = coeffs_vck[part].astype(np.float64) @ basis_vjk.transpose(0, 2, 1)
+        turned_vck[part] = values_vcj @ analysis_jk
+    return turned_vck
