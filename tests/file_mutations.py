@@ -22,13 +22,14 @@ from clrelight.errors import InputError
 from clrelight.lighting.light import Light
 from clrelight.results import ROW_DTYPE, Results
 from clrelight.sampling import make_pattern
+from clrelight.shrm.record import Shrm
 from clrelight.store import writing
 from tests import campaign
 from tests.campaign import Tally, bounded
 from tests.hdf5 import content
 from tests.surfaces import make_grid
 
-KINDS = ("stack", "fit", "encoded", "results", "light", "surface")
+KINDS = ("stack", "fit", "encoded", "results", "light", "surface", "shrm")
 WAYS = ("files", "refused", "same")
 """What becomes of files: refused, or read as the sound one, which holds bytes that nobody needs."""
 FREE_BYTES = 1 << 28
@@ -64,6 +65,8 @@ def write_all(folder):
         table["scene"], table["psnr_mean"], table["degree"] = b"ring", np.inf, np.arange(2)
         pictures = {f"ring/uls/{i}": rng.integers(0, 256, (4, 5, 3), np.uint8) for i in range(9)}
         store.write_results(paths["results"], Results(table, pictures, {"ring/uls/6": np.linspace(0, 1, 49)}))
+        maps = rng.standard_normal((4, 5, 9, 3), np.float32)
+        store.write_shrm(paths["shrm"], Shrm(maps, "global", 3, "reflection", "sky", "", {"brdf": "phong"}))
         store.write_light(paths["light"], Light(rng.standard_normal((9, 3)), "sky", "", {"cap": 1.5}))
         surface = make_grid(*size[:2])
         store.write_fit(paths["surface"], replace(fit, surface=surface))

@@ -31,6 +31,10 @@ def content(kind, path):
         case "light":
             light = store.read_light(path)
             return (light.coeffs_kc.tobytes(), light.degree, light.source, light.axes, str(light.config))
+        case "shrm":
+            held = store.read_shrm(path)
+            facts = (held.frame, held.degree, held.centre, held.source, held.axes, str(held.config))
+            return (held.maps_khwc.tobytes(), held.maps_khwc.shape, *facts)
         case _:
             r = store.read_results(path)
             items = {**r.pictures, **r.profiles}

@@ -111,7 +111,9 @@ def test_interleave_takes_turns_and_waits_inside():
     order = "ab" + "ab" + "ab" + "ba" + "ab" + "ba"  # first run, warm-up, rounds
     assert calls == [call for name in order for call in (name, "finish")]
     assert {name: values.shape for name, values in timings.seconds.items()} == {"a": (4,), "b": (4,)}
-    assert timings.speed("a", "b")[1] == np.median(timings.seconds["b"] / timings.seconds["a"])
+    assert timings.speed("a", "b")[1] == pytest.approx(
+        np.median(timings.seconds["b"] / timings.seconds["a"]), rel=1e-12
+    )
 
 
 def test_interleave_cuts_rounds_to_the_time_given():

@@ -22,7 +22,7 @@ FLOORS = [
         *("plan_lights", "sampling", "image_bands", "image_header", "image_names", "image_parts", "image_set"),
         *("image_sink", "images", "radiance_header", "surface"),
     },
-    {"fit", "codec", "lighting", "metrics", "perception", "relight", "transfer", "variation"},
+    {"fit", "codec", "lighting", "brdf", "shrm", "transfer", "variation", "metrics", "perception", "relight"},
     {"store", "export", "ingest", "results", "selftest", "selftest_packing", "selftest_photographs", "truth"},
     {"jobs"},
     {"experiment"},

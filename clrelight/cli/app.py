@@ -24,6 +24,8 @@ from clrelight.cli import (
     pack,
     plan_lights,
     psnr,
+    reflectance,
+    reflection,
     relight,
     render,
     sampled,
@@ -59,7 +61,8 @@ def cli() -> None:
 
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
-    *(light, sampled, irradiance, psnr, experiments, trade, operators, transfer, normals, variation),
+    *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
+    *(operators, transfer, normals, variation),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

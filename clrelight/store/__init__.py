@@ -5,6 +5,7 @@ from clrelight.store.encodings import FitRecord, read_encoded, write_encoded
 from clrelight.store.fits import FitSink, create_fit, open_fit, read_fit, write_fit
 from clrelight.store.fitted import open_fitted
 from clrelight.store.lights import read_light, write_light
+from clrelight.store.shrms import read_shrm, write_shrm
 from clrelight.store.stacks import create_stack, open_stack, write_stack
 from clrelight.store.stored import StoredArray
 from clrelight.store.summary import describe, file_schema
@@ -28,9 +29,11 @@ __all__ = [
     "read_fit",
     "read_light",
     "read_results",
+    "read_shrm",
     "write_encoded",
     "write_fit",
     "write_light",
     "write_results",
+    "write_shrm",
     "write_stack",
 ]

@@ -166,7 +166,14 @@ LIGHT = Schema(
     {"degree": int, "source": str, "axes": str, "config": str},
 )
 
-SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, ENCODED, RESULTS, LIGHT)}
+SHRM = Schema(
+    "shrm",
+    1,
+    {"maps": Field(("coefficient", *_IMAGE), _dtypes("float32", "float64"))},
+    {"frame": str, "degree": int, "centre": str, "source": str, "axes": str, "config": str},
+)
+
+SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, ENCODED, RESULTS, LIGHT, SHRM)}
 
 OLDER = {schema.name: schema for schema in (ENCODED_1,)}
 """Kinds of files in versions that are read and no longer written."""

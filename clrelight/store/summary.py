@@ -11,6 +11,7 @@ from clrelight.store.fits import fit_of
 from clrelight.store.lights import light_of
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import STACK
+from clrelight.store.shrms import shrm_of
 from clrelight.store.stacks import stack_of
 from clrelight.store.surfaces import describe_surface
 from clrelight.store.tables import results_of
@@ -83,6 +84,8 @@ def _checked(opened: Opened) -> dict[str, Any]:
             }
         case "light":
             light_of(opened)
+        case "shrm":
+            shrm_of(opened)
         case "results":
             results = results_of(opened)
             return {"rows": len(results.table), "pictures": [*results.pictures], "profiles": [*results.profiles]}

@@ -79,7 +79,9 @@ class Campaign:
             f"-artifact_prefix={self.findings}/{name.replace(' ', '-')}-",
             f"-seed={self.seed + worker + 1}",
         ]
-        return subprocess.run([fuzzer, *options, corpus], capture_output=True, text=True, errors="replace")
+        # By way of a shell that waits: the most memory that its parent ever held counts as a program's own on Linux.
+        command = ["sh", "-c", '"$@"; exit $?', "sh", fuzzer, *options, corpus]
+        return subprocess.run(command, capture_output=True, text=True, errors="replace")
 
 
 def _last(pattern: str, text: str) -> int:

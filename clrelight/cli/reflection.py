@@ -1,0 +1,266 @@
+"""``clrelight shrm``: reflection maps of environments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clrelight.cli.claims import claim_output
+from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
+from clrelight.cli.maps import MapReading, map_options, refuse_map_options
+from clrelight.cli.options import Exposure, Numbers, device_option, json_option, whole_number
+from clrelight.cli.output import make_report, print_report
+from clrelight.cli.progress import progress_bar
+from clrelight.cli.reflection_bench import bench
+from clrelight.cli.tables import print_table
+from clrelight.errors import InputError
+
+if TYPE_CHECKING:
+    from clrelight.brdf.centred import CentredBrdf
+    from clrelight.jobs.report import Report
+
+
+@click.group()
+def shrm() -> None:
+    """Make, show and plan reflection maps: what glossy surfaces reflect of an environment, for every view.
+
+    \b
+    Example:
+      clrelight shrm build probe.hdr glossy.h5 --brdf microfacet --sigma 0.2
+    """
+
+
+def brdf_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add ``--brdf``, ``--sigma`` and ``--exponent``."""
+    for option in (
+        click.option("--exponent", type=float, help="Of phong and kajiya-kay; default 32."),
+        click.option("--sigma", type=float, help="Roughness of microfacet; default 0.2."),
+        click.option(
+            "--brdf",
+            "name",
+            default="microfacet",
+            show_default=True,
+            metavar="NAME|FILE.brdf",
+            help="lambert, phong, microfacet, kajiya-kay (fibres along meridians), skin, or a measured file.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def _make(name: str, sigma: float | None, exponent: float | None) -> CentredBrdf:
+    from clrelight.brdf.named import make_brdf
+
+    return make_brdf(name, sigma=sigma, exponent=exponent)
+
+
+@shrm.command()
+@click.argument("sources", metavar="FILE...", type=click.Path(), nargs=-1, required=True)
+@click.argument("out", type=click.Path())
+@brdf_options
+@map_options
+@click.option("--epsilon", type=float, help="Part of the reflectance's energy that may be left out; default 0.03.")
+@click.option("--degree", type=whole_number(0, 100), metavar="F", help="Largest degree of the light, with --order.")
+@click.option("--order", type=whole_number(0, 32), metavar="P", help="Largest order of the view, with --degree.")
+@click.option("--rows", type=whole_number(1, 4096), help="Rows of the map; default: ten for each degree.")
+@click.option(
+    "--frame",
+    type=click.Choice(["global", "local"]),
+    default="global",
+    show_default=True,
+    help="Views in the axes of the world, or of each direction.",
+)
+@click.option(
+    "--method",
+    type=click.Choice(["fft", "product", "device"]),
+    default="fft",
+    show_default=True,
+    help="How orders become columns: by FFT, as a product in float64, or on the device.",
+)
+@device_option
+@json_option
+def build(
+    sources: tuple[str, ...],
+    out: str,
+    name: str,
+    sigma: float | None,
+    exponent: float | None,
+    reading: MapReading,
+    epsilon: float | None,
+    degree: int | None,
+    order: int | None,
+    rows: int | None,
+    frame: str,
+    method: str,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Write the reflection map of an environment, or of a light file, and a reflectance.
+
+    \b
+    Example:
+      clrelight shrm build probe.hdr --brdf microfacet --sigma 0.2 --epsilon 0.03 glossy.h5
+      clrelight shrm build grace.h5 --brdf paint.brdf --degree 30 --order 5 paint.h5
+    """
+    from clrelight.jobs.reflection import build_reflection
+    from clrelight.store import check_output, read_light
+
+    made_of = _make(name, sigma, exponent)
+    check_output(out, sources)
+    report = make_report(as_json)
+    source: Any
+    if len(sources) == 1 and sources[0].lower().endswith((".h5", ".hdf5")):
+        refuse_map_options()
+        source = read_light(sources[0])
+    else:
+        source = reading.read(sources, report)
+    build_reflection(
+        source,
+        made_of,
+        out,
+        epsilon=epsilon,
+        degree=degree,
+        order=order,
+        rows=rows,
+        frame=frame,
+        method=method,
+        device=device,
+        report=report,
+    )
+    facts = report.facts
+    lines = {
+        "reflection map": out,
+        "orders": f"F = {facts['degree']}, P = {facts['order']}, {facts['share']:.4f} of the reflectance's energy",
+        "maps": f"{(facts['order'] + 1) ** 2} of {facts['columns']}×{facts['rows']}, {facts['channels']} channel(s), "
+        f"{frame}",
+        "size": f"{facts['bytes']} bytes in memory",
+    }
+    print_report(report, as_json, lines)
+
+
+@shrm.command()
+@click.argument("source", metavar="SHRM", type=click.Path())
+@click.argument("image", type=click.Path())
+@click.option(
+    "--view", type=Numbers(float, "0,-1,0.3", 3), default="0,-1,0.3", show_default=True, help="Towards the camera."
+)
+@click.option("--size", type=whole_number(1, 8192), default=256, show_default=True, help="Pixels of a side.")
+@click.option("--rotate", type=Turn(), help=f"Turn the light: {ROTATION_HELP}")
+@click.option("--turntable", type=whole_number(1, 10000), metavar="N", help="N pictures, the light going round once.")
+@click.option("--exposure", type=Exposure(), default="auto", show_default=True, help="Stops.")
+@click.option("--tonemap", type=click.Choice(["clip", "reinhard"]), help="Of 8-bit pictures.")
+@json_option
+def render(
+    source: str,
+    image: str,
+    view: tuple[float, float, float],
+    size: int,
+    rotate: Rotation | None,
+    turntable: int | None,
+    exposure: float | None,
+    tonemap: str | None,
+    as_json: bool,
+) -> None:
+    """Show a sphere under the light of a reflection map.
+
+    \b
+    Example:
+      clrelight shrm render glossy.h5 sphere.png
+      clrelight shrm render glossy.h5 around.gif --turntable 36 --size 128
+    """
+    from clrelight.jobs.reflection import render_reflection
+
+    report = make_report(as_json)
+    with progress_bar("rendering") as bar:
+        render_reflection(
+            source,
+            image,
+            view=view,
+            size=size,
+            rotate=rotate,
+            turntable=turntable,
+            exposure=exposure,
+            tonemap=tonemap,
+            progress=lambda done, total, what: bar(done, total or done),
+            report=report,
+        )
+    facts = report.facts
+    pictures = len(facts["files"]) if turntable is None or len(facts["files"]) > 1 else turntable
+    rate = pictures / max(report.seconds["render"], 1e-9)
+    lines = {
+        "picture": facts["files"][0],
+        "exposure": f"{facts['exposure']:+.2f} stops",
+        "rate": f"{rate:.1f} a second",
+    }
+    print_report(report, as_json, lines)
+
+
+@shrm.command()
+@click.argument("sources", metavar="[FILE...]", type=click.Path(), nargs=-1)
+@brdf_options
+@map_options
+@click.option("--epsilon", type=float, default=0.03, show_default=True, help="Energy that may be left out.")
+@click.option("--chart", type=click.Path(), help="Draw accuracy over F here (figure 6); needs a map.")
+@device_option
+@json_option
+def plan(
+    sources: tuple[str, ...],
+    name: str,
+    sigma: float | None,
+    exponent: float | None,
+    reading: MapReading,
+    epsilon: float,
+    chart: str | None,
+    device: str | None,
+    as_json: bool,
+) -> None:
+    """Say which orders and sizes a reflectance needs, and how good they are under a map.
+
+    \b
+    Example:
+      clrelight shrm plan --brdf microfacet --sigma 0.1 --epsilon 0.03
+      clrelight shrm plan grace.hdr --brdf phong --exponent 32 --chart accuracy.svg
+    """
+    from clrelight.jobs.reflection_plan import plan_reflection
+
+    made_of = _make(name, sigma, exponent)
+    if chart is not None:
+        if not sources:
+            raise InputError("--chart draws accuracy under a map: give one")
+        claim_output(chart, sources)
+    report = make_report(as_json)
+    environment = reading.read(sources, report) if sources else None
+    if environment is None:
+        refuse_map_options()
+    plan_reflection(made_of, environment, epsilon=epsilon, device=device, report=report)
+    if chart is not None:
+        from clrelight.report.reflection import write_accuracy
+
+        write_accuracy(chart, report.facts["accuracy"], epsilon)
+        report.facts["file"] = chart
+    _print_plan(report, as_json)
+
+
+def _print_plan(report: Report, as_json: bool) -> None:
+    facts = report.facts
+    lines = {
+        "orders": f"F = {facts['degree']}, P = {facts['order']}: {facts['share']:.4f} of the energy, "
+        f"{1 - facts['epsilon']:g} asked for",
+        "samples": f"S = {facts['rows']}, T = {facts['views']} (ten for each)",
+        "energy up to P": ", ".join(f"{row.min():.4f}" for row in facts["shares"]),
+    }
+    if "estimate" in facts:
+        lines["estimate"] = f"F = sqrt(-s ln epsilon) = {facts['estimate']:.1f}, width {facts['width']:.4f}"
+        lines["crossover"] = f"s* = S^(4/3) = {facts['crossover']:.0f}"
+    if "bilinear" in facts:
+        lines["bilinear error"] = ", ".join(f"{value:.4f} at {name}" for name, value in facts["bilinear"].items())
+    print_report(report, as_json, lines)
+    if "accuracy" in facts and not as_json:
+        rows = [[str(row[0]), *(f"{value:.5f}" for value in row[1:])] for row in facts["accuracy"]]
+        print_table(["F", "reflected", "light", "reflectance", "bound"], rows)
+
+
+shrm.add_command(bench)
+COMMANDS = (shrm,)
