@@ -38,7 +38,7 @@ def texel_surface(surface: Surface, rows: int, columns: int) -> Surface:
         If the surface has no texture coordinates, the grid is too large, or too coarse for any face of it.
     """
     if surface.texture_v2 is None:
-        raise InputError("it has no texture coordinates, so it has no texels")
+        raise InputError(f"{surface.name} has no texture coordinates, so it has no texels")
     if not (2 <= rows <= MOST_SIDE and 2 <= columns <= MOST_SIDE):
         raise InputError(f"texels must be 2 to {MOST_SIDE} rows and columns, got {rows} and {columns}")
     covered = _rasterize(surface.texture_v2, surface.faces_f3, rows, columns)
