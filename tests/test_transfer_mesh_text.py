@@ -86,8 +86,8 @@ def test_what_is_cut_short_or_counts_wrongly_is_refused(tmp_path, name, content,
 
 def test_bytes_at_random_are_no_mesh(tmp_path):
     noise = np.random.default_rng(1).integers(0, 256, 4000, np.uint8).tobytes()
-    for kind in ("obj", "stl", "off", "ply", "glb"):
-        (tmp_path / f"noise.{kind}").write_bytes(noise)
+    for kind, content in (*((kind, noise) for kind in ("obj", "stl", "off", "ply", "glb")), ("stl", stl(b"\xe9")[:-7])):
+        (tmp_path / f"noise.{kind}").write_bytes(content)
         with pytest.raises(InputError, match=f"noise.{kind}") as refused:
             read_mesh(tmp_path / f"noise.{kind}")
         assert "No module" not in str(refused.value)

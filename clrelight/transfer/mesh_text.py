@@ -31,7 +31,9 @@ def readable(content: bytes, kind: str) -> bytes:
     """
     if kind not in _TEXTS:
         return content
-    if kind == "stl" and is_binary_stl(content):
+    if kind == "stl":
+        if not is_binary_stl(content):  # one byte a character: trimesh looks at the first 80 bytes by themselves
+            return content.decode("latin-1").encode("ascii", "replace")
         return b" " * _STL_HEADER + content[_STL_HEADER:]  # a remark, or colours of some program: not for reading
     if kind == "ply":
         return _ply(content)
