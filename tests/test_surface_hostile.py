@@ -2,13 +2,17 @@
 
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from clrelight.errors import InputError
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.jobs.render import render
 from clrelight.jobs.transfer import transfer
 from clrelight.transfer.cameras import Camera, frame_surface
+from clrelight.transfer.frames import tangents_of, turn_into_frames
 from clrelight.transfer.meshes import make_surface
 from clrelight.transfer.samples import make_samples
 from clrelight.transfer.transport import Transport, transfer_vertices
@@ -51,6 +55,30 @@ def test_nothing_is_no_direction_upwards():
         frame_surface(icosphere(1), up=(0, 0, 0))
     with pytest.raises(InputError, match="up for a camera"):
         Camera((1, 0, 0), up_3=(0, 0, 0))
+
+
+def test_light_that_is_not_there_is_not_turned():
+    made = transfer(icosphere(1), kind="unshadowed", degree=1)
+    seen = replace(made, surface=replace(made.surface, argument="view"))
+    assert render(seen, size=8).shape == (8, 8, 1)
+    with pytest.raises(InputError, match="--rotate turns distant light, and there is none"):
+        render(seen, size=8, rotate=30.0)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 4, 9])
+def test_functions_are_turned_into_frames_exactly(degree):
+    """Also into those of normals along the axes, where the angles of a turn are not unique."""
+    normals = np.concatenate([icosphere(1).vertices_v3, np.eye(3), -np.eye(3)])
+    tangents = tangents_of(normals)
+    frames = np.stack([tangents, np.cross(normals, tangents), normals], axis=1)
+    rng = np.random.default_rng(3)
+    coeffs = rng.standard_normal((len(frames), 2, (degree + 1) ** 2)).astype(np.float32)
+    turned = turn_into_frames(coeffs, frames)
+    directions = rng.standard_normal((20, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for frame, before, after in zip(frames, coeffs, turned, strict=True):
+        told = before @ evaluate_basis(directions @ frame, degree).T
+        np.testing.assert_allclose(after @ evaluate_basis(directions, degree).T, told, atol=2e-6 * (degree + 1) ** 2)
 
 
 def test_too_many_samples_are_refused_before_rays(tmp_path):

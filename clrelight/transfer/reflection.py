@@ -12,9 +12,9 @@ from clrelight.directions import are_unit
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count
+from clrelight.harmonics.rotation_batch import rotate_many
 from clrelight.memory import PIECE_BYTES
 from clrelight.surface import surface_facts
-from clrelight.transfer.turns import frame_rotations
 
 OPERATOR = "operator"
 """Of maps of operators, in place of a fit."""
@@ -99,7 +99,7 @@ def reflected_coefficients(operators: CoefficientMap, light_kc: NDArray[np.float
         if frames_v33 is None:
             light_pic = taken_ic[None]
         else:
-            light_pic = frame_rotations(frames_v33[first * width : end * width], light_degree) @ taken_ic
+            light_pic = rotate_many(taken_ic, frames_v33[first * width : end * width])
         light_ipc = np.asarray(light_pic, np.float32).transpose(1, 0, 2)
         for c in range(made_khwc.shape[3]):
             entries_oip, weights_ip = part_oipc[..., c % own], light_ipc[..., c % light.shape[1]]
