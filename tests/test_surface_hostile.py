@@ -50,6 +50,15 @@ def test_directions_of_cameras_have_any_length(length):
     np.testing.assert_allclose(axes, frame_surface(ball, (1, 0, 0)).axes(), atol=1e-12)
 
 
+@pytest.mark.parametrize(("scale", "offset"), [(1e-20, 0.0), (1e20, 1e20), (1.0, 1e9), (1e-3, 1e3)])
+def test_automatic_cameras_see_surfaces_anywhere_of_any_size(scale, offset):
+    ball = icosphere(1)
+    placed = replace(ball, vertices_v3=scale * ball.vertices_v3 + offset)
+    pictures = [render(transfer(each, kind="unshadowed", degree=1), (0.3, 0.2, 1), size=24) for each in (ball, placed)]
+    assert pictures[0].max() > 0.2
+    np.testing.assert_allclose(pictures[1], pictures[0], atol=1e-3)
+
+
 def test_nothing_is_no_direction_upwards():
     with pytest.raises(InputError, match="up for a camera is three finite numbers that are not all zero, got 0, 0, 0"):
         frame_surface(icosphere(1), up=(0, 0, 0))

@@ -187,7 +187,7 @@ def frame_surface(
     points_n3 = _swept(surface, up_3) if turning else surface.vertices_v3
     upward = next(v for v in (up_3, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)) if _differ(away_3, v))
     middle_3 = middle_of(surface)
-    axes = Camera(middle_3 + away_3, middle_3, upward, field_of_view).axes()
+    axes = Camera(away_3, (0.0, 0.0, 0.0), upward, field_of_view).axes()  # by itself: beside a far middle 1 is nothing
     right_n, up_n, forward_n = axes @ (points_n3 - middle_3).T
     radius = surface.diagonal or 1.0
     slope = 0.0 if orthographic else float(np.tan(np.radians(field_of_view) / 2.0)) / _MARGIN
