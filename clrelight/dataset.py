@@ -25,7 +25,7 @@ from clrelight.arrays import (
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import PIECE_BYTES
-from clrelight.surface import Surface, check_surface
+from clrelight.surface import Surface, check_surface, surface_facts
 
 
 @dataclass(frozen=True)
@@ -266,8 +266,7 @@ class FitRecord:
         """Return the record of what holds no geometry; its config says in whose frames functions are, and of what."""
         if self.surface is None:
             return self
-        facts = {"frame": self.surface.frame, "argument": self.surface.argument}
-        return replace(self, surface=None, config={**self.config, "surface": facts})
+        return replace(self, surface=None, config={**self.config, "surface": surface_facts(self.surface, self.config)})
 
     def to_map(self, coeffs_khwc: Any, lambda_hwc: Any = None, rank_hwc: Any = None) -> CoefficientMap:
         """Return the fit with these maps; InputError if they do not match the degree, or each other."""

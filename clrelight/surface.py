@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,6 +139,17 @@ def _set_rows(surface: Surface, label: str, width: int, count: int | None = None
         raise InputError(f"{label[:-3]} must be finite, number {bad} is {values[bad]}")
     object.__setattr__(surface, label, values)
     return values
+
+
+def surface_facts(surface: Surface | None, config: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return in whose frames functions are, "frame", and of which direction, "argument"; None of a picture's.
+
+    Of a surface, or without one what the config says of that which they were made for (see `without_surface`).
+    """
+    if surface is not None:
+        return {"frame": surface.frame, "argument": surface.argument}
+    said = config.get("surface")
+    return said if isinstance(said, Mapping) else None
 
 
 def check_surface(surface: Surface | None, shape: tuple[int, ...]) -> None:

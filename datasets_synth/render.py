@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
+from clrelight.transfer.brdfs import ggx_facets
 from datasets_synth.shapes import Torus, snap_to_torus, torus_triangles
 
 GROUND = -1
@@ -154,8 +155,7 @@ def reflect_ggx(
     n_h = np.sum(normals_s3 * half_s3, axis=1)
     l_h = np.clip(cosines(half_s3, light_3), 0.0, 1.0)
     a2 = np.float32(material.roughness**2)
-    density = a2 / (np.float32(np.pi) * (n_h * n_h * (a2 - 1) + 1) ** 2)
-    smith = n_l * np.sqrt(n_v * n_v * (1 - a2) + a2) + n_v * np.sqrt(n_l * n_l * (1 - a2) + a2)
+    smith, density = ggx_facets(n_l, n_v, n_h, a2)
     specular_3 = np.array(material.specular, dtype=np.float32)
     fresnel_s3 = specular_3 + (1 - specular_3) * ((1 - l_h) ** 5)[:, None]
     return (density * np.float32(0.5) / np.maximum(smith, np.float32(1e-6)))[:, None] * fresnel_s3

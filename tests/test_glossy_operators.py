@@ -7,6 +7,7 @@ import pytest
 
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
+from clrelight.harmonics.rotation_batch import rotate_many
 from clrelight.surface import Surface
 from clrelight.transfer.brdfs import BlinnPhong, Diffuse, Ggx, Phong
 from clrelight.transfer.lobes import frames_of
@@ -15,7 +16,6 @@ from clrelight.transfer.operators import transfer_operators
 from clrelight.transfer.reflection import add_diffuse, operator_degrees, reflect, reflect_map, reflected_coefficients
 from clrelight.transfer.samples import Samples
 from clrelight.transfer.transport import transfer_vertices
-from clrelight.transfer.turns import frame_rotations
 from tests.reference import reflection
 from tests.reference.basis import real_harmonics
 
@@ -200,7 +200,7 @@ def test_light_may_be_turned_when_it_is_used(channels):
 def test_rotations_into_frames():
     frames = np.stack([turn(seed) for seed in range(6)])
     coeffs = np.random.default_rng(1).standard_normal(36)
-    local = frame_rotations(frames, 5) @ coeffs
+    local = rotate_many(np.eye(36), frames) @ coeffs
     directions = np.random.default_rng(2).standard_normal((40, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     for frame, turned in zip(frames, local, strict=True):

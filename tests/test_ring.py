@@ -8,6 +8,7 @@ pytest.importorskip("embreex")
 
 from clrelight.errors import InputError
 from clrelight.sampling import make_pattern
+from clrelight.transfer.brdfs import Ggx
 from datasets_synth.render import GROUND, SUBSAMPLES, Material, TorusTracer, reflect_ggx, shade_pixels
 from datasets_synth.ring import CAMERA, EXPOSURE, RINGS, render_ring, sample_albedo
 from datasets_synth.texture import hash_lattice, tile_albedo
@@ -96,6 +97,14 @@ def test_ggx_lobe_is_the_textbook_one():
         expected = ggx_brdf(normals, views, light, material.specular, roughness)
         # 1 - (n.h)^2 (1 - a^2) cancels down to a^2 at the peak: eps32 / a^2, squared, with a dozen roundings.
         np.testing.assert_allclose(actual, expected, rtol=30 * np.finfo(np.float32).eps / roughness**2)
+
+
+def test_ggx_lobe_is_that_of_surfaces():
+    """Whose roughness is the root of the ring's."""
+    light, view = np.array([0.48, 0.0, 0.64]) / 0.8, np.array([[-0.36, 0.48, 0.8]])
+    material = Material(diffuse=(0, 0, 0), specular=(0.9, 0.5, 0.04), roughness=0.3)
+    ring = reflect_ggx(np.float32([[0, 0, 1]]), view.astype(np.float32), light, material)
+    np.testing.assert_allclose(ring, Ggx(0.0, material.specular, roughness=0.3**0.5).gloss(light, view), rtol=1e-4)
 
 
 def test_ggx_lobe_reflects_no_more_than_it_gets():

@@ -163,7 +163,7 @@ def test_the_number_of_vertices_at_a_time_changes_nothing():
     part = transfer_vertices(box, 3, "shadowed", 256, memory=256 * 64, tally=tally)
     np.testing.assert_allclose(part, whole, atol=1e-6)
     assert 0 < tally.rays <= 128 * box.n_vertex * 1.1
-    with pytest.raises(InputError, match="more than --memory"):
+    with pytest.raises(InputError, match="that --memory leaves"):
         transfer_vertices(box, 3, "shadowed", 256, memory=256 * 63)
 
 

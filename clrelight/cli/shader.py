@@ -10,6 +10,7 @@ import click
 from clrelight.cli.claims import claim_output
 from clrelight.cli.options import json_option, whole_number
 from clrelight.cli.output import make_report, print_report
+from clrelight.errors import InputError
 
 if TYPE_CHECKING:
     from clrelight.jobs.report import Report
@@ -66,6 +67,8 @@ def transfer(
     """Write the sum of transfer vectors times the light, per vertex or from a texture."""
     from clrelight.jobs.inputs import Packed, lend_fitted
     from clrelight.store import read_light
+    from clrelight.surface import surface_facts
+    from clrelight.transfer.reflection import OPERATOR
     from clrelight.transfer.shaders import transfer_shader
     from clrelight.transfer.shading import is_hemispherical
 
@@ -76,12 +79,15 @@ def transfer(
     taken, colours, hemispherical = held.degree, 1, False
     if fitted is not None:
         with lend_fitted(fitted, report) as found:
-            packed = isinstance(found, Packed)
-            taken = found.record.degree if isinstance(found, Packed) else found.degree
+            kept = found.record if isinstance(found, Packed) else found
+            taken, facts = kept.degree, surface_facts(kept.surface, kept.config) or {}
             colours = found.encoded.shape[3] if isinstance(found, Packed) else found.image_shape[2]
-            hemispherical = not packed and is_hemispherical(found)  # type: ignore[arg-type]
-    if hemispherical:
-        report.note("the map is a fit in local frames: turn the light into each; these numbers are for one frame")
+            hemispherical = is_hemispherical(kept)
+        if kept.method == OPERATOR or facts.get("argument") == "view":
+            raise InputError("shaders take functions of the direction to the light: these are operators, or of the eye")
+        if facts.get("frame") == "local":
+            kind = "a fit in local frames" if hemispherical else "in local frames"
+            report.note(f"the map is {kind}: turn the light into each; these numbers are for one frame")
     made = transfer_shader(
         held,
         taken if degree is None else degree,

@@ -1,4 +1,4 @@
-"""One function under many rotations at once, as each vertex of a surface sees it in its own frame."""
+"""Functions under many rotations at once, as each vertex of a surface sees them in its own frame."""
 
 from __future__ import annotations
 
@@ -29,16 +29,25 @@ def rotate_many(coeffs_kc: NDArray[np.float64], matrices_n33: NDArray[np.float64
     matrices_n33 : ndarray, shape (n, 3, 3), float64
         Orthogonal, of determinant 1.
     """
-    made_nkc = np.empty((len(matrices_n33), *coeffs_kc.shape))
-    step = max(1, _CACHED_BYTES // max(8 * coeffs_kc.size, 1))
+    return rotate_each(np.broadcast_to(coeffs_kc, (len(matrices_n33), *coeffs_kc.shape)), matrices_n33)
+
+
+def rotate_each(coeffs_nkc: NDArray[np.floating], matrices_n33: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the coefficients of many functions, each after a rotation of its own, (n, n_coeff, channel) float64.
+
+    As `rotate_many`, but `coeffs_nkc` are of as many functions as there are rotations.
+    """
+    made_nkc = np.empty(coeffs_nkc.shape)
+    step = max(1, _CACHED_BYTES // max(8 * coeffs_nkc[:1].size, 1))
     with on_one_thread():  # many small products, for whose threads BLAS would wait
         for at in range(0, len(made_nkc), step):
-            made_nkc[at : at + step] = _rotate(coeffs_kc, np.asarray(matrices_n33[at : at + step], np.float64))
+            part = slice(at, at + step)
+            made_nkc[part] = _rotate(coeffs_nkc[part], np.asarray(matrices_n33[part], np.float64))
     return made_nkc
 
 
-def _rotate(coeffs_kc: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    degree = degree_of(len(coeffs_kc))
+def _rotate(coeffs_nkc: NDArray[np.floating], turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    degree = degree_of(coeffs_nkc.shape[1])
     # Whatever alpha is where beta is 0 or 180 degrees, gamma makes good for it.
     alpha_n = np.arctan2(turn[:, 1, 2], turn[:, 0, 2])
     cosine_n, sine_n = np.cos(alpha_n), np.sin(alpha_n)
@@ -46,7 +55,7 @@ def _rotate(coeffs_kc: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArra
     gamma_n = np.arctan2(
         cosine_n * turn[:, 1, 0] - sine_n * turn[:, 0, 0], cosine_n * turn[:, 1, 1] - sine_n * turn[:, 0, 1]
     )
-    turned_kcn = _about_z(np.broadcast_to(coeffs_kc[..., None], (*coeffs_kc.shape, 1)), gamma_n, degree)
+    turned_kcn = _about_z(np.moveaxis(coeffs_nkc, 0, 2), gamma_n, degree)
     turned_kcn = _about_z(_about_x(turned_kcn, degree, back=False), beta_n, degree)
     return np.moveaxis(_about_z(_about_x(turned_kcn, degree, back=True), alpha_n, degree), 2, 0)
 
@@ -67,7 +76,7 @@ def _quarter_turns(degree: int) -> list[NDArray[np.float64]]:
     return rotation_blocks(_QUARTER_ABOUT_X, degree)
 
 
-def _about_z(coeffs_kcn: NDArray[np.float64], angle_n: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+def _about_z(coeffs_kcn: NDArray[np.floating], angle_n: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """Return functions turned about z, each by its own angle."""
     order_k = np.concatenate([np.arange(-l, l + 1) for l in range(degree + 1)])
     opposite_k = np.arange(len(order_k)) - 2 * order_k

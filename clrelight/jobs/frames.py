@@ -25,6 +25,7 @@ from clrelight.lighting.light import Light, share_below
 from clrelight.lighting.relighting import automatic_exposure, relight_under
 from clrelight.lighting.rotation import rotate_light
 from clrelight.relight import relight
+from clrelight.surface import surface_facts
 from clrelight.transfer.reflection import OPERATOR
 
 MAX_STEPS = 1 << 16
@@ -115,12 +116,13 @@ class LightFrames:
 
     def _images(self, coefficients: CoefficientMap, device: Device, report: Report) -> Iterator[NDArray[np.float32]]:
         exposure, below = self._exposure, -math.inf  # the largest share of all steps
+        is_picture = surface_facts(coefficients.surface, coefficients.config) is None
         for step in range(self.count):
             since = time.perf_counter()
             turn = ("axis", (*self._axis, 360.0 * step / self.count))
             turned = turn_light(self._light, turn) if step else self._light
             # Functions of a surface know the whole sphere.
-            below = max(below, share_below(turned) if coefficients.surface is None else 0.0)
+            below = max(below, share_below(turned) if is_picture else 0.0)
             image_hwc = relight_under(coefficients, turned, device=device)
             if exposure is None:
                 exposure = automatic_exposure(image_hwc)  # of the first image, for all of them

@@ -84,7 +84,7 @@ def crop(coefficients: CoefficientMap, part: Part) -> CoefficientMap:
     n_coeff, _, width, channel = coefficients.coeffs_khwc.shape
     whole_rows = np.empty((n_coeff, region.shape[0], width, channel), coefficients.coeffs_khwc.dtype)
     read_rows_into(coefficients.coeffs_khwc, rows.start, rows.stop, whole_rows)
-    record = replace(FitRecord.of(coefficients), surface=None)
+    record = FitRecord.of(coefficients).without_surface()
     return record.to_map(np.ascontiguousarray(whole_rows[:, :, columns], np.float32))
 
 

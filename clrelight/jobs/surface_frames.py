@@ -86,6 +86,8 @@ def turn_sources(sources: list[Source], rotation: Rotation | None) -> list[Sourc
     """Return distant lights turned; InputError where others are asked to."""
     if rotation is None:
         return sources
+    if not sources:
+        raise InputError("--rotate turns distant light, and there is none")
     turned: list[Source] = []
     for source in sources:
         if isinstance(source, DistantLight):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +14,7 @@ from clrelight.errors import InputError
 from clrelight.harmonics.hemisphere import project_onto_hemisphere
 from clrelight.lighting.light import Light
 from clrelight.relight import combine_maps
-from clrelight.surface import Surface
+from clrelight.surface import surface_facts
 
 TONEMAPS = ("clip", "reinhard")
 """How radiance above 1 is shown: clipped, or compressed by ``v / (1 + v)`` (Reinhard et al. 2002, eq. 3)."""
@@ -24,7 +27,7 @@ def relight_under(coefficients: CoefficientMap, light: Light, *, device: Device 
     """Return the view under a light from everywhere, ``image = c^T A l`` (noise-resistant-fitting, eq. 4 and 5).
 
     What comes from below the horizon is cut: fits of stacks know the upper hemisphere only. Functions of a surface in
-    the axes of its positions know the whole sphere; InputError of others of a surface.
+    the axes of its positions know the whole sphere, decoded or a part of them too; InputError of others of a surface.
 
     Returns
     -------
@@ -32,10 +35,11 @@ def relight_under(coefficients: CoefficientMap, light: Light, *, device: Device 
         Linear radiance in units of the peak, not clipped. A gray view under a coloured light is coloured.
     """
     device = device or open_device()
-    if coefficients.surface is None:
+    facts = surface_facts(coefficients.surface, coefficients.config)
+    if facts is None:
         seen_kc = project_onto_hemisphere(light.coeffs_kc, coefficients.degree)
     else:
-        seen_kc = _seen_by(coefficients.surface, light, coefficients.n_coeff)
+        seen_kc = _seen_by(facts, light, coefficients.n_coeff)
     channel = coefficients.image_shape[2]
     images_ahwc = combine_maps(device, seen_kc.T, coefficients)
     if channel == 1 or light.channels == 1:
@@ -44,10 +48,10 @@ def relight_under(coefficients: CoefficientMap, light: Light, *, device: Device 
     return np.stack([images_ahwc[c, ..., c] for c in range(channel)], axis=2)
 
 
-def _seen_by(surface: Surface, light: Light, n_coeff: int) -> NDArray[np.float64]:
-    if surface.tangents_v3 is not None:
+def _seen_by(facts: Mapping[str, Any], light: Light, n_coeff: int) -> NDArray[np.float64]:
+    if facts.get("frame") == "local":
         raise InputError("these functions are in each vertex's own frame, where a light is another at each vertex")
-    if surface.argument != "light":
+    if facts.get("argument") == "view":
         raise InputError("these functions are of the direction to the eye, under a light that is fixed")
     seen_kc = np.zeros((n_coeff, light.channels))
     count = min(n_coeff, len(light.coeffs_kc))

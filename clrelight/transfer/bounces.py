@@ -242,4 +242,4 @@ def check_bounces(bounces: int, threshold: float, way: str) -> None:
     if not 0 <= bounces <= MOST_BOUNCES:
         raise InputError(f"bounces must be 0 to {MOST_BOUNCES}, got {bounces}")
     if not 0.0 <= threshold < 1.0 or (way == "shoot" and not threshold > 0.0):
-        raise InputError(f"threshold must be from 0 to 1, and above 0 where light is shot, got {threshold}")
+        raise InputError(f"threshold must be at least 0, above 0 where light is shot, and below 1, got {threshold}")

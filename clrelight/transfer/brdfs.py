@@ -219,19 +219,13 @@ class Ggx(Brdf):
         half = _half(light_i3, view_i3)
         facing = np.clip(np.sum(light_i3 * half, axis=-1), 0.0, 1.0)[..., None]
         fresnel = self.specular_c + (1.0 - self.specular_c) * (1.0 - facing) ** 5
-        light_z, view_z, a2 = light_i3[..., 2], view_i3[..., 2], self.roughness**4
-        # G / (4 n.s n.v) at once: no quotient of two small numbers at the horizon.
-        into = view_z * np.sqrt(a2 + (1.0 - a2) * light_z**2) + light_z * np.sqrt(a2 + (1.0 - a2) * view_z**2)
-        return fresnel * (self._density(half[..., 2]) * 0.5 / into)[..., None]
+        into, density = ggx_facets(light_i3[..., 2], view_i3[..., 2], half[..., 2], self.roughness**4)
+        return fresnel * (density * 0.5 / into)[..., None]
 
     @property
     def lobe_width(self) -> float:
         """See `Brdf`."""
         return 2.0 * self.roughness**2
-
-    def _density(self, cosine: NDArray[np.float64]) -> NDArray[np.float64]:
-        a2 = self.roughness**4
-        return a2 / (np.pi * ((a2 - 1.0) * cosine**2 + 1.0) ** 2)
 
 
 BRDFS: dict[str, tuple[type[Brdf], str | None]] = {
@@ -259,6 +253,15 @@ def parse_brdf(text: str, diffuse: Colour | None = None, specular: Colour | None
         except ValueError:
             raise InputError(f"{name} takes a number behind the colon, got {number!r}") from None
     return kind(**{key: value for key, value in given.items() if value is not None})
+
+
+def ggx_facets(light_z: NDArray, view_z: NDArray, half_z: NDArray, a2: float | np.float32) -> tuple[NDArray, NDArray]:
+    """Return ``2 n.s n.v / G`` and D of the squared width a2, of cosines to the normal and in their type.
+
+    D G / (4 n.s n.v) is D / 2 over the first: no quotient of two small numbers at the horizon (Heitz 2014, eq. 99).
+    """
+    into = view_z * np.sqrt(a2 + (1 - a2) * light_z**2) + light_z * np.sqrt(a2 + (1 - a2) * view_z**2)
+    return into, a2 / (np.pi * ((a2 - 1) * half_z**2 + 1) ** 2)
 
 
 def _half(light_i3: NDArray[np.float64], view_i3: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -61,18 +61,16 @@ class Camera:
         view_3 = np.subtract(self.target_3, self.eye_3)
         if not view_3.any():
             raise InputError(f"the camera stands where it looks: eye and target are both {_text(self.eye_3)}")
-        up_3 = np.asarray(self.up_3)
-        across = float(np.linalg.norm(np.cross(view_3, up_3)))
-        if across <= _ALONG * float(np.linalg.norm(view_3) * np.linalg.norm(up_3)):
+        unit_3, up_3 = _unit(view_3, "a camera's view"), _unit(self.up_3, "what is up for a camera")
+        if float(np.linalg.norm(np.cross(unit_3, up_3))) <= _ALONG:
             raise InputError(
                 f"up must not point along the view: the camera looks along {_text(view_3)}, up is the same"
             )
 
     def axes(self) -> NDArray[np.float64]:
         """Return the directions right, up and forward as rows, (3, 3)."""
-        forward_3 = np.subtract(self.target_3, self.eye_3)
-        forward_3 = forward_3 / np.linalg.norm(forward_3)
-        right_3 = np.cross(forward_3, np.asarray(self.up_3, np.float64))
+        forward_3 = _unit(np.subtract(self.target_3, self.eye_3), "a camera's view")
+        right_3 = np.cross(forward_3, _unit(self.up_3, "what is up for a camera"))
         right_3 /= np.linalg.norm(right_3)
         return np.stack([right_3, np.cross(right_3, forward_3), forward_3])
 
@@ -185,14 +183,11 @@ def frame_surface(
     turning : bool
         See it whole while it turns about `up` through the middle of its box.
     """
-    points_n3 = _swept(surface, up) if turning else surface.vertices_v3
-    away_3 = np.asarray(direction, np.float64)
-    if away_3.shape != (3,) or not np.isfinite(away_3).all() or not away_3.any():
-        raise InputError(f"a camera's direction is three finite numbers that are not all zero, got {_text(direction)}")
-    away_3 = away_3 / np.linalg.norm(away_3)
-    upward = next(v for v in (up, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)) if _differ(away_3, v))
+    away_3, up_3 = _unit(direction, "a camera's direction"), _unit(up, "what is up for a camera")
+    points_n3 = _swept(surface, up_3) if turning else surface.vertices_v3
+    upward = next(v for v in (up_3, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)) if _differ(away_3, v))
     middle_3 = middle_of(surface)
-    axes = Camera(middle_3 + away_3, middle_3, upward, field_of_view).axes()
+    axes = Camera(away_3, (0.0, 0.0, 0.0), upward, field_of_view).axes()  # by itself: beside a far middle 1 is nothing
     right_n, up_n, forward_n = axes @ (points_n3 - middle_3).T
     radius = surface.diagonal or 1.0
     slope = 0.0 if orthographic else float(np.tan(np.radians(field_of_view) / 2.0)) / _MARGIN
@@ -215,9 +210,18 @@ def middle_of(surface: Surface) -> NDArray[np.float64]:
     return 0.5 * (surface.vertices_v3.min(axis=0) + surface.vertices_v3.max(axis=0))
 
 
-def _swept(surface: Surface, up: Sequence[float]) -> NDArray[np.float64]:
-    """Return points around the cylinder that a surface fills as it turns."""
-    axis_3 = np.asarray(up, np.float64) / (np.linalg.norm(up) or 1.0)
+def _unit(vector: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Return a vector of any length but 0 as a unit vector: also those whose squares float64 does not hold."""
+    held_3 = np.asarray(vector, np.float64)
+    if held_3.shape != (3,) or not np.isfinite(held_3).all() or not held_3.any():
+        raise InputError(f"{what} is three finite numbers that are not all zero, got {_text(vector)}")
+    scaled_3 = held_3 / np.abs(held_3).max()
+    unit_3: NDArray[np.float64] = scaled_3 / np.linalg.norm(scaled_3)
+    return unit_3
+
+
+def _swept(surface: Surface, axis_3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points around the cylinder that a surface fills as it turns about a direction."""
     middle_3 = middle_of(surface)
     offset_v3 = surface.vertices_v3 - middle_3
     along_v = offset_v3 @ axis_3
@@ -229,8 +233,8 @@ def _swept(surface: Surface, up: Sequence[float]) -> NDArray[np.float64]:
     return np.concatenate([middle_3 + circle_n3 + along * axis_3 for along in (along_v.min(), along_v.max())])
 
 
-def _differ(away_3: NDArray[np.float64], up: Sequence[float]) -> bool:
-    return float(np.linalg.norm(np.cross(away_3, up))) > 1e-3 * float(np.linalg.norm(up))
+def _differ(away_3: NDArray[np.float64], up: ArrayLike) -> bool:
+    return float(np.linalg.norm(np.cross(away_3, np.asarray(up)))) > 1e-3
 
 
 def picture_size(size: int | Sequence[int]) -> tuple[int, int]:

@@ -8,15 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.harmonics.basis import evaluate_basis
-from clrelight.harmonics.index import degree_of
-from clrelight.harmonics.quadrature import product_rule
+from clrelight.harmonics.rotation_batch import rotate_each
 from clrelight.surface import Surface
 
 FRAMES = ("global", "local")
 _SOUTH = 1e-7
-_AT_ONCE = 1 << 16
-"""Directions whose basis is held at a time."""
 
 
 def tangents_of(normals_v3: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -51,7 +47,7 @@ def with_frames(surface: Surface, frame: str) -> Surface:
 def turn_into_frames(coeffs_vck: NDArray[np.float32], frames_v33: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return functions in the vertices' frames that are given in the axes of the positions.
 
-    ``f'(d) = f(d_x t + d_y b + d_z n)``, projected by a quadrature that is exact for them.
+    ``f'(d) = f(d_x t + d_y b + d_z n)``: what was said of s is said of F s, where F has the frame's axes as rows.
 
     Parameters
     ----------
@@ -59,15 +55,5 @@ def turn_into_frames(coeffs_vck: NDArray[np.float32], frames_v33: NDArray[np.flo
     frames_v33 : ndarray, shape (n_vertex, 3, 3), float64
         As of `Surface.frames`.
     """
-    degree = degree_of(coeffs_vck.shape[2])
-    local_j3, weights_j = product_rule(degree, sphere=True)
-    analysis_jk = evaluate_basis(local_j3, degree) * weights_j[:, None]
-    turned_vck = np.empty_like(coeffs_vck)
-    step = max(1, _AT_ONCE // len(local_j3))
-    for first in range(0, len(coeffs_vck), step):
-        part = slice(first, first + step)
-        global_vj3 = local_j3 @ frames_v33[part]
-        basis_vjk = evaluate_basis(global_vj3.reshape(-1, 3), degree).reshape(*global_vj3.shape[:2], -1)
-        values_vcj = coeffs_vck[part].astype(np.float64) @ basis_vjk.transpose(0, 2, 1)
-        turned_vck[part] = values_vcj @ analysis_jk
-    return turned_vck
+    turned_vkc = rotate_each(coeffs_vck.transpose(0, 2, 1), frames_v33)
+    return np.ascontiguousarray(turned_vkc.transpose(0, 2, 1), np.float32)

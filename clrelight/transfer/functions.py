@@ -21,6 +21,7 @@ from clrelight.errors import InputError
 from clrelight.memory import PIECE_BYTES
 from clrelight.surface import Surface
 from clrelight.transfer.brdfs import Brdf
+from clrelight.transfer.gathering import albedo_of
 from clrelight.transfer.rays import RayScene
 
 KINDS = ("unshadowed", "shadowed")
@@ -100,7 +101,7 @@ def sample_transfer(
     directions_i3 = as_float64(directions_i3, "directions")
     check_directions(directions_i3, None)
     scene = RayScene(surface) if kind == "shadowed" else None
-    albedo_vc = np.ones((surface.n_vertex, 1), np.float32) if surface.albedo_vc is None else surface.albedo_vc
+    albedo_vc = albedo_of(surface)
     samples_ivc = np.empty((len(directions_i3), *albedo_vc.shape), np.float32)
     frames_v33 = surface.frames()
 
@@ -166,7 +167,7 @@ def sample_views(
     surface = replace(surface, argument="view")
     scene = RayScene(surface) if shadowed else None
     samples_ivc = np.empty((len(views_i3), surface.n_vertex, 3), np.float32)
-    albedo_vc = np.ones((surface.n_vertex, 1), np.float32) if surface.albedo_vc is None else surface.albedo_vc
+    albedo_vc = albedo_of(surface)
     frames_v33 = surface.frames()
 
     def fill(vertices_v: NDArray[np.intp]) -> None:

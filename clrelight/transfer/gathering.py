@@ -97,12 +97,13 @@ class Gatherer:
         self.is_whole = samples.is_whole
         self.directions_s3 = np.ascontiguousarray(samples.directions_s3, np.float32)
         self._turned_3s = np.ascontiguousarray(self.directions_s3.T)
-        weighted_sk = evaluate_basis(samples.directions_s3, degree) * (samples.weights_s / np.pi)[:, None]
-        self._basis_sk = np.ascontiguousarray(weighted_sk, np.float32)
+        point_bytes = check_memory(samples.count, degree, memory)
         self._share_s = (samples.weights_s / np.pi).astype(np.float32)
-        point_bytes = _SAMPLE_BYTES * samples.count
-        if point_bytes > memory:
-            raise InputError(f"{samples.count} samples take {point_bytes} bytes at once, more than --memory {memory}")
+        self._basis_sk = np.empty((samples.count, coefficient_count(degree)), np.float32)
+        for first in range(0, samples.count, _TILE_VALUES):
+            part = slice(first, first + _TILE_VALUES)
+            basis_sk = evaluate_basis(samples.directions_s3[part], degree)
+            self._basis_sk[part] = basis_sk * (samples.weights_s[part] / np.pi)[:, None]
         self.step = max(1, min(_TILE_VALUES // samples.count, memory // point_bytes))
 
     def tiles(self, first: int, end: int) -> Iterator[tuple[int, int]]:
@@ -189,6 +190,18 @@ def cosine_transfer(normals_n3: NDArray[np.float64], degree: int) -> NDArray[np.
     """Return the transfer of white unoccluded points, ``A_l y_k(n) / pi``, (n, n_coeff): exact."""
     factors_k = (cosine_coefficients(degree) / np.pi)[degrees_of_coefficients(degree)]
     return (evaluate_basis(normals_n3, degree) * factors_k).astype(np.float32)
+
+
+def check_memory(count: int, degree: int, memory: int) -> int:
+    """Return the bytes of the rays of one point; InputError if they or the basis at the samples are beyond `memory`."""
+    point_bytes = _SAMPLE_BYTES * count
+    most = max(point_bytes, 4 * coefficient_count(degree) * count)
+    if most > memory:
+        raise InputError(
+            f"{count} samples of degree {degree} take {most} bytes at once, more than the {memory} that --memory "
+            "leaves for them"
+        )
+    return point_bytes
 
 
 def check_degree(degree: int) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from clrelight.conventions import srgb_to_linear
 from clrelight.errors import InputError
 from clrelight.surface import Surface
+from clrelight.transfer.mesh_text import readable
 from clrelight.transfer.meshes import make_surface
 
 FORMATS = ("ply", "obj", "stl", "off", "glb")
@@ -103,8 +104,9 @@ def _load(place: Path, kind: str) -> list[_Part]:
         raise InputError(f"{place} is empty")
     options = {"skip_materials": True} if kind in ("obj", "ply") else {}
     try:
-        scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, **options)
-        return list(_parts_of(scene))
+        with np.errstate(all="ignore"):  # numbers that are none are refused later, in a line
+            held = io.BytesIO(readable(content, kind))
+            return list(_parts_of(trimesh.load_scene(held, file_type=kind, process=False, **options)))
     except InputError as error:
         raise InputError(f"{place}: {error}") from None
     except MemoryError:

@@ -13,8 +13,8 @@ from clrelight.surface import Surface
 
 _FLAT = 1e-12
 """A face whose area is less than this share of its longest edge's square has none, beside the rounding of positions."""
-_LARGEST = 1e100
-"""Coordinates beyond have squares that float64 does not hold."""
+_LARGEST, _SMALLEST = 1e30, 1e-30
+"""Coordinates beyond, and surfaces below, have distances that the rays' float32 does not hold."""
 _LEAST_NORMAL = 1e-6
 
 
@@ -93,8 +93,6 @@ def make_surface(
 def _check_positions(vertices_v3: NDArray[np.float64], faces: NDArray[np.integer]) -> None:
     with np.errstate(invalid="ignore"):
         sound_v = (np.abs(vertices_v3) <= _LARGEST).all(axis=1)
-    if sound_v.all():
-        return
     used_v = np.zeros(len(vertices_v3), np.bool_)
     used_v[faces] = True
     bad_n = np.flatnonzero(used_v & ~sound_v)
@@ -102,6 +100,9 @@ def _check_positions(vertices_v3: NDArray[np.float64], faces: NDArray[np.integer
         others = f" (and {bad_n.size - 1} more)" if bad_n.size > 1 else ""
         place = " ".join(f"{x:g}" for x in vertices_v3[bad_n[0]])
         raise InputError(f"vertex {bad_n[0]}{others} is at {place}, expected finite numbers up to {_LARGEST:g}")
+    across = float(np.ptp(vertices_v3[used_v], axis=0).max())
+    if 0.0 < across < _SMALLEST:
+        raise InputError(f"it is {across:g} across, expected at least {_SMALLEST:g}: say it in a smaller unit")
 
 
 def merge_positions(vertices_v3: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

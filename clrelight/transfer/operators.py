@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
+from clrelight.harmonics.rotation_batch import rotate_many
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.surface import Surface
 from clrelight.transfer.brdfs import Brdf
@@ -24,7 +25,6 @@ from clrelight.transfer.lobes import frames_of
 from clrelight.transfer.operator_plan import OperatorPlan, plan_operators
 from clrelight.transfer.rays import RayScene
 from clrelight.transfer.reflection import OPERATOR
-from clrelight.transfer.turns import frame_rotations
 
 _VERTICES_AT_ONCE = 4096
 
@@ -127,12 +127,17 @@ def operator_tiles(
         local_voic = _sum_tables(plan, seen_vs, surface, slice(first, end), (n_out, n_in, channel))
         operators_vcoi = local_voic.transpose(0, 3, 1, 2)
         if not local_light:
-            operators_vcoi = operators_vcoi @ frame_rotations(own_v33, plan.light_degree).astype(np.float32)[:, None]
+            operators_vcoi = operators_vcoi @ _turns(own_v33, n_in)[:, None]
         if surface.tangents_v3 is None:
-            back_voo = frame_rotations(own_v33, plan.view_degree).transpose(0, 2, 1).astype(np.float32)
+            back_voo = _turns(own_v33, n_out).transpose(0, 2, 1)
             operators_vcoi = back_voo[:, None] @ operators_vcoi
         entries_dvc = operators_vcoi.transpose(2, 3, 0, 1).reshape(n_out * n_in, end - first, channel)
         yield first, end, np.ascontiguousarray(entries_dvc)
+
+
+def _turns(frames_v33: NDArray[np.float64], n_coeff: int) -> NDArray[np.float32]:
+    """Return the matrices that take coefficients in common axes to each frame's, (vertex, n_coeff, n_coeff)."""
+    return rotate_many(np.eye(n_coeff), frames_v33).astype(np.float32)
 
 
 def _sum_tables(

@@ -12,8 +12,9 @@ from clrelight.directions import are_unit
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count
+from clrelight.harmonics.rotation_batch import rotate_many
 from clrelight.memory import PIECE_BYTES
-from clrelight.transfer.turns import frame_rotations
+from clrelight.surface import surface_facts
 
 OPERATOR = "operator"
 """Of maps of operators, in place of a fit."""
@@ -98,7 +99,7 @@ def reflected_coefficients(operators: CoefficientMap, light_kc: NDArray[np.float
         if frames_v33 is None:
             light_pic = taken_ic[None]
         else:
-            light_pic = frame_rotations(frames_v33[first * width : end * width], light_degree) @ taken_ic
+            light_pic = rotate_many(taken_ic, frames_v33[first * width : end * width])
         light_ipc = np.asarray(light_pic, np.float32).transpose(1, 0, 2)
         for c in range(made_khwc.shape[3]):
             entries_oip, weights_ip = part_oipc[..., c % own], light_ipc[..., c % light.shape[1]]
@@ -138,8 +139,7 @@ def add_diffuse(operators: CoefficientMap, transfer: CoefficientMap) -> Coeffici
         )
     if operators.config.get("light_frame", "global") != "global":
         raise InputError("these operators take light in frames of vertices, transfer vectors in the axes of the mesh")
-    if transfer.surface is not None and transfer.surface.tangents_v3 is not None:
-        raise InputError("transfer vectors in frames of vertices cannot be added: make them in the axes of the mesh")
+    _check_same(operators, transfer)
     if 1 not in (few := {transfer.image_shape[2], operators.image_shape[2]}) and len(few) > 1:
         raise InputError(f"channels must be alike, or 1: got {sorted(few)}")
     added = np.asarray(transfer.coeffs_khwc[:n_in], np.float32) * np.float32(np.sqrt(4.0 * np.pi))
@@ -148,6 +148,20 @@ def add_diffuse(operators: CoefficientMap, transfer: CoefficientMap) -> Coeffici
     total = np.array(np.broadcast_to(whole, (*whole.shape[:3], channel)))
     total[:n_in] += added
     return replace(operators, coeffs_khwc=total, config={**operators.config, "added": transfer.method})
+
+
+def _check_same(operators: CoefficientMap, transfer: CoefficientMap) -> None:
+    """Raise InputError where transfer is none, is in frames, or is known to be of other vertices."""
+    facts = surface_facts(transfer.surface, transfer.config) or {}
+    if transfer.method == OPERATOR or facts.get("argument", "light") != "light":
+        raise InputError("what is added is diffuse transfer, as clrelight transfer makes it: functions of the light")
+    if facts.get("frame", "global") != "global":
+        raise InputError("transfer vectors in frames of vertices cannot be added: make them in the axes of the mesh")
+    if transfer.surface is None or operators.surface is None:
+        return
+    own_v3, other_v3 = operators.surface.vertices_v3, transfer.surface.vertices_v3
+    if own_v3.shape != other_v3.shape or not np.allclose(own_v3, other_v3, 0.0, 1e-6 * operators.surface.diagonal):
+        raise InputError("the transfer is of other vertices, or in another order: give both the same --order and --up")
 
 
 def operator_degrees(operators: CoefficientMap) -> tuple[int, int]:

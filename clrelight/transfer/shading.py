@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import CoefficientMap
+from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError
 from clrelight.fit import method_ids
 from clrelight.harmonics.index import coefficient_count
 from clrelight.lighting.light import Light
-from clrelight.surface import Surface
+from clrelight.surface import Surface, surface_facts
 from clrelight.transfer.lit_functions import Functions, seen_degree
 from clrelight.transfer.sources import DistantLight, Source, shade_by
 
@@ -21,14 +21,14 @@ _AT_ONCE_BYTES = 1 << 26
 """Of what is made of functions while they are lit, tile by tile."""
 
 
-def is_hemispherical(coefficients: CoefficientMap) -> bool:
+def is_hemispherical(coefficients: CoefficientMap | FitRecord) -> bool:
     """Return whether a map's functions are known on the upper hemisphere of their frames only.
 
     Those are that a fit made in local frames: by one of the methods of ``clrelight fit``, from samples above each
     vertex's horizon. Transfer projects over the whole sphere, and so do fits in global axes.
     """
-    surface = coefficients.surface
-    return surface is not None and surface.tangents_v3 is not None and coefficients.method in method_ids()
+    facts = surface_facts(coefficients.surface, coefficients.config) or {}
+    return facts.get("frame") == "local" and coefficients.method in method_ids()
 
 
 def tiles_of(coefficients: CoefficientMap, surface: Surface, memory: int = _AT_ONCE_BYTES) -> Iterator[Functions]:

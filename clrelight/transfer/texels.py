@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.surface import Surface
+from clrelight.transfer.meshes import area_normals
 
 MOST_SIDE = 1 << 14
 _CANDIDATES = 1 << 20
@@ -38,7 +39,7 @@ def texel_surface(surface: Surface, rows: int, columns: int) -> Surface:
         If the surface has no texture coordinates, the grid is too large, or too coarse for any face of it.
     """
     if surface.texture_v2 is None:
-        raise InputError("it has no texture coordinates, so it has no texels")
+        raise InputError(f"{surface.name} has no texture coordinates, so it has no texels")
     if not (2 <= rows <= MOST_SIDE and 2 <= columns <= MOST_SIDE):
         raise InputError(f"texels must be 2 to {MOST_SIDE} rows and columns, got {rows} and {columns}")
     covered = _rasterize(surface.texture_v2, surface.faces_f3, rows, columns)
@@ -150,8 +151,7 @@ def _cells(surface: Surface, covered: _Covered, rows: int, columns: int) -> NDAr
 def _turned_outward(
     points_t3: NDArray[np.float64], normals_t3: NDArray[np.float64], faces_n3: NDArray[np.int64]
 ) -> NDArray[np.int32]:
-    a_n3, b_n3, c_n3 = (points_t3[faces_n3[:, corner]] for corner in range(3))
-    across_n3 = np.cross(b_n3 - a_n3, c_n3 - a_n3)
+    across_n3 = area_normals(points_t3, faces_n3)
     against_n = np.einsum("na,na->n", across_n3, normals_t3[faces_n3[:, 0]]) < 0
     faces_n3[against_n] = faces_n3[against_n][:, ::-1]
     return faces_n3.astype(np.int32)

@@ -20,7 +20,7 @@ from clrelight.surface import Surface
 from clrelight.threads import on_one_thread
 from clrelight.transfer.bounces import check_bounces, gathered_tiles, interreflected
 from clrelight.transfer.frames import turn_into_frames
-from clrelight.transfer.gathering import Gatherer, Tally, check_degree, direct_tiles, points_of
+from clrelight.transfer.gathering import Gatherer, Tally, check_degree, check_memory, direct_tiles, points_of
 from clrelight.transfer.rays import RayScene
 from clrelight.transfer.samples import Samples, as_samples
 
@@ -60,6 +60,9 @@ class Transport:
         if self.samples is None and self.kind != "unshadowed":
             raise InputError(f"{self.kind} transfer needs samples")
         check_bounces(self.bounces, self.threshold, self.way)
+        if self.samples is not None:  # before meshes are read, and trees are built
+            for_rays = self.memory // 4 if self.kind == "interreflected" else self.memory
+            check_memory(self.samples.count, self.degree, for_rays)
 
     def tiles(
         self,
