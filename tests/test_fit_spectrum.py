@@ -270,3 +270,22 @@ def test_only_spectrum_has_confidence(device, tmp_path):
     with pytest.raises(InputError, match="a confidence map shows the variance that spectrum has; cls has none"):
         fit(make_stack(20), "cls", 3, confidence=tmp_path / "c.png", out=tmp_path / "f.h5", report=Report())
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("limit", [2, 3])
+def test_a_band_limited_function_is_told(device, limit):
+    rng = np.random.default_rng(4)
+    count = (limit + 1) ** 2
+    coeffs_kp = 0.1 * rng.standard_normal((count, 300)) / np.sqrt(count)
+    coeffs_kp[0] += 1.7
+    lights, between = make_pattern("uniform", 40), make_pattern("uniform", 163)
+    shown = real_harmonics(lights, limit) @ coeffs_kp
+    stack = LightStack(np.rint(255 * shown).astype(np.uint8).reshape(40, 10, 10, 3), lights, 255.0)
+    prepared = prepare_fit(stack, "spectrum", 25)
+    assert prepared.method.limit == limit
+    assert any(f"nothing above degree {limit}" in note for note in prepared.report.notes)
+    truth = (real_harmonics(between, limit) @ coeffs_kp).astype(np.float32).reshape(163, 10, 10, 3)
+    held = LightStack(truth, between, 1.0)
+    least_squares = mean_psnr(collect_fit(prepare_fit(stack, "uls", limit)), held)
+    assert mean_psnr(collect_fit(prepared), held) > least_squares - 0.1
+    assert prepare_fit(make_stack(40), "spectrum", 25).method.limit == 25

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +22,12 @@ _QUANTILES = 0.0, 0.5, 1.0
 """Of the gaps' radii: lights are left out with all their neighbours nearer than these."""
 _MOST_PLACES = 192
 """Lights that the parameters are learnt from; the map is made of all."""
+_LIMITS = range(1, 13)
+"""Degrees at which variances may end."""
+_LIMIT_LIGHTS = 1.5
+"""Lights for each coefficient that there then are at least: with fewer, what is left out tells nothing of a limit."""
+_LIMIT_GAIN = 5.0
+"""By which what is minimised must then be less: scenes that are band-limited gain far more."""
 FEWEST = 3
 """With fewer lights, parameters are the prior's mean."""
 _LEAST_ERROR = 1e-8
@@ -99,6 +105,7 @@ class Objective:
     count_g: NDArray[np.float64]
     judged: Judged
     least: float
+    limit: int = LARGEST_DEGREE
 
     @classmethod
     def make(cls, places: Places, moment_gg: NDArray[np.float64], least: float) -> Objective:
@@ -109,7 +116,7 @@ class Objective:
 
     def evaluate(self, logs: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Return the value, and its gradient in the five parameters."""
-        variance_l, slopes_tl = degree_variances(logs)
+        variance_l, slopes_tl = degree_variances(logs, self.limit)
         noise, total = np.exp(logs[4]), SHARE @ variance_l
         covariance_gg = (variance_l @ self.terms_lg).reshape(self.moment_gg.shape)
         covariance_gg[np.diag_indices(len(covariance_gg))] += noise * total / self.count_g
@@ -122,7 +129,11 @@ class Objective:
 
 
 def learn_theta(
-    places: Places, moment_gg: NDArray[np.float64], quantum: float, given: dict[int, float] | None = None
+    places: Places,
+    moment_gg: NDArray[np.float64],
+    quantum: float,
+    given: dict[int, float] | None = None,
+    limit: int | None = None,
 ) -> Theta:
     """Return the parameters for these lights and the second moments of what was photographed under them.
 
@@ -135,6 +146,8 @@ def learn_theta(
         Step between two code values, 0 for floats.
     given : dict of int to float, optional
         Parameters (as `Theta.to_logs` has them) that are known.
+    limit : int, optional
+        That of `Theta`, where it is known.
     """
     from scipy.optimize import minimize  # slow to load, and of no use to other methods
 
@@ -144,8 +157,8 @@ def learn_theta(
     some = pick_spread(places.directions_g3, _MOST_PLACES)
     moment_gg = moment_gg[np.ix_(some, some)]
     square = float(np.trace(moment_gg)) / max(len(some), 1)
-    if not square > 0.0 or len(some) < FEWEST or len(fixed) == len(PRIOR_MEAN):
-        return Theta.from_logs(start_t)
+    if not square > 0.0 or len(some) < FEWEST or (len(fixed) == len(PRIOR_MEAN)):
+        return Theta.from_logs(start_t, LARGEST_DEGREE if limit is None else limit)
     least = max(quantum**2 / 12.0 / square, _LEAST_ERROR)
     chosen = Places(places.directions_g3[some], places.mean_gi[some], places.count_g[some])
     objective = Objective.make(chosen, moment_gg / square, least)
@@ -153,15 +166,41 @@ def learn_theta(
     low[4] = min(max(low[4], np.log(least)), high[4] - 1.0)
     for k, value in fixed.items():
         low[k] = high[k] = value
-    found = [
-        minimize(
-            objective.evaluate,
+
+    def search(goal: Objective, start: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        one = minimize(
+            goal.evaluate,
             np.clip(start, low, high),
             jac=True,
             method="L-BFGS-B",
             bounds=list(zip(low, high, strict=True)),
             options={"maxiter": 60, "ftol": 1e-6},
         )
-        for start in _STARTS
-    ]
-    return Theta.from_logs(min(found, key=lambda one: float(one.fun)).x)
+        return float(one.fun), one.x
+
+    if limit is not None:
+        objective = replace(objective, limit=limit)
+    value, logs = min((search(objective, start) for start in _STARTS), key=lambda one: one[0])
+    if limit is None and not fixed:
+        limited = replace(objective, limit=_best_limit(objective, logs, low, high))
+        starts = (_still(logs, low, high), logs)
+        below, at = min((search(limited, start) for start in starts), key=lambda one: one[0])
+        if below < value - _LIMIT_GAIN:
+            return Theta.from_logs(at, limited.limit)
+    return Theta.from_logs(logs, objective.limit)
+
+
+def _still(logs: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return these parameters with as little noise and edges as a band-limited function leaves."""
+    still = logs.copy()
+    still[2], still[4] = -8.0, low[4] + 1.0
+    return np.clip(still, low, high)
+
+
+def _best_limit(
+    objective: Objective, logs: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> int:
+    """Return the degree beyond which variances may end best, without a search at each."""
+    still, most = _still(logs, low, high), len(objective.moment_gg) / _LIMIT_LIGHTS
+    limits = [limit for limit in _LIMITS if limit == 1 or (limit + 1) ** 2 <= most]
+    return min(limits, key=lambda limit: replace(objective, limit=limit).evaluate(still)[0])

@@ -33,6 +33,7 @@ class SpectrumFit(FitMethod):
     Attributes
     ----------
     level, slope, edge, heat, noise : float or None
+    limit : int or None
         As in `Theta`. None: learnt from the samples.
     """
 
@@ -44,9 +45,14 @@ class SpectrumFit(FitMethod):
     edge: float | None = None
     heat: float | None = None
     noise: float | None = None
+    limit: int | None = None
 
     def __post_init__(self) -> None:
+        if self.limit is not None and (type(self.limit) is not int or not 1 <= self.limit <= LARGEST_DEGREE):
+            raise InputError(f"limit must be a degree from 1 to {LARGEST_DEGREE}, got {self.limit!r}")
         for field in fields(self):
+            if field.name == "limit":
+                continue
             value = getattr(self, field.name)
             low, high = _SLOPES if field.name == "slope" else (_SMALLEST, _LARGEST)
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -69,15 +75,17 @@ class SpectrumFit(FitMethod):
         given = {
             k: value if name == "slope" else float(np.log(value))
             for k, (name, value) in enumerate(asdict(self).items())
-            if value is not None
+            if value is not None and name != "limit"
         }
         with on_one_thread():
-            theta = learn_theta(places, mean_gp @ mean_gp.T / mean_gp.shape[1], quantum, given)
+            theta = learn_theta(places, mean_gp @ mean_gp.T / mean_gp.shape[1], quantum, given, self.limit)
         return type(self)(**asdict(theta))
 
     def model(self, lighting: Lighting) -> ZonalModel:
         """Return the settled model of these lights."""
         values = asdict(self)
+        if values["limit"] is None:  # as those that were learnt before there were limits
+            values["limit"] = LARGEST_DEGREE
         if None in values.values():
             raise ValueError("parameters are not settled yet: settle the method, or give all of them")
         return ZonalModel.make(find_places(lighting), Theta(**values))
@@ -114,6 +122,7 @@ def _describe(model: ZonalModel, degree: int) -> tuple[str, ...]:
     notes = [
         f"spectrum: slope {theta.slope:.2f}, heat {theta.heat:.2g}, edges {theta.edge:.2g}, level {theta.level:.2g}, "
         f"noise {theta.noise:.2g} of the variance"
+        + (f", nothing above degree {theta.limit}" if theta.limit < LARGEST_DEGREE else "")
     ]
     if count < FEWEST:
         notes.append(f"spectrum: {count} light(s) cannot tell how smooth a scene is: it is taken to be as most are")

@@ -33,7 +33,7 @@ _LEAST_SHARE = 1e-12
 
 @dataclass(frozen=True)
 class Theta:
-    """The five parameters of the model.
+    """The parameters of the model.
 
     Attributes
     ----------
@@ -47,6 +47,8 @@ class Theta:
         tau of ``exp(-tau l (l + 1) / 2)``.
     noise : float
         Variance of one photograph's noise, in units of that of the function.
+    limit : int
+        Degrees above have no variance: what a band-limited function is told by.
     """
 
     level: float
@@ -54,12 +56,13 @@ class Theta:
     edge: float
     heat: float
     noise: float
+    limit: int = LARGEST_DEGREE
 
     @classmethod
-    def from_logs(cls, values: NDArray[np.float64]) -> Theta:
-        """Return the parameters of the numbers that are searched: logarithms of all but the slope."""
+    def from_logs(cls, values: NDArray[np.float64], limit: int = LARGEST_DEGREE) -> Theta:
+        """Return the parameters of the numbers that are searched: logarithms of the first five but the slope."""
         level, edge, heat, noise = (float(np.exp(values[k])) for k in (0, 2, 3, 4))
-        return cls(level, float(values[1]), edge, heat, noise)
+        return cls(level, float(values[1]), edge, heat, noise, limit)
 
     def to_logs(self) -> NDArray[np.float64]:
         """Return what `from_logs` takes, shape (5,)."""
@@ -68,11 +71,13 @@ class Theta:
         )
 
 
-def degree_variances(logs: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def degree_variances(
+    logs: NDArray[np.float64], limit: int = LARGEST_DEGREE
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the variance of each degree's coefficients, and its derivatives in the first four parameters.
 
     ``a_l = (s_l + w r_l) / (1 + w)`` for l >= 1, with ``s ~ L^-p exp(-tau (L - 1))``, ``r ~ L^-1.5`` and
-    ``L = l (l + 1) / 2``, each scaled to variance 1 at a point; ``a_0 = 4 pi level``.
+    ``L = l (l + 1) / 2``, each 0 above the limit and scaled to variance 1 at a point; ``a_0 = 4 pi level``.
 
     Returns
     -------
@@ -81,10 +86,11 @@ def degree_variances(logs: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
     """
     b, slope, log_edge, log_heat = logs[:4]
     heat, edge, share = np.exp(log_heat), np.exp(log_edge), SHARE[1:]
+    held_l = np.arange(1, LARGEST_DEGREE + 1) <= limit
     exponent = -slope * _LOG_ROUGH - heat * (_ROUGH - 1.0)
-    s = np.exp(exponent - exponent.max())
+    s = np.exp(exponent - exponent[held_l].max()) * held_l
     s /= share @ s
-    r = np.exp(-EDGE_SLOPE * _LOG_ROUGH)
+    r = np.exp(-EDGE_SLOPE * _LOG_ROUGH) * held_l
     r /= share @ r
     variance_l = np.concatenate([[np.exp(b) / SHARE[0]], (s + edge * r) / (1.0 + edge)])
     slopes_tl = np.zeros((4, LARGEST_DEGREE + 1))
@@ -130,7 +136,7 @@ class ZonalModel:
     @classmethod
     def make(cls, places: Places, theta: Theta) -> ZonalModel:
         """Return the model of these lights."""
-        variance_l, _ = degree_variances(theta.to_logs())
+        variance_l, _ = degree_variances(theta.to_logs(), theta.limit)
         noise = theta.noise * float(SHARE @ variance_l)
         covariance_gg = _kernel(variance_l, places.directions_g3, places.directions_g3) + np.diag(
             noise / places.count_g
@@ -180,12 +186,13 @@ class ZonalModel:
     def map_samples(self, degree: int) -> NDArray[np.float64]:
         """Return the matrix from samples to coefficients, shape (n_coeff, n_light).
 
-        At `LARGEST_DEGREE` it is ``diag(a) Y' C^-1``; above, further coefficients are 0. Below it is the series that
+        From the model's limit on it is ``diag(a) Y' C^-1``, further coefficients being 0. Below it is the series that
         is nearest to that over the hemisphere (the sphere, where there are lights below the horizon): least squares
         over points spread evenly, with a ridge that settles what they do not see.
         """
-        if degree >= LARGEST_DEGREE:
-            return np.pad(self.whole_ki, ((0, coefficient_count(degree) - len(self.whole_ki)), (0, 0)))
+        if degree >= self.theta.limit:
+            kept_ki = self.whole_ki[: coefficient_count(degree)]
+            return np.pad(kept_ki, ((0, coefficient_count(degree) - len(kept_ki)), (0, 0)))
         normal_kk, whole_ki = (moments[: coefficient_count(degree)] for moments in self._series)
         relative_l = np.maximum(self.variance_l / self.variance_l.max(), _LEAST_VARIANCE)
         relative_k = relative_l[degrees_of_coefficients(degree)]
