@@ -63,6 +63,13 @@ def test_frames_that_a_mesh_file_cannot_hold_are_refused(tmp_path):
     np.testing.assert_array_equal(lit[2], lit[1])
 
 
+@pytest.mark.parametrize("codec", [None, "half", "klt"])
+def test_below_the_horizon_of_a_surface_is_nothing_unknown(mesh, codec):
+    made, report = cr.transfer(mesh, degree=2, samples=64), Report()
+    cr.relight(made if codec is None else cr.encode(made, codec, report=Report()), (0, 0, -1), report=report)
+    assert not any("below the horizon" in note for note in report.notes)
+
+
 @pytest.mark.parametrize(
     ("codec", "frame", "told"), [("klt", "global", 1), ("klt", "local", 0), ("wavelet", "global", 0)]
 )

@@ -70,9 +70,12 @@ class DirectedFrames:
     @contextmanager
     def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
         """See `Frames`."""
-        below = np.flatnonzero(self._directions_i3[:, 2] < 0)
-        report.note(*(f"light {i} is below the horizon, where a hemispherical fit knows nothing" for i in below))
         with _lend_view(source, self._part, self._salvage, device, report, progress) as view:
+            if view.is_picture:  # functions of a surface may know the whole sphere
+                below = np.flatnonzero(self._directions_i3[:, 2] < 0)
+                report.note(
+                    *(f"light {i} is below the horizon, where a hemispherical fit knows nothing" for i in below)
+                )
             yield self._images(view, report), view.transfer
 
     def _images(self, view: _View, report: Report) -> Iterator[NDArray[np.float32]]:
@@ -138,11 +141,12 @@ class LightFrames:
 
 @dataclass(frozen=True)
 class _View:
-    """What makes pictures of directions, the bytes of one, and the stack's transfer."""
+    """What makes pictures of directions, the bytes of one, the stack's transfer, and whether pixels are a picture's."""
 
     light: Callable[[NDArray[np.float64]], NDArray[np.float32]]
     picture_bytes: int
     transfer: str
+    is_picture: bool
 
 
 @contextmanager
@@ -166,13 +170,15 @@ def _lend_view(
                 light = partial(view.relight, device=device)
             report.add("decode", since)
             if light is not None:
-                yield _View(light, 4 * math.prod(region.shape) * encoded.shape[3], held.record.transfer)
+                is_picture = surface_facts(None, held.record.config) is None
+                yield _View(light, 4 * math.prod(region.shape) * encoded.shape[3], held.record.transfer, is_picture)
                 return
         coefficients = _part_of(held, source, part, salvage, device, report, progress)
         yield _View(
             lambda directions_i3: relight(coefficients, directions_i3, device=device),
             4 * math.prod(coefficients.image_shape),
             coefficients.transfer,
+            surface_facts(coefficients.surface, coefficients.config) is None,
         )
 
 

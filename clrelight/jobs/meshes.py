@@ -10,7 +10,7 @@ from typing import Any
 from clrelight.errors import InputError
 from clrelight.jobs.inputs import path_text
 from clrelight.store import file_schema, open_fit, open_stack
-from clrelight.surface import Surface
+from clrelight.surface import Surface, surface_facts
 from clrelight.transfer.frames import with_frames
 from clrelight.transfer.mesh_files import read_mesh
 from clrelight.transfer.vertex_order import reorder
@@ -57,7 +57,7 @@ def frame_as_made(config: Mapping[str, Any], surface: Surface) -> Surface:
     Maps that were encoded say them (see `clrelight.codec.Encoded`). A mesh file holds no frames: those that transfer
     makes are made again, others are an InputError.
     """
-    said = config.get("surface", {})
+    said = surface_facts(None, config) or {}
     frame = said.get("frame", config.get("frame"))
     if frame == "local" and surface.tangents_v3 is None and "frame" not in config:
         raise InputError(
