@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from clrelight.brdf.centred import CENTRES
 from clrelight.errors import InputError
 from clrelight.harmonics.index import degree_of
-from clrelight.harmonics.latlong import longitude_azimuths
 
 FRAMES = ("local", "global")
 """Where views are measured: in the frame ``Rz(beta) Ry(alpha)`` of each central direction, or in that of the world."""
@@ -87,6 +86,8 @@ class Shrm:
 
 def grid_angles(height: int, width: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the polar angles of rows (height,) and azimuths of columns (width,) of a reflection map, in radians."""
+    from clrelight.harmonics.latlong import longitude_azimuths  # loads SciPy, which reading files can do without
+
     return np.pi * (np.arange(height) + 0.5) / height, longitude_azimuths(width)
 
 
