@@ -127,6 +127,22 @@ def test_the_faster_of_what_is_sound(fresh, monkeypatch, native, code, lanes):
     assert judge(native) == probe.Verdict(lanes)
 
 
+@pytest.mark.parametrize(("fault", "taken"), [("", 8), ("it crashed", 16)])
+def test_the_first_of_processes_that_ask_at_once_decides(fresh, monkeypatch, fault, taken):
+    keys = []
+
+    def overtaken(index, native, style):
+        """Another process, asked at the same time, ends first."""
+        records.write_record("devices", keys[-1], {"lanes": 8, "fault": fault})
+        return probe.Verdict(16)
+
+    read = records.read_record
+    monkeypatch.setattr(probe, "read_record", lambda kind, key: keys.append(key) or read(kind, key))
+    monkeypatch.setattr(probe, "_find_width", overtaken)
+    assert judge().lanes == taken
+    assert judge().lanes == taken
+
+
 def test_kernels_for_gpus_have_one_width(fresh, monkeypatch):
     monkeypatch.setattr(probe, "_CODE", answer(1.0))
     assert judge(16, style="gpu") == probe.Verdict(8)
