@@ -20,10 +20,14 @@ class Torus:
 
     def frame(self) -> NDArray[np.float64]:
         """Return the orthonormal rows (u, v, axis) of the torus's own frame, shape (3, 3)."""
-        axis = np.array(self.axis) / math.hypot(*self.axis)
-        u = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-        u /= np.linalg.norm(u)
-        return np.stack([u, np.cross(axis, u), axis])
+        return axes_about(np.array(self.axis) / math.hypot(*self.axis))
+
+
+def axes_about(direction_3: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return orthonormal rows, shape (3, 3), whose last is the direction, a unit vector."""
+    across = np.cross(direction_3, np.eye(3)[np.argmin(np.abs(direction_3))])
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(direction_3, across), direction_3])
 
 
 def torus_on_ground(

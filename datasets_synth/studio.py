@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clrelight.sampling import make_pattern
 from clrelight.transfer.functions import FixedLight
+from datasets_synth.shapes import axes_about
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def studio_lights(per_area: int = 20, room: int = 40) -> FixedLight:
     """Return the studio as distant lights: so many for each area light, and so many for the room without them."""
     directions, irradiance = [], []
     for light in STUDIO:
-        cap_m3 = _cap(per_area, math.radians(light.radius)) @ _axes_about(light.direction)
+        cap_m3 = _cap(per_area, math.radians(light.radius)) @ axes_about(light.direction)
         solid_angle = 2.0 * math.pi * (1.0 - math.cos(math.radians(light.radius)))
         directions.append(cap_m3)
         irradiance.append(np.tile(np.array(light.radiance) * solid_angle / per_area, (per_area, 1)))
@@ -82,10 +83,3 @@ def _cap(count: int, radius: float) -> NDArray[np.float64]:
     azimuth_m = np.arange(count) * (math.pi * (3.0 - math.sqrt(5.0)))
     across_m = np.sqrt(1.0 - z_m * z_m)
     return np.stack([across_m * np.cos(azimuth_m), across_m * np.sin(azimuth_m), z_m], axis=1)
-
-
-def _axes_about(direction_3: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return orthonormal rows whose last is the direction."""
-    across = np.cross(direction_3, np.eye(3)[np.argmin(np.abs(direction_3))])
-    across /= np.linalg.norm(across)
-    return np.stack([across, np.cross(direction_3, across), direction_3])

@@ -193,8 +193,7 @@ class UnitView(UnitsView):
         count = self._parsed.head.n_plane
 
         def finish(images: NDArray[np.float32]) -> NDArray[np.float32]:
-            with np.errstate(over="ignore"):  # what no encoder wrote: it is refused afterwards
-                images += operator_mj[:, count].astype(np.float32).reshape(-1, 1, 1, channel)
+            images += operator_mj[:, count].astype(np.float32).reshape(-1, 1, 1, channel)
             return bent(images, device, decode=True) if self._parsed.head.transfer == "srgb" else images
 
         return self._relit(region, operator_mj[:, :count], device, finish)
