@@ -10,6 +10,7 @@ import gc
 import os
 import queue
 import signal
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
@@ -21,6 +22,7 @@ from clrelight.errors import InputError
 INSTALL = "the engines of Dask need it: pip install 'clrelight[cluster]'"
 _SCHEMES = ("tcp://", "tls://", "ucx://", "ws://", "wss://")
 _PATIENCE = "30s"
+_EVERY_SECONDS = 1.0
 
 
 def is_address(engine: str) -> bool:
@@ -64,6 +66,8 @@ class DaskEngine:
         self._ended: queue.Queue[tuple[str, Any]] = queue.Queue()
         self._waiting: dict[str, Any] = {}
         self._unsound: set[str] = set()
+        self._known: dict[str, int] = {}
+        self._asked, self._count = 0.0, 0
         self._cluster: Any = None
         if address is None:
             self._cluster = self._start(dask, workers or max(1, usable_cores() // 2), memory)
@@ -103,9 +107,10 @@ class DaskEngine:
             )
 
     def _threads(self) -> dict[str, int]:
-        """Return how many tasks each sound worker does at a time."""
-        known: Mapping[str, Any] = self._client.scheduler_info(n_workers=-1)["workers"]
-        return {name: each["nthreads"] for name, each in known.items() if name not in self._unsound}
+        """Return how many tasks each sound worker does at a time; asked of the scheduler once in a while."""
+        if time.monotonic() > self._asked + _EVERY_SECONDS or not self._known:
+            self._known, self._asked = dict(self._client.nthreads()), time.monotonic()
+        return {name: count for name, count in self._known.items() if name not in self._unsound}
 
     @property
     def workers(self) -> int:
@@ -120,9 +125,9 @@ class DaskEngine:
     def submit(self, work: Work) -> None:
         """Give a task to the scheduler."""
         only = {"workers": [*self._threads()], "allow_other_workers": False} if self._unsound else {}
-        future = self._client.submit(
-            _perform, work.task, work.key, work.code, work.device, key=f"{work.name}-{work.key}", pure=False, **only
-        )
+        self._count += 1
+        key = f"{work.name}-{work.key}-{self._count}"  # each try is another to the scheduler
+        future = self._client.submit(_perform, work.task, work.key, work.code, work.device, key=key, pure=False, **only)
         self._waiting[work.name] = future
         future.add_done_callback(lambda ended, name=work.name: self._ended.put((name, ended)))
 

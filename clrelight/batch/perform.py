@@ -99,7 +99,9 @@ def _run(task: Task, device: str | None, report: Report, progress: Progress | No
 def outputs_of(task: Task) -> list[str]:
     """Return every file and folder that a task writes."""
     more = [str(task.options[name]) for name in find_verb(task.job).writes if task.options.get(name)]
-    return [*([task.out] if task.out else []), *more]
+    # A fit in tiles that stay where they are is not whole without them.
+    tiles = [str(task.options["shards"])] if task.options.get("virtual") else []
+    return [*([task.out] if task.out else []), *more, *tiles]
 
 
 def _make_folders(task: Task) -> None:

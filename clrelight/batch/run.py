@@ -21,6 +21,8 @@ from clrelight.jobs.report import Progress, Report, report_for
 
 JOURNAL = "journal.jsonl"
 _LOOK_SECONDS = 0.5
+_LOOK_EVERY = 100
+"""Tasks of which an earlier run's result is looked at before that is told."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,7 @@ def run_batch(
     memory_limit: str = "auto",
     verify: bool = False,
     anew: bool = False,
+    only_kept: bool = False,
     progress: Progress | None = None,
     report: Report | None = None,
 ) -> Batch:
@@ -93,6 +96,8 @@ def run_batch(
         Read the contents of what is there, instead of trusting names, sizes and times.
     anew : bool
         Do everything again.
+    only_kept : bool
+        Only say what is kept; do nothing.
     progress : callable, optional
         Told (done, total, what) of the stacks that are to be done.
     report : Report, optional
@@ -115,6 +120,9 @@ def run_batch(
         try:
             if journal.damaged:
                 told.note(f"{journal.path}: {journal.damaged} lines are damaged or torn; their stacks are done again")
+            if only_kept:
+                known = _Driver(tasks, folder, journal, device, keep_going, retries, verify, progress, told)
+                return Batch((), known.find_kept())
             driver = _Driver(tasks, folder, journal, device, keep_going, retries, verify, progress, told)
             return driver.run(lambda: _open(engine, workers, timeout, memory_limit, journal.descriptor))
         finally:
@@ -170,7 +178,7 @@ class _Driver:
         """Do what is not done; write the tables, however it ends."""
         wanted = {task.name: task for task in self.tasks}
         sweep(path for task in self.tasks for path in outputs_of(task))
-        kept = frozenset(name for name, task in wanted.items() if self._is_kept(task))
+        kept = self.find_kept()
         waiting = deque(task for name, task in wanted.items() if name not in kept)
         self.total = len(waiting)
         try:
@@ -197,6 +205,16 @@ class _Driver:
         """Return what became of the tasks as they are now: outcomes of others are of another batch in this folder."""
         known = (self.journal.outcomes.get(name) for name in wanted)
         return tuple(each for each in known if each is not None and each.key == self._key(wanted[each.name]))
+
+    def find_kept(self) -> frozenset[str]:
+        """Return the names of tasks that an earlier run has done, and that nothing has changed since."""
+        kept = set()
+        for count, task in enumerate(self.tasks):
+            if self.progress is not None and count % _LOOK_EVERY == 0:
+                self.progress(count, len(self.tasks), "looking at what is done")
+            if self._is_kept(task):
+                kept.add(task.name)
+        return frozenset(kept)
 
     def _is_kept(self, task: Task) -> bool:
         before = self.journal.outcomes.get(task.name)

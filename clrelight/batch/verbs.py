@@ -131,6 +131,9 @@ def _argument(name: str, value: Any) -> Any:
 
 def find_verb(name: str) -> Verb:
     """Return the verb of a name; InputError lists them."""
+    for each in _OF_TILES:
+        if each.id == name:
+            return each
     if name not in VERBS:
         raise InputError(f"there is no job {name!r} for batches; there are {', '.join(VERBS)}")
     return VERBS[name]
@@ -211,5 +214,10 @@ _EVERY = (
         is_measure=True,
     ),
 )
+_OF_TILES = (
+    Verb("fit-rows", "clrelight.jobs.shards:fit_rows", "rows of a fit", ".h5", ("stack",), more=_of_methods),
+    Verb("fit-join", "clrelight.jobs.shards:join_rows", "a fit of its rows", ".h5", ("stack",)),
+)
+"""What `tiles` makes of the job fit."""
 VERBS = {each.id: each for each in _EVERY}
 """Every job, in the order in which it is told of them."""

@@ -34,6 +34,9 @@ _SHOWN = 40
 @click.option("--retries", type=whole_number(0, 100), default=1, show_default=True, help="Of stacks whose worker dies.")
 @click.option("--timeout", type=click.FloatRange(0, min_open=True), metavar="S", help="Longest for a stack (local).")
 @click.option("--memory-limit", default="auto", show_default=True, metavar="BYTES", help="Of a worker (dask).")
+@click.option("--tiles", is_flag=True, help="Share each stack among workers, in tiles of rows (fit).")
+@click.option("--tile-rows", type=whole_number(1), metavar="ROWS", help="Of a tile; default: shards of 48 MiB.")
+@click.option("--virtual", is_flag=True, help="Leave the tiles in files of their own; the result points to them.")
 @click.option("--verify", is_flag=True, help="Compare contents of files, not only sizes and times, with the journal.")
 @click.option("--force", is_flag=True, help="Do everything again.")
 @click.option("--dry-run", is_flag=True, help="Only say what would be done to which stacks.")
@@ -50,6 +53,9 @@ def batch(
     ending: str | None,
     force: bool,
     dry_run: bool,
+    tiles: bool,
+    tile_rows: int | None,
+    virtual: bool,
     as_json: bool,
     jobs: int | None,
     **asked: Any,
@@ -68,6 +74,7 @@ def batch(
       clrelight batch packed/ checked/ --job psnr --set stack=stacks/{name}.h5
     """
     from clrelight.batch import make_tasks, read_listing, run_batch
+    from clrelight.batch.tiles import run_tiles
 
     report = make_report(as_json)
     listing = read_listing(what, job, match=match, out=out)
@@ -82,7 +89,11 @@ def batch(
             print_table(("stack", "source", "result", "options"), cells)
         return
     with progress_bar(tasks[0].job) as bar:
-        done = run_batch(tasks, out, workers=jobs, anew=force, progress=bar, report=report, **asked)
+        asked |= {"workers": jobs, "anew": force, "progress": bar, "report": report}
+        if tiles or virtual or tile_rows:
+            done = run_tiles(tasks, out, rows=tile_rows, virtual=virtual, **asked)
+        else:
+            done = run_batch(tasks, out, **asked)
     _print(done, as_json, report.notes)
     if done.failed or done.left:
         context.exit(1 if any(each.kind == "bug" for each in done.failed) else 2)

@@ -120,6 +120,13 @@ FIT = Schema(
     },
     {**_FIT_ATTRIBUTES, "config": str},
 )
+TILES = Schema(
+    "tiles",
+    1,
+    {"directions": _DIRECTIONS},
+    {**_FIT_ATTRIBUTES, "config": str, "shards": str},
+)
+"""A fit whose rows lie in other files."""
 ENCODED_1 = Schema(
     "encoded",
     1,
@@ -173,7 +180,7 @@ SHRM = Schema(
     {"frame": str, "degree": int, "centre": str, "source": str, "axes": str, "config": str},
 )
 
-SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, ENCODED, RESULTS, LIGHT, SHRM)}
+SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, TILES, ENCODED, RESULTS, LIGHT, SHRM)}
 
 OLDER = {schema.name: schema for schema in (ENCODED_1,)}
 """Kinds of files in versions that are read and no longer written."""
