@@ -134,14 +134,18 @@ def succeed_with_notes(*words):
 
 def test_a_dry_run_writes_nothing(stacks, tmp_path):
     told = succeed("batch", stacks, tmp_path / "out", *FIT, "--dry-run", "--json").json
-    assert [each["stack"] for each in told["stacks"]] == ["a", "b", "c"]
-    assert told["stacks"][0]["options"] == OPTIONS
+    assert [(each["stack"], each["state"]) for each in told["rows"]] == [(name, "to do") for name in "abc"]
+    assert told["rows"][0]["options"] == OPTIONS
     assert "a.h5" in succeed("batch", stacks, tmp_path / "out", *FIT, "--dry-run").out
     assert not (tmp_path / "out").exists()
 
 
 def test_what_is_done_is_kept(copied):
-    tasks, _, out = copied
+    tasks, folder, out = copied
+    (out / "b.h5").unlink()
+    told = succeed("batch", folder, out, *FIT, "--dry-run", "--json").json
+    assert [each["state"] for each in told["rows"]] == ["kept", "to do", "kept"]
+    assert begun(tasks, out) == ["b"]
     before = contents(out)
 
     def never(lock):
@@ -353,25 +357,28 @@ def test_every_job_knows_its_options():
 
 def test_every_other_job(stacks, tmp_path):
     """Each from the results of the one before."""
-    succeed_with_notes("batch", stacks, tmp_path / "fits", *FIT, "--match", "a", "--json")
+    photographs = f"{stacks}/{{name}}.h5"
     steps = (
-        ("fits", "small", "encode", ["codec=klt", "rate=8", f"stack={stacks}/{{name}}.h5"], ["a.h5"]),
-        ("small", "back", "decode", [], ["a.h5"]),
-        ("small", "psnr", "psnr", [f"stack={stacks}/{{name}}.h5"], []),
-        ("small", "photos", "unpack", ["kind=png"], ["a"]),
-        ("photos", "again", "ingest", [], ["a.h5"]),
-        ("photos", "packed", "pack", ["method=uls", "degree=1", "bytes=9k", "crop=0,0,4,4"], ["a.h5"]),
+        (stacks, "fits", "fit", OPTIONS, ["a.h5"]),
+        ("fits", "small", "encode", {"codec": "klt", "rate": 8, "stack": photographs}, ["a.h5"]),
+        ("small", "back", "decode", {}, ["a.h5"]),
+        ("small", "psnr", "psnr", {"stack": photographs}, []),
+        ("small", "photos", "unpack", {"kind": "png"}, ["a"]),
+        ("photos", "again", "ingest", {}, ["a.h5"]),
+        ("photos", "packed", "pack", {"method": "uls", "degree": 1, "bytes": "9k", "crop": "0,0,4,4"}, ["a.h5"]),
+        (stacks, "normals", "normals", {"albedo": "{name}-albedo.exr"}, ["a-albedo.exr", "a.exr"]),
+        (stacks, "bench", "bench", {"methods": "uls", "degrees": 1, "codecs": ["none", "half"]}, ["a.h5"]),
     )
-    for source, out, job, settings, made in steps:
-        words = [word for setting in settings for word in ("--set", setting)]
-        told = succeed_with_notes("batch", tmp_path / source, tmp_path / out, "--job", job, *words, "--json")
-        assert told["done"] == 1, (job, told)
-        left = sorted({*os.listdir(tmp_path / out)} - {"journal.jsonl", "summary.csv", "summary.json"})
+    for source, name, job, options, made in steps:
+        out = tmp_path / name
+        tasks = make_tasks(read_listing(tmp_path / source, job, match=["a"]), out, job=job, options=options)
+        done = run_batch(tasks, out, engine=Here(), report=Report())
+        assert [each.error for each in done.outcomes] == [""], job
+        left = sorted({*os.listdir(out)} - {"journal.jsonl", "summary.csv", "summary.json"})
         assert left == made, job
-        again = succeed_with_notes("batch", tmp_path / source, tmp_path / out, "--job", job, *words, "--json")
-        assert again["kept"] == 1, job
         if job in ("encode", "psnr"):
-            assert told["psnr"] > 0
+            assert done.outcomes[0].psnr["pooled_fitted"] > 0
+        assert run_batch(tasks, out, engine=Here(), report=Report()).kept == {"a"}, job
 
 
 def died(name, fault="died"):

@@ -15,7 +15,6 @@ import threading
 import time
 from typing import IO, Any
 
-from clrelight.batch.perform import perform
 from clrelight.interrupts import end_watch, raise_if_interrupted, watch_interrupts
 
 _EVERY_SECONDS = 0.5
@@ -42,6 +41,9 @@ def main() -> None:
 
 
 def _work(telling: IO[str], lines: queue.Queue[str | None]) -> None:
+    # Now, for NumPy's threads would take signals that only the watching one is to get.
+    from clrelight.batch.perform import perform
+
     last = 0.0
 
     def tell(done: int, total: int | None, what: str) -> None:

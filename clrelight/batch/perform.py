@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import socket
 import time
@@ -78,10 +79,16 @@ def _work(
     inputs = {}
     for path, seen in before.items():
         # Of files that were just read the contents are in memory still.
-        inputs[path] = {"bytes": seen[0], "files": seen[1], "stat": seen[2], "content": read_content(path)}
+        inputs[path] = {"bytes": seen[0], "files": seen[1], "stat": seen[2], "content": _content_of(path, seen[2])}
         if look_at(path) != seen:
             raise InputError(f"{path} has changed while it was read: do it again")
     return inputs, {path: take_fingerprint(path).to_json() for path in outputs_of(task)}
+
+
+@functools.lru_cache(maxsize=64)
+def _content_of(path: str, seen: str) -> str:
+    """Return the digest of what lies at a path and looks as it did; the tiles of one stack ask for it once."""
+    return read_content(path)
 
 
 def _run(task: Task, device: str | None, report: Report, progress: Progress | None) -> Any:

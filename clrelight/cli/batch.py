@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,7 +16,8 @@ from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
-    from clrelight.batch import Batch
+    from clrelight.batch import Batch, Task
+    from clrelight.jobs.report import Report
 
 _SHOWN = 40
 """Rows of a table on a terminal; the files have all."""
@@ -81,12 +83,7 @@ def batch(
     report.note(*listing.notes)
     tasks = make_tasks(listing, out, job=job, ending=ending, options=_parse(settings))
     if dry_run:
-        planned = [{"stack": t.name, "source": t.source, "out": t.out, "options": dict(t.options)} for t in tasks]
-        if as_json:
-            print_json({"job": tasks[0].job, "stacks": planned, "notes": report.notes})
-        else:
-            cells = [(t.name, t.source, t.out, ", ".join(f"{k}={v}" for k, v in t.options.items())) for t in tasks]
-            print_table(("stack", "source", "result", "options"), cells)
+        _print_plan(tasks, out, as_json, force, report)
         return
     with progress_bar(tasks[0].job) as bar:
         asked |= {"workers": jobs, "anew": force, "progress": bar, "report": report}
@@ -97,6 +94,31 @@ def batch(
     _print(done, as_json, report.notes)
     if done.failed or done.left:
         context.exit(1 if any(each.kind == "bug" for each in done.failed) else 2)
+
+
+def _print_plan(tasks: Sequence[Task], out: str, as_json: bool, force: bool, report: Report) -> None:
+    """Say what would be done; nothing is written where no batch was before."""
+    from clrelight.batch.run import JOURNAL, run_batch
+
+    kept: frozenset[str] = frozenset()
+    if not force and Path(out, JOURNAL).exists():
+        kept = run_batch(tasks, out, only_kept=True, report=report).kept
+    rows = [
+        {
+            "stack": task.name,
+            "state": "kept" if task.name in kept else "to do",
+            "source": task.source,
+            "out": task.out,
+            "options": dict(task.options),
+        }
+        for task in tasks
+    ]
+    if as_json:
+        print_json({"job": tasks[0].job, "stacks": len(tasks), "kept": len(kept), "rows": rows, "notes": report.notes})
+        return
+    given = [", ".join(f"{name}={value}" for name, value in task.options.items()) for task in tasks]
+    cells = [[*map(str, [*row.values()][:4]), options] for row, options in zip(rows, given, strict=True)]
+    print_table(("stack", "state", "source", "result", "options"), cells)
 
 
 def _parse(settings: Sequence[str]) -> dict[str, Any]:
