@@ -366,6 +366,8 @@ def test_every_other_job(stacks, tmp_path):
         ("small", "photos", "unpack", {"kind": "png"}, ["a"]),
         ("photos", "again", "ingest", {}, ["a.h5"]),
         ("photos", "packed", "pack", {"method": "uls", "degree": 1, "bytes": "9k", "crop": "0,0,4,4"}, ["a.h5"]),
+        ("small", "lit", "relight", {"light": "0,0.1,2"}, ["a.png"]),
+        ("fits", "textures", "export", {"format": "exr"}, ["a"]),
         (stacks, "normals", "normals", {"albedo": "{name}-albedo.exr"}, ["a-albedo.exr", "a.exr"]),
         (stacks, "bench", "bench", {"methods": "uls", "degrees": 1, "codecs": ["none", "half"]}, ["a.h5"]),
     )

@@ -12,7 +12,7 @@ from clrelight.batch.lists import read_list
 from clrelight.batch.perform import outputs_of
 from clrelight.batch.stacks import Listing, Stack, list_folder, matches
 from clrelight.batch.task import Task
-from clrelight.batch.verbs import Verb, find_verb
+from clrelight.batch.verbs import Verb, find_verb, is_direction
 from clrelight.errors import InputError
 
 _DEFAULT = "default"
@@ -101,7 +101,8 @@ def make_tasks(
         verb.check(chosen)
         chosen = _without_defaults(chosen)
         result = "" if verb.is_measure else os.path.join(folder, *stack.name.split("/")) + last
-        files = [str(chosen[name]) for name in verb.reads if chosen.get(name)]
+        named = (chosen.get(name) for name in verb.reads)
+        files = [value for value in named if isinstance(value, str) and value and not is_direction(value)]
         tasks.append(Task(stack.name, verb.id, stack.source, result, chosen, (stack.source, *files)))
     _check_outputs(tasks)
     return tasks
@@ -110,7 +111,8 @@ def make_tasks(
 def _ending(verb: Verb, ending: str) -> str:
     known = (verb.ending, *verb.endings)
     if ending and ending not in known:
-        raise InputError(f"{verb.id} writes {' or '.join(known) if verb.ending else 'no file'}, not {ending}")
+        written = " or ".join(each or "a folder" for each in known)
+        raise InputError(f"{verb.id} writes {'no file' if verb.is_measure else written}, not {ending}")
     return ending or verb.ending
 
 
@@ -120,7 +122,7 @@ def _resolved(verb: Verb, options: Mapping[str, Any], stack: Stack, base: str, f
     for name, value in options.items():
         if isinstance(value, str):
             value = value.replace("{name}", stack.name).replace("{source}", stack.source)
-            if name in verb.reads:
+            if name in verb.reads and not is_direction(value):
                 value = os.path.abspath(os.path.join(base, value))
             elif name in verb.writes:
                 value = os.path.abspath(os.path.join(folder, value))

@@ -15,6 +15,7 @@ from clrelight.jobs.report import Progress, Report
 
 _NOT_OPTIONS = {"source", "fitted", "folder", "out", "progress", "report", "options", "device", "memory_bytes"}
 _FOUR_NUMBERS = ("crop", "region")
+_LIGHT = "light"
 
 
 def _none() -> set[str]:
@@ -120,13 +121,23 @@ class Verb:
 
 
 def _argument(name: str, value: Any) -> Any:
-    """Return an option as its job takes it, which JSON cannot: tuples, and four numbers in a text."""
+    """Return an option as its job takes it, which JSON cannot: tuples, and numbers in a text."""
     if name in _FOUR_NUMBERS and isinstance(value, str):
         try:
             return tuple(int(part) for part in value.split(","))
         except ValueError:
             raise InputError(f"{name} must be four whole numbers such as 0,0,512,512, got {value!r}") from None
+    if name == _LIGHT and is_direction(value):
+        return tuple(map(float, value.split(",")))
     return tuple(value) if isinstance(value, list) else value
+
+
+def is_direction(value: Any) -> bool:
+    """Return whether an option is three numbers in a text, which name no file."""
+    try:
+        return isinstance(value, str) and len([float(part) for part in value.split(",")]) == 3
+    except ValueError:
+        return False
 
 
 def find_verb(name: str) -> Verb:
@@ -175,7 +186,7 @@ _EVERY = (
         "clrelight.jobs.encode:encode",
         "a fit to a small file",
         ".h5",
-        ("fit",),
+        ("fit", "tiles"),
         reads=("stack",),
         more=_of_codecs,
     ),
@@ -187,6 +198,23 @@ _EVERY = (
         "",
         ("encoded",),
         reads=("lights",),
+    ),
+    Verb(
+        "relight",
+        "clrelight.jobs.relight:relight",
+        "a fit or a small file to a picture under a light",
+        ".png",
+        ("fit", "tiles", "encoded"),
+        endings=(".exr", ".hdr", ".tif", ".jpg"),
+        reads=("light",),
+    ),
+    Verb(
+        "export",
+        "clrelight.jobs.export:export",
+        "a fit or a small file to textures",
+        "",
+        ("fit", "tiles", "encoded"),
+        endings=(".dds",),
     ),
     Verb(
         "normals",
@@ -209,7 +237,7 @@ _EVERY = (
         "clrelight.jobs.measure:measure",
         "a fit or a small file beside its photographs",
         "",
-        ("fit", "encoded"),
+        ("fit", "tiles", "encoded"),
         reads=("stack",),
         is_measure=True,
     ),

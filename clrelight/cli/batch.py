@@ -26,10 +26,12 @@ _SHOWN = 40
 @click.command()
 @click.argument("what", metavar="LIST.toml|FOLDER", type=click.Path())
 @click.argument("out", metavar="OUTFOLDER", type=click.Path())
-@click.option("--job", help="pack, ingest, fit, encode, decode, unpack, normals, bench or psnr; default: the list's.")
+@click.option("--job", help="pack, ingest, fit, encode, decode, unpack, relight, export, normals, bench or psnr.")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="An option of the job; may be repeated.")
 @click.option("--match", multiple=True, metavar="PATTERN", help="Only stacks with such names, such as coin-*.")
-@click.option("--ending", metavar=".EXT", help="Of the files that are written (normals: .exr, .png, .tif).")
+@click.option(
+    "--ending", metavar=".EXT", help="Of the files that are written, such as .exr (normals, relight, export)."
+)
 @click.option("--engine", default="local", show_default=True, help="local, dask, or a scheduler, tcp://HOST:PORT.")
 @click.option("--jobs", type=whole_number(1, 1024), metavar="N", help="Stacks at a time; local: 1, with all cores.")
 @click.option("--keep-going", is_flag=True, help="Go on after a stack that fails.")
