@@ -65,6 +65,11 @@ def test_what_is_done_is_kept(stacks, tmp_path):
     assert engine.begun == []
     assert not fit_in_tiles(stacks, tmp_path, engine, degree=0).kept
     assert engine.begun[0] == "a@000000"
+    engine = Here()
+    tasks = make_tasks(read_listing(stacks, "fit"), tmp_path, job="fit", options={"degree": 0})
+    run_tiles(tasks, tmp_path, rows=9, virtual=True, engine=engine, anew=True, report=Report())
+    assert engine.begun == ["a@000000", "a@000009", "closed", "a", "closed"]
+    assert run_tiles(tasks, tmp_path, rows=9, virtual=True, engine=engine, report=Report()).kept == {"a"}
 
 
 def test_a_poison_tile_fails_alone(stacks, tmp_path):
@@ -75,6 +80,7 @@ def test_a_poison_tile_fails_alone(stacks, tmp_path):
     assert batch.left == ("a",)
     assert not (tmp_path / "a.h5").exists()
     assert len(os.listdir(tmp_path / "a.shards")) == 3
+    assert "a@000005,failed" in (tmp_path / "summary.csv").read_text()
     engine = Here()
     batch = run_tiles(tasks, tmp_path, rows=ROWS, engine=engine, report=Report())
     assert engine.begun == ["a@000005", "closed", "a", "closed"]

@@ -6,9 +6,11 @@ import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-from clrelight.batch.run import Batch, run_batch
+from clrelight.batch.run import JOURNAL, Batch, run_batch
+from clrelight.batch.summary import write_summary
 from clrelight.batch.task import Task
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
@@ -67,19 +69,22 @@ def run_tiles(
         except InputError:
             unreadable.append(task)  # fails as it does alone, with its line
     kept = run_batch(joins, out, report=told, only_kept=True, **given) if joins else Batch(())
-    left = [join for join in joins if join.name not in kept.kept]
-    tiles = {join.name: _tiles_of(join) for join in left}
+    given = {**given, "anew": False}  # what was to be forgotten is
+    pending = [join for join in joins if join.name not in kept.kept]
+    tiles = {join.name: _tiles_of(join) for join in pending}
     every = [*(tile for each in tiles.values() for tile in each), *unreadable]
     fitted = run_batch(every, out, report=told, **given) if every else Batch(())
     whole = {each.name for each in fitted.outcomes if each.is_done}
-    ready = [join for join in left if all(tile.name in whole for tile in tiles[join.name])]
-    done = run_batch([join for join in joins if join in ready or join.name in kept.kept], out, report=told, **given)
-    for outcome in done.outcomes:
-        if outcome.is_done and not virtual:
-            shutil.rmtree(next(_shards(join) for join in joins if join.name == outcome.name), ignore_errors=True)
-    failed = [*fitted.failed, *done.outcomes]
-    missing = tuple(join.name for join in left if join not in ready)
-    return Batch(tuple(failed), kept.kept & done.kept, (*missing, *done.left), done.files or fitted.files)
+    ready = [join for join in pending if all(tile.name in whole for tile in tiles[join.name])]
+    last = [join for join in joins if join in ready or join.name in kept.kept]
+    done = run_batch(last, out, report=told, **given) if last else Batch(())
+    for join in last:
+        if not virtual and any(each.name == join.name and each.is_done for each in done.outcomes):
+            shutil.rmtree(_shards(join), ignore_errors=True)
+    outcomes = (*fitted.failed, *done.outcomes)
+    left = (*(join.name for join in pending if join not in ready), *done.left)
+    files = write_summary(Path(os.path.abspath(out)), outcomes, done.kept, len(left))
+    return Batch(outcomes, kept.kept & done.kept, left, (str(Path(os.path.abspath(out), JOURNAL)), *files))
 
 
 def _join_of(task: Task, rows: int | None, virtual: bool) -> Task:
