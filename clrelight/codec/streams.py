@@ -86,6 +86,12 @@ class Source(ABC):
         """Return some columns of rows, each from the first to the one before the end; as of `read_rows`."""
         return self.read_rows(*rows)[:, :, slice(*columns)]
 
+    def read_some(self, row: int, columns: slice) -> NDArray[np.float32]:
+        """Return some pixels of a row, (n_coeff, 1, columns, channel), as `read_rows` does; checked."""
+        coeffs_khwc = self.read_rows(row, row + 1)
+        self.check(coeffs_khwc, row)
+        return coeffs_khwc[:, :, columns]
+
     def read_samples(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
         """Return what coefficients are `linear` in, (n_sample, rows, columns, channel), C-contiguous."""
         raise NotImplementedError

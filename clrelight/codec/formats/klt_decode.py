@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight import recycling
 from clrelight.codec.bodies import Body
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.unit_index import Stored
@@ -49,13 +50,14 @@ class _Maker:
     def coefficients(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
         """See `Maker`."""
         count, height, width = planes_jyx.shape
-        coeffs_khwc = np.empty((self._n_coeff, height, width, self._channel), np.float32)
+        coeffs_khwc = recycling.empty((self._n_coeff, height, width, self._channel), np.float32)
         n_value, pitch = self._n_coeff * self._channel, padded_width(width)
         step = max(SLAB_BYTES // (4 * pitch * (2 * n_value + count)), 1)
         for first in range(0, height, step):
             rows = slice(first, min(first + step, height))
             size = rows.stop - first
-            source = np.ones((count + 1, size, pitch), np.float32)
+            source = recycling.empty((count + 1, size, pitch), np.float32)
+            source[count], source[:count, :, width:] = 1.0, 1.0
             source[:count, :, :width] = planes_jyx[:, rows]
             made = self._device.empty((n_value, size * pitch), np.float32)
             apply_operator(self._device, self._packed, self._device.upload(source.reshape(count + 1, -1)), made)

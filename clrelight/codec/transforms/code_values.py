@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight import recycling
 from clrelight.codec.finite import check_sums
 from clrelight.codec.slabs import slabs
 from clrelight.codec.transforms.metric import hemisphere_metric
@@ -105,7 +106,7 @@ def bent(images: NDArray[np.float32], device: Device, *, decode: bool) -> NDArra
 def _through(coeffs_khwc: NDArray[np.float32], device: Device, *, decode: bool) -> NDArray[np.float32]:
     synthesis, analysis = (pack_operator(device, matrix) for matrix in node_matrices(len(coeffs_khwc)))
     source_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
-    result_kp = np.empty_like(source_kp)
+    result_kp = recycling.empty(source_kp.shape, np.float32)
     for columns in slabs(source_kp.shape[1], 4 * synthesis.shape[0]):
         held = device.hold(np.array(source_kp[:, columns]))
         shown = device.empty((synthesis.shape[0], held.shape[1]), np.float32)

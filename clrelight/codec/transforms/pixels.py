@@ -43,7 +43,13 @@ class Pixels:
 
     def coefficients(self, rows: Span, columns: Span) -> NDArray[np.float32]:
         """Return what is coded, (n_coeff, rows, columns, channel); the next call may overwrite it."""
-        coeffs_khwc = self._read(rows, columns)
+        return self._coded(self._read(rows, columns))
+
+    def of_row(self, row: int, columns: slice) -> NDArray[np.float32]:
+        """Return the same of some pixels of a row, (n_coeff, columns, channel)."""
+        return self._coded(self._source.read_some(row, columns))[:, 0]
+
+    def _coded(self, coeffs_khwc: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.transfer == "srgb":
             return code_values_of(np.ascontiguousarray(coeffs_khwc), self.device)
         return coeffs_khwc

@@ -24,8 +24,8 @@ Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
 Span = tuple[int, int]
 """The first of some rows or columns, and the one behind the last."""
-ReadPart = Callable[[Span, Span], NDArray[np.float32]]
-"""Returns rows and columns of all maps, (n_coeff, rows, columns, channel)."""
+ReadRow = Callable[[int, slice], NDArray[np.float32]]
+"""Returns some pixels of a row of all maps, (n_coeff, columns, channel)."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Whitening:
 
 
 def whitening_of(
-    shape: tuple[int, int, int, int], read: ReadPart, turn_dc: NDArray[np.float64] | None = None
+    shape: tuple[int, int, int, int], read: ReadRow, turn_dc: NDArray[np.float64] | None = None
 ) -> Whitening:
     """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does.
 
@@ -100,7 +100,7 @@ def _whiten(
     return Whitening(exponent, rotation_cc, forward_dq, mean_d, vectors[:, ::-1].T, deviation)
 
 
-def _sample(shape: tuple[int, int, int, int], read: ReadPart) -> NDArray[np.float64]:
+def _sample(shape: tuple[int, int, int, int], read: ReadRow) -> NDArray[np.float64]:
     """Return the coefficients of pixels that lie all over the image, (n_pixel, n_coeff, channel)."""
     n_coeff, height, width, channel = shape
     most = min(_SAMPLED_PIXELS, _SAMPLED_VALUES // (n_coeff * channel))
@@ -108,8 +108,7 @@ def _sample(shape: tuple[int, int, int, int], read: ReadPart) -> NDArray[np.floa
     rows = range(step // 2, height, step)
     column_step = -(-width * len(rows) // most)
     # Copies: rows that are read may be overwritten.
-    every = (0, width)
-    chosen = [read((y, y + 1), every)[:, 0, (7 * i) % column_step :: column_step].copy() for i, y in enumerate(rows)]
+    chosen = [read(y, slice((7 * i) % column_step, width, column_step)).copy() for i, y in enumerate(rows)]
     return np.concatenate(chosen, axis=1).transpose(1, 0, 2).astype(np.float64)
 
 
