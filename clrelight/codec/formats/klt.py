@@ -33,7 +33,7 @@ _CODED = 4.0
 """Times the squared error of the way through a curve and back at which that way is not what to save at."""
 _WHOLE_BYTES = 1 << 29
 """Bytes of a map that is coded behind a curve and without it; of a larger one, pieces are."""
-_PIECE, _PIECE_VALUES = 256, 1 << 23
+_PIECE, _PIECE_VALUES = 128, 1 << 23
 
 
 @register
