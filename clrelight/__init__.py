@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.decode import decode as decode
     from clrelight.jobs.encode import encode as encode
     from clrelight.jobs.export import export as export
+    from clrelight.jobs.find_lights import find_lights as find_lights
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
@@ -94,6 +95,7 @@ _MODULES = {
     "jobs.decode": "decode",
     "jobs.encode": "encode",
     "jobs.export": "export",
+    "jobs.find_lights": "find_lights",
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",

@@ -1,0 +1,235 @@
+"""Lamps by spheres in the photographs: the spheres are found, and the highlight on each, or its shading."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.errors import InputError
+from clrelight.jobs.light_frames import Frames
+from clrelight.jobs.report import Progress, Report, stage
+from clrelight.variation.circles import Circle, find_circles, refine_circle
+from clrelight.variation.highlights import Highlight, find_highlights
+from clrelight.variation.shading import lights_from_normals
+from clrelight.variation.spheres import SphereView, view_sphere
+
+_SIDE, _MOST_LOOKED_AT = 400, 96
+"""Pixels of the longer side, and photographs, in which spheres are looked for."""
+_LEAST_RADIUS, _MOST_RADIUS = 7.0, 0.48
+"""Of a sphere that is looked for, in those pixels, and as a share of the shorter side."""
+_CANDIDATES = 8
+_LEAST_SCORE = 0.35
+_AROUND = 1.35
+"""What is read around a sphere, of its radius."""
+_SHARP_RADIUS = 250.0
+"""Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
+_COMPACT, _RIVAL = 25.0, 0.5
+_LEAST_OUTLINE = 0.5
+_INSIDE = 0.97
+"""Share of a matte sphere's radius within which its shading counts."""
+_STRAY = 6.0
+"""Degrees off what other spheres say beyond which one of several is left out."""
+
+
+@dataclass(frozen=True)
+class SphereLights:
+    """What one sphere tells.
+
+    Attributes
+    ----------
+    circle : Circle
+        In pixels of the photographs.
+    lights_i3 : ndarray, shape (n_light, 3), float64
+        Unit vectors to the lamps; 0 where it does not tell.
+    highlights : tuple of Highlight or None
+        Of a glossy sphere.
+    residual_i : ndarray, shape (n_light,), float64
+        Of a glossy sphere degrees that its highlight is wide, of a matte one what it is off the law.
+    degrees_a_pixel_i : ndarray, shape (n_light,), float64
+    """
+
+    circle: Circle
+    lights_i3: NDArray[np.float64]
+    highlights: tuple[Highlight | None, ...]
+    residual_i: NDArray[np.float64]
+    degrees_a_pixel_i: NDArray[np.float64]
+
+
+def look_for_spheres(frames: Frames, count: int, is_matte: bool, progress: Progress | None) -> list[Circle]:
+    """Return the circles of the spheres in photographs, the surest first.
+
+    Circles are voted for by edges of the mean, the spread and the brightest of all photographs; a glossy sphere is one
+    with a small highlight in each photograph, in changing places, a matte one is shaded as a sphere is.
+
+    Raises
+    ------
+    InputError
+        If fewer than `count` are found.
+    """
+    height, width = frames.shape_hw
+    factor = max(1, -(-max(height, width) // _SIDE))
+    n_light = len(frames.names)
+    lights = np.unique(np.linspace(0, n_light - 1, min(n_light, _MOST_LOOKED_AT)).round().astype(int)).tolist()
+    with stage(progress, "looking for spheres") as tell:
+        samples_ihw = frames.take((0, 0, width, height), factor, lights, tell)
+    pictures = _pictures(samples_ihw)
+    radii = _LEAST_RADIUS, _MOST_RADIUS * min(samples_ihw.shape[1:])
+    if radii[1] <= radii[0]:
+        raise InputError(f"photographs of {width}×{height} pixels are too small for a sphere to be found in them")
+    scored: list[tuple[float, Circle]] = []
+    for start in find_circles(pictures, radii, _CANDIDATES):
+        circle, _ = _outlined(pictures, start)
+        if circle.outline >= _LEAST_OUTLINE:
+            judge = _matte_share if is_matte else _highlight_share
+            scored.append((circle.outline * judge(samples_ihw, circle), circle))
+    scored.sort(key=lambda each: each[0], reverse=True)
+    kept: list[Circle] = []
+    for score, circle in scored:
+        apart = all(np.hypot(circle.x - o.x, circle.y - o.y) > 0.7 * max(circle.radius, o.radius) for o in kept)
+        if score >= _LEAST_SCORE and apart and len(kept) < count:
+            kept.append(circle)
+    if len(kept) < count:
+        found = f"only {len(kept)} of {count} spheres are" if kept else "no sphere is"
+        hint = "" if is_matte else ", --kind matte if it does not shine"
+        best = f" (the best candidate scores {scored[0][0]:.2f} of {_LEAST_SCORE:g})" if scored else ""
+        raise InputError(f"{found} found in the photographs{best}: say where with --sphere X,Y,RADIUS{hint}")
+    return [circle.scaled(factor) for circle in kept]
+
+
+def _pictures(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    return [samples_ihw.mean(axis=0), samples_ihw.std(axis=0), samples_ihw.max(axis=0)]
+
+
+def _outlined(pictures: Sequence[NDArray[np.float32]], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
+    """Return the circle by the first picture that shows it well.
+
+    The mean over the photographs keeps an edge of the sphere where it is; the spread and the maximum move it.
+    """
+    tried = [refine_circle([picture_hw], start) for picture_hw in pictures]
+    most = max(each[0].outline for each in tried)
+    return next(each for each in tried if each[0].outline >= 0.8 * most)
+
+
+def _highlight_share(samples_ihw: NDArray[np.float32], circle: Circle) -> float:
+    """Return the share of photographs with one small highlight, less where it does not move."""
+    part_ihw, inner, corner = _cut(samples_ihw, circle)
+    sphere = view_sphere(circle, samples_ihw.shape[1:])
+    found = [each for each in find_highlights(part_ihw, inner, sphere, 1.0, corner) if each is not None]
+    sound = [each for each in found if each.spread < _COMPACT and each.rival < _RIVAL]
+    if not sound:
+        return 0.0
+    places = np.array([(each.x, each.y) for each in sound])
+    moved = float(np.hypot(*places.std(axis=0)) / circle.radius) if len(samples_ihw) > 1 else 1.0
+    return len(sound) / len(samples_ihw) * min(1.0, moved / 0.1)
+
+
+def _matte_share(samples_ihw: NDArray[np.float32], circle: Circle) -> float:
+    """Return how much of the brightness inside a circle is a matte sphere's, of one albedo."""
+    part_ihw, inner, corner = _cut(samples_ihw, circle)
+    lights = _shaded(part_ihw, inner, view_sphere(circle, samples_ihw.shape[1:]), 1.0, corner)
+    return float(np.mean((1.0 - np.minimum(4.0 * lights.residual_i, 1.0)) * (lights.lit_i > 0.1)))
+
+
+def _cut(samples_ihw: NDArray[np.float32], circle: Circle) -> tuple[NDArray[np.float32], Circle, tuple[int, int]]:
+    x, y, width, height = _window(circle, samples_ihw.shape[1:])
+    inner = Circle(circle.x - x, circle.y - y, circle.radius, circle.outline, circle.off)
+    return samples_ihw[:, y : y + height, x : x + width], inner, (x, y)
+
+
+def _window(circle: Circle, shape_hw: tuple[int, int]) -> tuple[int, int, int, int]:
+    reach = _AROUND * circle.radius + 2.0
+    left, top = max(0, int(circle.x - reach)), max(0, int(circle.y - reach))
+    right, bottom = min(shape_hw[1], int(circle.x + reach) + 2), min(shape_hw[0], int(circle.y + reach) + 2)
+    return left, top, right - left, bottom - top
+
+
+def lights_of_sphere(
+    frames: Frames, start: Circle, is_given: bool, is_matte: bool, focal: float | None, budget: int,
+    progress: Progress | None, report: Report,
+) -> SphereLights:
+    """Return the lamps that one sphere tells of, at the resolution that the memory and the sphere ask for.
+
+    A circle that is given is moved onto the outline, if there is one within a tenth of the radius; else taken as it is.
+    """
+    since = time.perf_counter()
+    height, width = frames.shape_hw
+    window = _window(start, (height, width))
+    if window[2] < 8 or window[3] < 8:
+        raise InputError(f"sphere {start.x:g},{start.y:g},{start.radius:g} lies outside the photographs, {width}×{height}")
+    bytes_all = 3.0 * len(frames.names) * window[2] * window[3] * 4
+    factor = max(1, int(start.radius // _SHARP_RADIUS), int(np.ceil(np.sqrt(bytes_all / budget))))
+    with stage(progress, "reading spheres") as tell:
+        part_ihw = frames.take(window, factor, None, tell)
+    since = report.add("read", since)
+    corner = window[0], window[1]
+    inside = Circle(
+        (start.x - window[0] + 0.5) / factor - 0.5, (start.y - window[1] + 0.5) / factor - 0.5, start.radius / factor
+    )
+    refined, outline_n2 = _outlined(_pictures(part_ihw), inside)
+    away = np.hypot(refined.x - inside.x, refined.y - inside.y) + abs(refined.radius - inside.radius)
+    if refined.outline < _LEAST_OUTLINE or (is_given and away > 0.1 * inside.radius):
+        if is_given:
+            report.note(f"no outline is seen at sphere {start.x:g},{start.y:g},{start.radius:g}: it is taken as it is")
+        refined, outline_n2 = inside, np.zeros((0, 2))
+    circle = refined.scaled(factor, *corner)
+    outline_n2 = (outline_n2 + 0.5) * factor - 0.5 + np.array(corner)
+    sphere = view_sphere(circle, (height, width), focal, outline_n2)
+    if is_matte:
+        shaded = _shaded(part_ihw, refined, sphere, factor, corner)
+        length_i = np.linalg.norm(shaded.lights_i3, axis=1, keepdims=True)
+        lights_i3 = np.where(length_i > 0.0, shaded.lights_i3 / np.maximum(length_i, 1e-12), 0.0)
+        highlights: tuple[Highlight | None, ...] = ()
+        residual_i = shaded.residual_i
+    else:
+        found = find_highlights(part_ihw, refined, sphere, factor, corner, frames.most())
+        lights_i3 = np.array([np.zeros(3) if each is None else each.light_3 for each in found])
+        highlights = tuple(found)
+        residual_i = np.array([np.nan if each is None else each.spread for each in found])
+    report.add("highlights" if not is_matte else "shading", since)
+    worth_i = np.array([sphere.degrees_a_pixel(light_3) for light_3 in lights_i3])
+    return SphereLights(circle, lights_i3, highlights, residual_i, worth_i)
+
+
+def _shaded(
+    part_ihw: NDArray[np.float32], inner: Circle, sphere: SphereView, factor: float, corner: tuple[int, int]
+):
+    y_p, x_p = np.nonzero(_disc(part_ihw.shape[1:], inner))
+    step = max(1, len(y_p) // 20_000)
+    y_p, x_p = y_p[::step], x_p[::step]
+    normals_p3 = sphere.normals((x_p + 0.5) * factor - 0.5 + corner[0], (y_p + 0.5) * factor - 0.5 + corner[1])
+    seen_p = normals_p3.any(axis=1)
+    samples_ip = part_ihw[:, y_p[seen_p], x_p[seen_p]]
+    # One albedo all over: what a ball is painted with.
+    return lights_from_normals(samples_ip, normals_p3[seen_p], np.ones(int(seen_p.sum())))
+
+
+def _disc(shape_hw: tuple[int, int], circle: Circle) -> NDArray[np.bool_]:
+    y_hw, x_hw = np.ogrid[: shape_hw[0], : shape_hw[1]]
+    inside_hw: NDArray[np.bool_] = np.hypot(x_hw - circle.x, y_hw - circle.y) < _INSIDE * circle.radius
+    return inside_hw
+
+
+def agree(spheres: Sequence[SphereLights]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return each lamp's mean over the spheres that tell of it, and how far these are apart in degrees (NaN of one).
+
+    Of three and more, those far off the one in the middle are left out.
+    """
+    lights_si3 = np.stack([each.lights_i3 for each in spheres])
+    mean_i3, apart_i = np.zeros(lights_si3.shape[1:]), np.full(lights_si3.shape[1], np.nan)
+    for i in range(lights_si3.shape[1]):
+        told_s3 = lights_si3[np.any(lights_si3[:, i] != 0.0, axis=1), i]
+        if not len(told_s3):
+            continue
+        off_ss = np.degrees(np.arccos(np.clip(told_s3 @ told_s3.T, -1.0, 1.0)))
+        if len(told_s3) > 2:
+            middle = int(np.median(off_ss, axis=1).argmin())
+            told_s3 = told_s3[off_ss[middle] < max(_STRAY, 3.0 * float(np.median(off_ss[middle])))]
+        mean_3 = told_s3.sum(axis=0)
+        mean_i3[i] = mean_3 / np.linalg.norm(mean_3)
+        if len(told_s3) > 1:
+            apart_i[i] = float(np.degrees(np.arccos(np.clip(told_s3 @ mean_i3[i], -1.0, 1.0))).max())
+    return mean_i3, apart_i
