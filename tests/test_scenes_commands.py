@@ -89,7 +89,7 @@ def test_refusals(tmp_path, monkeypatch, words, message):
 
 
 def test_registry_says_what_renderers_take():
-    assert list(SCENES) == ["ring", "torus", "dama"]
+    assert list(SCENES) == ["ring", "torus", "dama", "head"]
     assert scenes_with("material") == ("dama",)
     assert SCENES["torus"].stack_name({"albedo": "tiles", "dtype": "float32", "size": 9}) == "tiles-torus"
     for scene in SCENES.values():

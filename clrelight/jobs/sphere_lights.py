@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize
 
 from clrelight.errors import InputError
 from clrelight.jobs.light_frames import Frames
@@ -28,7 +29,7 @@ _AROUND = 1.35
 _SHARP_RADIUS = 250.0
 """Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
 _COMPACT, _RIVAL = 25.0, 0.5
-_LEAST_OUTLINE = 0.5
+_LEAST_OUTLINE, _MEAN_SHARE = 0.5, 0.75
 _INSIDE = 0.97
 """Share of a matte sphere's radius within which its shading counts."""
 _STRAY = 6.0
@@ -100,18 +101,29 @@ def look_for_spheres(frames: Frames, count: int, is_matte: bool, progress: Progr
     return [circle.scaled(factor) for circle in kept]
 
 
-def _pictures(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-    return [samples_ihw.mean(axis=0), samples_ihw.std(axis=0), samples_ihw.max(axis=0)]
+def _pictures(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.floating]]:
+    """Return the mean, how odd each pixel is, the spread and the brightest of some photographs.
+
+    Odd is what goes with the lamp otherwise than most pixels do: a table's texture, however strong, is not, a sphere
+    is. It is the angle between a pixel's samples and the median of all, each of length 1.
+    """
+    length_hw = np.sqrt(np.einsum("ihw,ihw->hw", samples_ihw, samples_ihw)) + 1e-6
+    usual_i = np.median((samples_ihw / length_hw).reshape(len(samples_ihw), -1), axis=1)
+    usual_i /= max(float(np.linalg.norm(usual_i)), 1e-12)
+    odd_hw = np.arccos(np.clip(np.einsum("i,ihw->hw", usual_i, samples_ihw) / length_hw, -1.0, 1.0))
+    return [samples_ihw.mean(axis=0), odd_hw, samples_ihw.std(axis=0), samples_ihw.max(axis=0)]
 
 
-def _outlined(pictures: Sequence[NDArray[np.float32]], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
+def _outlined(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
     """Return the circle by the first picture that shows it well.
 
-    The mean over the photographs keeps an edge of the sphere where it is; the spread and the maximum move it.
+    The mean over the photographs keeps an edge of the sphere where it is; the others, which are no sums of light, move
+    it where it runs through a pixel.
     """
     tried = [refine_circle([picture_hw], start) for picture_hw in pictures]
-    most = max(each[0].outline for each in tried)
-    return next(each for each in tried if each[0].outline >= 0.8 * most)
+    best = max(tried, key=lambda each: each[0].outline)
+    mean = refine_circle(pictures[:1], best[0])
+    return mean if mean[0].outline >= _MEAN_SHARE * best[0].outline else best
 
 
 def _highlight_share(samples_ihw: NDArray[np.float32], circle: Circle) -> float:
@@ -179,6 +191,9 @@ def lights_of_sphere(
     outline_n2 = (outline_n2 + 0.5) * factor - 0.5 + np.array(corner)
     sphere = view_sphere(circle, (height, width), focal, outline_n2)
     if is_matte:
+        refined = _settle(part_ihw, refined)
+        circle = refined.scaled(factor, *corner)
+        sphere = view_sphere(circle, (height, width), focal, None)
         shaded = _shaded(part_ihw, refined, sphere, factor, corner)
         length_i = np.linalg.norm(shaded.lights_i3, axis=1, keepdims=True)
         lights_i3 = np.where(length_i > 0.0, shaded.lights_i3 / np.maximum(length_i, 1e-12), 0.0)
@@ -205,6 +220,33 @@ def _shaded(
     samples_ip = part_ihw[:, y_p[seen_p], x_p[seen_p]]
     # One albedo all over: what a ball is painted with.
     return lights_from_normals(samples_ip, normals_p3[seen_p], np.ones(int(seen_p.sum())))
+
+
+def _settle(part_ihw: NDArray[np.float32], start: Circle) -> Circle:
+    """Return the circle whose sphere explains the shading best: that of a matte one fades towards its outline."""
+    y_p, x_p = np.nonzero(_disc(part_ihw.shape[1:], replace(start, radius=0.92 * start.radius)))
+    step, stride = max(1, len(y_p) // 1500), max(1, len(part_ihw) // 16)
+    y_p, x_p = y_p[::step], x_p[::step]
+    samples_ip = part_ihw[::stride, y_p, x_p].astype(np.float64)
+    lit_ip = samples_ip > 0.1 * np.quantile(samples_ip, 0.95, axis=1, keepdims=True)
+    energy = float(np.sum(samples_ip[lit_ip] ** 2))
+
+    def off(parameters: NDArray[np.float64]) -> float:
+        x, y, radius = parameters
+        u_p, v_p = (x_p - x) / radius, (y - y_p) / radius
+        normals_p3 = np.stack([u_p, v_p, np.sqrt(np.maximum(1.0 - u_p**2 - v_p**2, 0.0))], axis=1)
+        left = 0.0
+        for each_p, lit_p in zip(samples_ip, lit_ip, strict=True):
+            found = np.linalg.lstsq(normals_p3[lit_p], each_p[lit_p], rcond=None)[0]
+            left += float(np.sum((normals_p3[lit_p] @ found - each_p[lit_p]) ** 2))
+        return left / energy
+
+    begin = np.array([start.x, start.y, start.radius])
+    simplex = begin + 0.04 * start.radius * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    found = optimize.minimize(off, begin, method="Nelder-Mead", options={"initial_simplex": simplex, "maxiter": 80})
+    x, y, radius = (float(each) for each in found.x)
+    near = np.hypot(x - start.x, y - start.y) + abs(radius - start.radius) < 0.15 * start.radius
+    return replace(start, x=x, y=y, radius=radius) if near else start
 
 
 def _disc(shape_hw: tuple[int, int], circle: Circle) -> NDArray[np.bool_]:

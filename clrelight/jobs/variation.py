@@ -75,14 +75,9 @@ def principal_components(
     if isinstance(source, Surface) or suffix in MESHES:
         surface = source if isinstance(source, Surface) else read_mesh(source, up=up)  # type: ignore[arg-type]
         kept.note(*surface.notes)
-        weights_v = vertex_areas(surface) * np.maximum(surface.normals_v3[:, 2], 0.0)
-        if surface.albedo_vc is not None:
-            weights_v *= np.mean(surface.albedo_vc.astype(np.float64) ** 2, axis=1)
-        seen_v = weights_v > 0.0
-        found = analytic_subspace(
-            surface.normals_v3[seen_v], weights_v[seen_v], degree=whole(degree, "degree"), centred=centred
-        )
-        kind, count = "mesh", int(seen_v.sum())
+        normals_v3, weights_v = visible_vertices(surface)
+        found = analytic_subspace(normals_v3, weights_v, degree=whole(degree, "degree"), centred=centred)
+        kind, count = "mesh", len(normals_v3)
     elif suffix in IMAGE_EXTENSIONS:
         normals_p3 = read_normals(source, green)[0]  # type: ignore[arg-type]
         found = analytic_subspace(normals_p3, degree=whole(degree, "degree"), centred=centred)
@@ -100,6 +95,20 @@ def principal_components(
         "cumulative": {str(each): found.cumulative(each) for each in _TOLD},
     }
     return found
+
+
+def visible_vertices(surface: Surface) -> tuple[NDArray[np.floating], NDArray[np.float64]]:
+    """Return normals of the vertices that face +z, and the areas that they show, times their squared albedo.
+
+    InputError if none does.
+    """
+    weights_v = vertex_areas(surface) * np.maximum(surface.normals_v3[:, 2], 0.0)
+    if surface.albedo_vc is not None:
+        weights_v *= np.mean(surface.albedo_vc.astype(np.float64) ** 2, axis=1)
+    seen_v = weights_v > 0.0
+    if not seen_v.any():
+        raise InputError("no vertex of the mesh faces +z: which axis points up? (--up)")
+    return surface.normals_v3[seen_v], weights_v[seen_v]
 
 
 def _blocks(stack: LightStack, budget: int, tell: object) -> Iterator[NDArray[np.float32]]:

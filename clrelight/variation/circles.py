@@ -79,8 +79,8 @@ def find_circles(
             votes_hw += np.bincount(place_e, weight_e[inside_e], height * width)
         blur = max(1.0, 0.025 * radius)
         smooth_hw = ndimage.gaussian_filter(votes_hw.reshape(height, width), blur, mode="constant")
-        # A share of the outline: smoothed votes of a whole circle of one-pixel edges are about this many.
-        smooth_hw *= 2.0 * np.pi * blur**2 / (2.0 * np.pi * radius)
+        # A share of the outline; that of a large circle comes about by chance less often than that of a small one.
+        smooth_hw *= blur**2 / np.sqrt(radius)
         is_top_hw = smooth_hw == ndimage.maximum_filter(smooth_hw, max(3, int(0.3 * radius)))
         rows, columns = np.nonzero(is_top_hw & (smooth_hw > 0.0))
         best = np.argsort(smooth_hw[rows, columns])[::-1][:count]
