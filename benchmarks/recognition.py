@@ -34,7 +34,7 @@ Make = Callable[[np.random.Generator, NDArray[np.float64]], NDArray[np.float64]]
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--subjects", type=click.IntRange(min=2), default=24, show_default=True)
-@click.option("--photographs", type=click.IntRange(min=1), default=8, show_default=True, help="Of each, in each light.")
+@click.option("--photographs", type=click.IntRange(min=1), default=6, show_default=True, help="Of each, in each light.")
 @click.option("--size", type=click.IntRange(min=16), default=SIZE, show_default=True, help="Pixels of each side.")
 @click.option("--markdown", type=click.Path(dir_okay=False, path_type=Path), help="Replace the table of a page.")
 def main(subjects: int, photographs: int, size: int, markdown: Path | None) -> None:
@@ -87,7 +87,11 @@ def photograph(
 def _turned(rng: np.random.Generator, directions_i3: NDArray[np.float64], about: str = "any") -> NDArray[np.float64]:
     """Return directions in the frame of light that is turned: any way, or about the upright axis y alone."""
     if about == "any":
-        angles = rng.uniform(-180.0, 180.0), float(np.degrees(np.arccos(rng.uniform(-1.0, 1.0)))), rng.uniform(-180, 180)
+        angles = (
+            rng.uniform(-180.0, 180.0),
+            float(np.degrees(np.arccos(rng.uniform(-1.0, 1.0)))),
+            rng.uniform(-180, 180),
+        )
         return directions_i3 @ rotation_matrix("euler", angles)
     angle = rng.uniform(0.0, 2.0 * np.pi)
     c, s = np.cos(angle), np.sin(angle)

@@ -1,7 +1,7 @@
 """Heads for tests of recognition: ellipsoids with nose, brows, eyes and lips, and painted regions, by a seed.
 
-A head is a height field over the picture's plane, seen from afar. Its photographs under any light have attached and cast
-shadows: from each pixel the way to the light is followed over the heights.
+A head is a height field over the picture's plane, seen from afar. Its photographs under any light have attached and
+cast shadows: from each pixel the way to the light is followed over the heights.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ WIDTH = 2.4
 """Of the picture, in the units of heads, which are about 1.5 wide and 2 high."""
 _STEPS, _FAR = 40, 1.6
 """Places that are looked at on the way to a light, and how far, in those units."""
-_BIAS = 0.02
+_BIAS, _BLOCK = 0.02, 1 << 16
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,10 @@ def _paint(rng: np.random.Generator, seed: int, x_hw: NDArray, y_hw: NDArray) ->
     mottle_hw = 1.0 + 0.3 * (fractal_noise(places_s2, seed).reshape(x_hw.shape) - 0.5)
     colour_hwc = skin * mottle_hw[:, :, None]
     regions: list[tuple[NDArray[np.bool_], NDArray[np.float64]]] = [
-        (_bump(x_hw, y_hw, 0.0, rng.uniform(-0.52, -0.42), rng.uniform(0.15, 0.24), 0.06) > 0.4, skin * [0.9, 0.5, 0.5]),
+        (
+            _bump(x_hw, y_hw, 0.0, rng.uniform(-0.52, -0.42), rng.uniform(0.15, 0.24), 0.06) > 0.4,
+            skin * [0.9, 0.5, 0.5],
+        ),
         (y_hw > line + 0.3 * rng.uniform(-1.0, 1.0) * x_hw**2, hair),
     ]
     for side in (-1.0, 1.0):
@@ -135,20 +138,20 @@ def shade_head(head: Head, directions_i3: NDArray[np.float64], cast: bool = True
     padded_hw = np.pad(head.heights_hw, 1, constant_values=-np.inf)
     start_p = head.heights_hw[head.mask_hw]
     way_t = step + (np.arange(_STEPS) / _STEPS) ** 1.5 * _FAR
-    for i, (x, y, z) in enumerate(directions_i3):
-        lit_p = np.flatnonzero(shade_ip[i] > 0.0)
-        free_p = np.ones(len(lit_p), bool)
+    block = max(1, _BLOCK // max(1, len(row_p)))
+    for first in range(0, len(directions_i3), block):
+        part = slice(first, first + block)
+        x_i1, y_i1, z_i1 = (directions_i3[part, axis, None] for axis in range(3))
+        free_ip = np.ones((len(x_i1), len(row_p)), bool)
         for way in way_t:
-            row = np.clip(np.rint(row_p[lit_p] - way * y / step).astype(int), -1, size) + 1
-            column = np.clip(np.rint(column_p[lit_p] + way * x / step).astype(int), -1, size) + 1
-            free_p &= padded_hw[row, column] <= start_p[lit_p] + way * z + _BIAS
-        shade_ip[i, lit_p[~free_p]] = 0.0
+            row_ip = np.clip(np.rint(row_p - way * y_i1 / step).astype(np.int32), -1, size) + 1
+            column_ip = np.clip(np.rint(column_p + way * x_i1 / step).astype(np.int32), -1, size) + 1
+            free_ip &= padded_hw[row_ip, column_ip] <= start_p + way * z_i1 + _BIAS
+        shade_ip[part] *= free_ip
     return shade_ip
 
 
-def photograph_head(
-    head: Head, shade_ip: NDArray[np.float32], radiance_ic: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def photograph_head(head: Head, shade_ip: NDArray[np.float32], radiance_ic: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return the head under many lights at once, (height, width, 3): ``albedo sum_i radiance_i shade_i``.
 
     Parameters

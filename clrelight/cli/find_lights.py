@@ -108,7 +108,9 @@ def _table(lights: list[dict[str, Any]], by: str, kind: str) -> tuple[list[str],
 def _outline_line(outlines: list[dict[str, float]]) -> dict[str, str]:
     if not outlines:
         return {}
-    return {"outline": ", ".join(f"{each['seen']:.0%} seen, {each['off']:.2f} pixels off a circle" for each in outlines)}
+    return {
+        "outline": ", ".join(f"{each['seen']:.0%} seen, {each['off']:.2f} pixels off a circle" for each in outlines)
+    }
 
 
 def _known_line(facts: dict[str, Any]) -> dict[str, str]:

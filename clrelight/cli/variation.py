@@ -37,6 +37,7 @@ def variation() -> None:
 @click.option("--degree", type=whole_number(0, 30), default=2, show_default=True, help="Of light (mesh, normals).")
 @_green_option
 @click.option("--up", type=click.Choice(["y", "z"]), help="Axis of a mesh's file that points up; default: z, of GLB y.")
+@click.option("--pictures", type=click.Path(), metavar="FOLDER", help="Also pictures of the components; grey is 0.")
 @memory_option("256MiB", "samples of a stack on their way")
 @json_option
 def pca(source: str, as_json: bool, **asked: Any) -> None:
@@ -47,7 +48,7 @@ def pca(source: str, as_json: bool, **asked: Any) -> None:
     \b
     Example:
       clrelight variation pca stack.h5
-      clrelight variation pca normals.exr --raw
+      clrelight variation pca normals.exr --raw --pictures components/
     """
     from clrelight.jobs.variation import principal_components
 
@@ -61,6 +62,7 @@ def pca(source: str, as_json: bool, **asked: Any) -> None:
         "mean": "taken off" if facts["centred"] else "kept",
         "each": ", ".join(f"{each:.4f}" for each in facts["variance"]),
         **{f"first {count}": f"{share:.4f}" for count, share in facts["cumulative"].items()},
+        **({"pictures": f"{facts['folder']}, {len(facts['files'])} files"} if "folder" in facts else {}),
     }
     print_report(report, as_json, lines)
 
@@ -68,7 +70,12 @@ def pca(source: str, as_json: bool, **asked: Any) -> None:
 @variation.command()
 @click.argument("source", metavar="STACK|MESH|NORMALS", type=click.Path())
 @click.option(
-    "--holdout", type=whole_number(2), default=5, show_default=True, metavar="K", help="Test by every K-th light (stack)."
+    "--holdout",
+    type=whole_number(2),
+    default=5,
+    show_default=True,
+    metavar="K",
+    help="Test by every K-th light (stack).",
 )
 @click.option("--albedo", type=click.Path(), metavar="IMAGE", help="Albedo beside a picture of normals.")
 @click.option(
@@ -203,7 +210,14 @@ def recognise(gallery: str, photographs: tuple[str, ...], as_json: bool, **asked
     facts = report.facts
     if not as_json:
         rows = [
-            [each["photograph"], each["space"], str(rank), ranked["subject"], f"{ranked['distance']:.4f}", _margin(each, rank)]
+            [
+                each["photograph"],
+                each["space"],
+                str(rank),
+                ranked["subject"],
+                f"{ranked['distance']:.4f}",
+                _margin(each, rank),
+            ]
             for each in facts["photographs"]
             for rank, ranked in enumerate(each["ranks"][:3], start=1)
         ]

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from clrelight.jobs.sphere_lights import SphereLights, agree, lights_of_sphere, 
 from clrelight.jobs.written import count_bytes
 from clrelight.light_files import write_lp
 from clrelight.memory import IMAGE_MEMORY
+from clrelight.threads import on_one_thread
 from clrelight.variation.circles import Circle
 
 WAYS = ("sphere", "object")
@@ -50,7 +52,7 @@ class FoundLights:
 
     names: tuple[str, ...]
     directions_i3: NDArray[np.float64]
-    rows: tuple[dict[str, float | str | bool | None], ...]
+    rows: tuple[dict[str, Any], ...]
 
 
 def find_lights(
@@ -119,6 +121,7 @@ def find_lights(
     with (
         claimed([out, csv, picture], paths_among(source, normals, albedo, mask), kept),
         lend_frames(source, transfer, kept) as frames,
+        on_one_thread(),
     ):
         told: list[SphereLights] = []
         if by == "object":
@@ -178,7 +181,8 @@ def _rows(told: Sequence[SphereLights], kind: str) -> tuple[NDArray[np.float64],
     rows = []
     for i, light_3 in enumerate(directions_i3):
         # What a highlight is worth: brighter than its rivals, and not much dimmer than those of other photographs.
-        seen = [each.highlights[i] for each in told if each.highlights and each.highlights[i] is not None]
+        marks = [each.highlights[i] for each in told if each.highlights]
+        seen = [each for each in marks if each is not None]
         best = max(seen, key=lambda each: each.height) if seen else None
         row: dict = {"confidence": 0.0, "degrees_a_pixel": None, "apart": None, "residual": None}
         if light_3.any():
@@ -197,11 +201,9 @@ def _rows(told: Sequence[SphereLights], kind: str) -> tuple[NDArray[np.float64],
     return directions_i3, rows
 
 
-def _tell(
-    found: FoundLights, frames: Frames, by: str, kind: str, told: Sequence[SphereLights], report: Report
-) -> None:
+def _tell(found: FoundLights, frames: Frames, by: str, kind: str, told: Sequence[SphereLights], report: Report) -> None:
     directions_i3 = found.directions_i3
-    seen_i = directions_i3.any(axis=1)
+    seen_i: NDArray[np.bool_] = np.any(directions_i3 != 0.0, axis=1)
     if not seen_i.any():
         what = "highlight" if by == "sphere" and kind == "glossy" else "light"
         raise InputError(f"no {what} is found in any of the {len(found.names)} photographs")

@@ -152,7 +152,9 @@ def _read(
         small_hw = shrink((np.ones(frames.shape_hw, bool) if mask_hw is None else mask_hw)[:, :, None], factor)
         known = None if directions_i3 is None else directions_i3[chosen]
         kind = "photographs" if known is None else "stack"
-        return Subject(entry.stem if entry.is_file() else entry.name, kind, small_hw[:, :, 0] > 0.5, (samples_ihwc, known))
+        return Subject(
+            entry.stem if entry.is_file() else entry.name, kind, small_hw[:, :, 0] > 0.5, (samples_ihwc, known)
+        )
 
 
 def _of_normals(name: str, normals_hw3: NDArray, albedo_hwc: NDArray, inside_hw: NDArray, factor: int) -> Subject:

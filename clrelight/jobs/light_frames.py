@@ -85,7 +85,8 @@ class Frames:
             tell(where.stop if first + across_irw.shape[1] >= height else where.start, len(chosen))
         rows = np.minimum(factor, height - factor * np.arange(shape[0]))
         columns = np.minimum(factor, width - factor * np.arange(shape[1]))
-        return sums_ihw / (rows[:, None] * columns).astype(np.float32)
+        sums_ihw /= (rows[:, None] * columns).astype(np.float32)
+        return sums_ihw
 
     def _blocks(self, lights: list[int], first: int, end: int) -> Iterator[tuple[slice, int, NDArray]]:
         if self.headers is not None:
@@ -112,9 +113,7 @@ def lend_frames(source: StackLike, transfer: str, report: Report) -> Iterator[Fr
         paths = list_series(folder)
         headers = read_headers(list(paths), None, False)
         head = headers[0]
-        blank_ihwc = np.broadcast_to(
-            np.zeros((), head.dtype), (len(headers), head.height, head.width, head.channels)
-        )
+        blank_ihwc = np.broadcast_to(np.zeros((), head.dtype), (len(headers), head.height, head.width, head.channels))
         up_i3 = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(headers), 3))
         stack = LightStack(blank_ihwc, up_i3, default_peak(head.dtype), transfer)
         yield Frames(tuple(path.name for path in paths), stack, headers, False)

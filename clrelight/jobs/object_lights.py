@@ -19,10 +19,11 @@ from clrelight.masks import read_mask
 from clrelight.variation.factoring import lights_from_surface
 from clrelight.variation.shading import lights_from_normals
 
-_PIXELS = 20_000
+_PIXELS = 8_000
 """That are enough: three unknowns a lamp."""
 _UNEVEN = 0.15
 """Of intensities found, beyond which lamps were not equal or the surface not matte."""
+
 
 def lights_of_object(
     frames: Frames,
@@ -42,6 +43,53 @@ def lights_of_object(
         If pictures do not fit the photographs, or the object does not tell lights.
     """
     since = time.perf_counter()
+    inside_hw, normals_hw3 = _read_object(frames, normals, mask, green, report)
+    y_p, x_p = np.nonzero(inside_hw)
+    left, top = int(x_p.min()), int(y_p.min())
+    window = left, top, int(x_p.max()) + 1 - left, int(y_p.max()) + 1 - top
+    few = int(np.sqrt(len(y_p) / _PIXELS))
+    tight = int(np.ceil(np.sqrt(3.0 * len(frames.names) * window[2] * window[3] * 4 / budget)))
+    factor = max(1, few, tight)
+    with stage(progress, "reading images") as tell:
+        samples_ihw = frames.take(window, factor, None, tell)
+    since = report.add("read", since)
+    used_hw = _shrunk(inside_hw, window, factor)[:, :, 0] > 0.99
+    with stage(progress, "finding lights"):
+        if normals_hw3 is None:
+            lights_i3, residual_i = _with_surface(samples_ihw, used_hw, report)
+        else:
+            mean_hw3 = _shrunk(normals_hw3, window, factor)
+            length_hw = np.linalg.norm(mean_hw3, axis=2)
+            # Blocks across an edge of the surface have no normal of their own.
+            used_hw &= length_hw > 0.97
+            if not used_hw.any():
+                raise InputError(f"no block of {factor}×{factor} pixels has one normal: give more --memory")
+            albedo_p = None
+            if albedo is not None:
+                values_hwc = read_image(path_text(albedo, "an albedo"))
+                _check_size(albedo, values_hwc.shape[:2], frames)
+                albedo_p = _shrunk(values_hwc.astype(np.float32).mean(axis=2), window, factor)[:, :, 0][used_hw]
+            unit_p3 = mean_hw3[used_hw] / length_hw[used_hw][:, None]
+            shaded = lights_from_normals(samples_ihw[:, used_hw], unit_p3, albedo_p)
+            lights_i3, residual_i = shaded.lights_i3, shaded.residual_i
+    report.add("solve", since)
+    length_i = np.linalg.norm(lights_i3, axis=1)
+    mean = float(length_i[length_i > 0.0].mean()) if length_i.any() else 1.0
+    rows = [
+        {"confidence": max(0.0, 1.0 - float(residual)), "residual": float(residual), "intensity": float(length / mean)}
+        for residual, length in zip(residual_i, length_i, strict=True)
+    ]
+    return np.where(length_i[:, None] > 0.0, lights_i3 / np.maximum(length_i, 1e-12)[:, None], 0.0), rows
+
+
+def _read_object(
+    frames: Frames,
+    normals: str | os.PathLike[str] | None,
+    mask: str | os.PathLike[str] | None,
+    green: str,
+    report: Report,
+) -> tuple[NDArray[np.bool_], NDArray[np.float32] | None]:
+    """Return where the object is, and its normals where they are known."""
     height, width = frames.shape_hw
     inside_hw = np.ones((height, width), bool) if frames.stack.mask_hw is None else frames.stack.mask_hw
     if mask is not None:
@@ -56,51 +104,21 @@ def lights_of_object(
         inside_hw = inside_hw & known_hw
     if not inside_hw.any():
         raise InputError("no pixel of the photographs is inside the mask and has a normal")
-    y_p, x_p = np.nonzero(inside_hw)
-    left, top = int(x_p.min()), int(y_p.min())
-    window = left, top, int(x_p.max()) + 1 - left, int(y_p.max()) + 1 - top
-    few = int(np.sqrt(len(y_p) / _PIXELS))
-    tight = int(np.ceil(np.sqrt(3.0 * len(frames.names) * window[2] * window[3] * 4 / budget)))
-    factor = max(1, few, tight)
-    with stage(progress, "reading images") as tell:
-        samples_ihw = frames.take(window, factor, None, tell)
-    since = report.add("read", since)
-    small_hw = _shrunk(inside_hw, window, factor)[:, :, 0] > 0.99
-    with stage(progress, "finding lights"):
-        if normals_hw3 is None:
-            factored = lights_from_surface(samples_ihw, small_hw)
-            lights_i3, residual_i = factored.lights_i3, factored.residual_i
-            report.facts["uneven"] = factored.uneven
-            report.note(
-                "lamps and surface were found together: right where lamps are equally bright, the object is matte and "
-                "bulges towards the camera; else all lights are off by one bas-relief"
-            )
-            if factored.uneven > _UNEVEN:
-                report.note(f"the lamps come out uneven by {factored.uneven:.0%}: do not trust them")
-        else:
-            mean_hw3 = _shrunk(normals_hw3, window, factor)
-            length_hw = np.linalg.norm(mean_hw3, axis=2)
-            # Blocks across an edge of the surface have no normal of their own.
-            used_hw = small_hw & (length_hw > 0.97)
-            if not used_hw.any():
-                raise InputError(f"no block of {factor}×{factor} pixels has one normal: give more --memory")
-            albedo_p = None
-            if albedo is not None:
-                values_hwc = read_image(path_text(albedo, "an albedo"))
-                _check_size(albedo, values_hwc.shape[:2], frames)
-                albedo_p = _shrunk(values_hwc.astype(np.float32).mean(axis=2), window, factor)[:, :, 0][used_hw]
-            shaded = lights_from_normals(
-                samples_ihw[:, used_hw], mean_hw3[used_hw] / length_hw[used_hw][:, None], albedo_p
-            )
-            lights_i3, residual_i = shaded.lights_i3, shaded.residual_i
-    report.add("solve", since)
-    length_i = np.linalg.norm(lights_i3, axis=1)
-    mean = float(length_i[length_i > 0.0].mean()) if length_i.any() else 1.0
-    rows = [
-        {"confidence": max(0.0, 1.0 - float(residual)), "residual": float(residual), "intensity": float(length / mean)}
-        for residual, length in zip(residual_i, length_i, strict=True)
-    ]
-    return np.where(length_i[:, None] > 0.0, lights_i3 / np.maximum(length_i, 1e-12)[:, None], 0.0), rows
+    return inside_hw, normals_hw3
+
+
+def _with_surface(
+    samples_ihw: NDArray[np.float32], used_hw: NDArray[np.bool_], report: Report
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    found = lights_from_surface(samples_ihw, used_hw)
+    report.facts["uneven"] = found.uneven
+    report.note(
+        "lamps and surface were found together: right where lamps are equally bright, the object is matte and bulges "
+        "towards the camera; else all lights are off by one bas-relief"
+    )
+    if found.uneven > _UNEVEN:
+        report.note(f"the lamps come out uneven by {found.uneven:.0%}: do not trust them")
+    return found.lights_i3, found.residual_i
 
 
 def _check_size(path: str | os.PathLike[str], shape_hw: tuple[int, ...], frames: Frames) -> None:

@@ -20,6 +20,7 @@ from clrelight.jobs.gallery import Subject, read_gallery, read_linear, shrink
 from clrelight.jobs.inputs import path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.threads import on_one_thread
 from clrelight.variation.recognition import SPACES
 
 _LEAST_PIXELS = 32
@@ -70,8 +71,8 @@ def recognise(
     Parameters
     ----------
     gallery : path
-        A folder. Each folder in it is a subject, of a picture ``normals`` and maybe ``albedo``, or of photographs, under
-        known lights where an ``.lp`` file is beside them; each ``.h5`` file is one, a stack.
+        A folder. Each folder in it is a subject, of a picture ``normals`` and maybe ``albedo``, or of photographs,
+        under known lights where an ``.lp`` file is beside them; each ``.h5`` file is one, a stack.
     photographs : sequence of path
         Of the same view and size.
     spaces : sequence of str
@@ -119,7 +120,7 @@ def recognise(
             seen = [each.mean(axis=1, keepdims=True) for each in seen]
         since = kept.add("read", since)
         distance_spn = np.empty((len(names), len(seen), len(subjects)))
-        with stage(progress, "comparing") as tell:
+        with on_one_thread(), stage(progress, "comparing") as tell:
             for n, subject in enumerate(subjects):
                 found = subject.spaces(inside_hw, names)
                 for s, name in enumerate(names):
@@ -138,7 +139,7 @@ def recognise(
 
 def _shared(subjects: Sequence[Subject], pixels: str) -> NDArray[np.bool_]:
     masks = np.stack([each.mask_hw for each in subjects])
-    inside_hw: NDArray[np.bool_] = masks.all(axis=0) if pixels == "common" else masks.any(axis=0)
+    inside_hw: NDArray[np.bool_] = (np.logical_and if pixels == "common" else np.logical_or).reduce(masks, axis=0)
     if np.count_nonzero(inside_hw) < _LEAST_PIXELS:
         raise InputError(
             f"the subjects share {np.count_nonzero(inside_hw)} pixels, expected at least {_LEAST_PIXELS}: do they lie "

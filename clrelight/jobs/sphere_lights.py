@@ -15,7 +15,7 @@ from clrelight.jobs.light_frames import Frames
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.variation.circles import Circle, find_circles, refine_circle
 from clrelight.variation.highlights import Highlight, find_highlights
-from clrelight.variation.shading import lights_from_normals
+from clrelight.variation.shading import ShadingLights, lights_from_normals
 from clrelight.variation.spheres import SphereView, view_sphere
 
 _SIDE, _MOST_LOOKED_AT = 400, 96
@@ -160,8 +160,14 @@ def _window(circle: Circle, shape_hw: tuple[int, int]) -> tuple[int, int, int, i
 
 
 def lights_of_sphere(
-    frames: Frames, start: Circle, is_given: bool, is_matte: bool, focal: float | None, budget: int,
-    progress: Progress | None, report: Report,
+    frames: Frames,
+    start: Circle,
+    is_given: bool,
+    is_matte: bool,
+    focal: float | None,
+    budget: int,
+    progress: Progress | None,
+    report: Report,
 ) -> SphereLights:
     """Return the lamps that one sphere tells of, at the resolution that the memory and the sphere ask for.
 
@@ -171,7 +177,9 @@ def lights_of_sphere(
     height, width = frames.shape_hw
     window = _window(start, (height, width))
     if window[2] < 8 or window[3] < 8:
-        raise InputError(f"sphere {start.x:g},{start.y:g},{start.radius:g} lies outside the photographs, {width}×{height}")
+        raise InputError(
+            f"sphere {start.x:g},{start.y:g},{start.radius:g} lies outside the photographs, {width}×{height}"
+        )
     bytes_all = 3.0 * len(frames.names) * window[2] * window[3] * 4
     factor = max(1, int(start.radius // _SHARP_RADIUS), int(np.ceil(np.sqrt(bytes_all / budget))))
     with stage(progress, "reading spheres") as tell:
@@ -211,7 +219,7 @@ def lights_of_sphere(
 
 def _shaded(
     part_ihw: NDArray[np.float32], inner: Circle, sphere: SphereView, factor: float, corner: tuple[int, int]
-):
+) -> ShadingLights:
     y_p, x_p = np.nonzero(_disc(part_ihw.shape[1:], inner))
     step = max(1, len(y_p) // 20_000)
     y_p, x_p = y_p[::step], x_p[::step]

@@ -22,6 +22,7 @@ from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.sampling import make_pattern
 from clrelight.surface import Surface
+from clrelight.threads import on_one_thread
 from clrelight.transfer.mesh_files import read_mesh
 from clrelight.variation.comparing import Captured, Products, compare_spaces, lee_directions
 from clrelight.variation.maps import NormalMap, SampleReader, map_normals
@@ -85,7 +86,8 @@ def compare_subspaces(
             kind, count = "stack", stack.n_light
             products = _products_of_stack(stack, holdout, opened, budget, progress)
     since = kept.add("products", since)
-    found = compare_spaces(products, fixed)
+    with on_one_thread():
+        found = compare_spaces(products, fixed)
     kept.add("compare", since)
     kept.facts |= {
         "kind": kind,

@@ -43,14 +43,10 @@ class Circle:
     def scaled(self, factor: float, x: float = 0.0, y: float = 0.0) -> Circle:
         """Return the circle in a picture of larger pixels, `factor` of these, whose first is at (x, y) there."""
         centre = ((each + 0.5) * factor - 0.5 for each in (self.x, self.y))
-        return replace(
-            self, x=next(centre) + x, y=next(centre) + y, radius=self.radius * factor, off=self.off * factor
-        )
+        return replace(self, x=next(centre) + x, y=next(centre) + y, radius=self.radius * factor, off=self.off * factor)
 
 
-def find_circles(
-    pictures: Sequence[NDArray[np.floating]], radii: tuple[float, float], count: int = 8
-) -> list[Circle]:
+def find_circles(pictures: Sequence[NDArray[np.floating]], radii: tuple[float, float], count: int = 8) -> list[Circle]:
     """Return the circles that most edges of some pictures of one view agree on, the best first.
 
     Each edge votes for the centres that lie along its gradient at every radius, on either side: the background may be
@@ -109,9 +105,7 @@ def _edges(picture_hw: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.stack([y_e, x_e, down_hw[y_e, x_e] / size_e, right_hw[y_e, x_e] / size_e, weight_e], axis=1)
 
 
-def refine_circle(
-    pictures: Sequence[NDArray[np.floating]], start: Circle
-) -> tuple[Circle, NDArray[np.float64]]:
+def refine_circle(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
     """Return a circle moved onto the outline that pictures show, and the points of the outline, (n, 2) of x and y.
 
     Along rays from its centre the sharpest step is found to a fraction of a pixel, nearer and nearer to the circle; a

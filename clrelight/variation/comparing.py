@@ -1,8 +1,8 @@
 """Subspaces of a view's pictures side by side: how much of pictures under single lamps each of them holds.
 
-All follows from the products of pictures with each other, so that pictures themselves pass once. Illumination variation,
-0.2.2 and 0.3.3: Shashua's three, Koenderink and van Doorn's four, the nine harmonics, principal components, the
-illumination cone; and nine photographs in their place (Lee, Ho and Kriegman 2005).
+All follows from the products of pictures with each other, so that pictures themselves pass once. Illumination
+variation, 0.2.2 and 0.3.3: Shashua's three, Koenderink and van Doorn's four, the nine harmonics, principal components,
+the illumination cone; and nine photographs in their place (Lee, Ho and Kriegman 2005).
 """
 
 from __future__ import annotations

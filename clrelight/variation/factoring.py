@@ -94,7 +94,8 @@ def _factor(
     used_ip = weight_ip > 0.1
     energy_i = np.sum(np.where(used_ip, samples_ip**2, 0.0), axis=1)
     off_ip = np.where(used_ip, samples_ip - left_i3 @ right_3p, 0.0)
-    return left_i3, right_3p, np.sqrt(np.sum(off_ip**2, axis=1) / np.maximum(energy_i, _FLOOR))
+    residual_i = np.sqrt(np.sum(off_ip**2, axis=1) / np.maximum(energy_i, _FLOOR)).astype(np.float64)
+    return np.asarray(left_i3, np.float64), np.asarray(right_3p, np.float64), residual_i
 
 
 def _solve(

@@ -54,7 +54,11 @@ class Highlight:
 
 
 def find_highlights(
-    samples_ihw: NDArray[np.floating], circle: Circle, sphere: SphereView, factor: float, corner_xy: tuple[int, int],
+    samples_ihw: NDArray[np.floating],
+    circle: Circle,
+    sphere: SphereView,
+    factor: float,
+    corner_xy: tuple[int, int],
     most: float = np.inf,
 ) -> list[Highlight | None]:
     """Return the brightest highlight of each photograph on a sphere; None where there is none.

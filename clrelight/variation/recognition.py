@@ -19,7 +19,7 @@ from clrelight.variation.inverse import MOST_CONDITION, basis_pictures
 
 SPACES = ("3d", "4d", "9d", "cone")
 """Pictures of harmonics of degree 1, of degrees up to 1, up to 2, and of lamps with weights that are not negative."""
-RAYS = 162
+RAYS = 100
 """Lamps all around whose pictures stand for the cone's."""
 _LEAST_SINGULAR = 1e-6
 _RELATIVE = 1e-8
@@ -166,7 +166,7 @@ def _tells(directions_i3: NDArray[np.float64], count: int) -> bool:
     return bool(np.linalg.cond(evaluate_basis(directions_i3, 1)) <= MOST_CONDITION)
 
 
-def _principal(samples_ipc: NDArray[np.float64], count: int) -> Space:
+def _principal(samples_ipc: NDArray[np.floating], count: int) -> Space:
     channels = []
     for channel in range(samples_ipc.shape[2]):
         _, size_r, right_rp = np.linalg.svd(samples_ipc[:, :, channel], full_matrices=False)

@@ -18,7 +18,7 @@ MOST_CONDITION = 100.0
 DARK, GLOSS = 0.1, 0.7
 """Share of a pixel's brightest samples below which it is in shadow; share of its samples, from the darkest, that count,
 as in `normals`: the others may be gloss."""
-_ROUNDS, _LEAST_PIXELS = 30, 6
+_ROUNDS, _LEAST_PIXELS = 80, 6
 _SCALE = 0.05
 """Residual, as a share of the lamp's brightest, at which a sample's weight has halved."""
 _FLOOR = 1e-12
@@ -66,7 +66,8 @@ def lights_from_normals(
     InputError
         If the normals lie nearly in a plane, or nothing is lit.
     """
-    samples_ip, normals_p3 = np.asarray(samples_ip, np.float64), np.asarray(normals_p3, np.float64)
+    seen_ip: NDArray[np.float64] = np.asarray(samples_ip, np.float64)
+    normals_p3 = np.asarray(normals_p3, np.float64)
     singular_r = np.linalg.svd(normals_p3, compute_uv=False)
     condition = singular_r[0] / singular_r[-1] if len(normals_p3) > 2 and singular_r[-1] > _FLOOR else np.inf
     if not condition <= MOST_CONDITION:
@@ -74,19 +75,19 @@ def lights_from_normals(
             f"the normals do not tell where light comes from: their condition is {condition:.3g}, "
             f"at most {MOST_CONDITION:g}"
         )
-    bright_p = np.quantile(samples_ip, GLOSS, axis=0)
+    bright_p = np.quantile(seen_ip, GLOSS, axis=0)
     if not np.any(bright_p > 0.0):
         raise InputError("nothing is lit in the photographs")
     is_known = albedo_p is not None
     found_p = bright_p if albedo_p is None else np.asarray(albedo_p, np.float64)
-    lit_ip = (samples_ip > DARK * bright_p) & (samples_ip <= bright_p) & (bright_p > 0.0)
+    lit_ip = (seen_ip > DARK * bright_p) & (seen_ip <= bright_p) & (bright_p > 0.0)
     weight_ip = lit_ip.astype(np.float64)
-    lights_i3 = np.zeros((len(samples_ip), 3))
+    lights_i3 = np.zeros((len(seen_ip), 3))
     for _ in range(_ROUNDS):
         scaled_p3 = found_p[:, None] * normals_p3
-        before_i3, lights_i3 = lights_i3, _solve(samples_ip, scaled_p3, weight_ip)
+        before_i3, lights_i3 = lights_i3, _solve(seen_ip, scaled_p3, weight_ip)
         shade_ip = lights_i3 @ normals_p3.T
-        away_ip = samples_ip - found_p * shade_ip
+        away_ip = seen_ip - found_p * shade_ip
         top_i1 = np.linalg.norm(lights_i3, axis=1)[:, None] * np.maximum(found_p, _FLOOR) + _FLOOR
         scaled_ip = away_ip / (_SCALE * top_i1)
         # Gloss only ever adds: what lies above counts less than what lies below.
@@ -95,7 +96,7 @@ def lights_from_normals(
         if not is_known:
             shaded_ip = weight_ip * shade_ip
             seen_p = np.sum(shaded_ip * shade_ip, axis=0)
-            found_p = np.where(seen_p > _FLOOR, np.sum(shaded_ip * samples_ip, axis=0) / np.maximum(seen_p, _FLOOR), 0)
+            found_p = np.where(seen_p > _FLOOR, np.sum(shaded_ip * seen_ip, axis=0) / np.maximum(seen_p, _FLOOR), 0)
             found_p = np.maximum(found_p, 0.0)
             length = np.linalg.norm(lights_i3, axis=1)
             mean = float(length[length > 0.0].mean()) if np.any(length > 0.0) else 1.0
@@ -103,10 +104,10 @@ def lights_from_normals(
         if np.abs(lights_i3 - before_i3).max() < 1e-6 * np.abs(lights_i3).max():
             break
     scaled_p3 = found_p[:, None] * normals_p3
-    lights_i3 = _solve(samples_ip, scaled_p3, weight_ip)
-    away_ip = samples_ip - lights_i3 @ scaled_p3.T
+    lights_i3 = _solve(seen_ip, scaled_p3, weight_ip)
+    away_ip = seen_ip - lights_i3 @ scaled_p3.T
     used_ip = weight_ip > 0.1
-    energy_i = np.sum(np.where(used_ip, samples_ip**2, 0.0), axis=1)
+    energy_i = np.sum(np.where(used_ip, seen_ip**2, 0.0), axis=1)
     residual_i = np.sqrt(np.sum(np.where(used_ip, away_ip**2, 0.0), axis=1) / np.maximum(energy_i, _FLOOR))
     return ShadingLights(lights_i3, residual_i, used_ip.mean(axis=1), found_p)
 

@@ -37,13 +37,13 @@ class SphereView:
     axis_3: NDArray[np.float64]
     sine: float
 
-    def rays(self, x_p: NDArray[np.float64], y_p: NDArray[np.float64]) -> NDArray[np.float64]:
+    def rays(self, x_p: NDArray[np.floating], y_p: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return unit vectors from the camera through places of the picture, (P, 3): x right, y up, z to the camera."""
         if self.focal is None:
             return np.broadcast_to(np.array([0.0, 0.0, -1.0]), (len(x_p), 3))
         return _rays(x_p, y_p, self.focal, self.middle_xy)
 
-    def normals(self, x_p: NDArray[np.float64], y_p: NDArray[np.float64]) -> NDArray[np.float64]:
+    def normals(self, x_p: NDArray[np.floating], y_p: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the sphere's unit normals at places of the picture, (P, 3); 0 beside it."""
         if self.focal is None:
             u_p, v_p = (x_p - self.circle.x) / self.circle.radius, (self.circle.y - y_p) / self.circle.radius
@@ -58,15 +58,16 @@ class SphereView:
         normals_p3 = near_p[:, None] * rays_p3 - distance * self.axis_3
         return np.where((depth_p > _LIMB)[:, None], normals_p3, 0.0)
 
-    def mirrored(self, x_p: NDArray[np.float64], y_p: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mirrored(self, x_p: NDArray[np.floating], y_p: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return unit vectors to the lights that highlights at these places are of, (P, 3); 0 beside the sphere.
 
         ``l = q - 2 (q . n) n`` of the ray q that meets the sphere: the view mirrored in the normal, which alone is half
         way to the light.
         """
         normals_p3, rays_p3 = self.normals(x_p, y_p), self.rays(x_p, y_p)
+        beside_p: NDArray[np.bool_] = ~np.any(normals_p3 != 0.0, axis=1)
         lights_p3 = rays_p3 - 2.0 * np.sum(rays_p3 * normals_p3, axis=1, keepdims=True) * normals_p3
-        return np.where(normals_p3.any(axis=1)[:, None], lights_p3, 0.0)
+        return np.where(beside_p[:, None], 0.0, lights_p3)
 
     def degrees_a_pixel(self, light_3: NDArray[np.float64]) -> float:
         """Return by how many degrees the light turns where its highlight, or the circle, is off by a pixel."""
@@ -76,7 +77,7 @@ class SphereView:
 
 
 def _rays(
-    x_p: NDArray[np.float64], y_p: NDArray[np.float64], focal: float, middle_xy: tuple[float, float]
+    x_p: NDArray[np.floating], y_p: NDArray[np.floating], focal: float, middle_xy: tuple[float, float]
 ) -> NDArray[np.float64]:
     rays_p3 = np.stack([x_p - middle_xy[0], middle_xy[1] - y_p, np.full(len(x_p), -focal)], axis=1)
     return rays_p3 / np.linalg.norm(rays_p3, axis=1, keepdims=True)
@@ -125,7 +126,8 @@ def view_sphere(
         scaled_3 = np.linalg.lstsq(rays_n3 * weight_n[:, None], weight_n, rcond=None)[0]
         off_n = np.abs(rays_n3 @ scaled_3 - 1.0)
         weight_n = 1.0 / np.sqrt(1.0 + (off_n / max(1.5 * float(np.median(off_n)), 1e-9)) ** 2)
-    length = float(np.linalg.norm(scaled_3))
+    axis_3: NDArray[np.float64] = np.asarray(scaled_3, np.float64)
+    length = float(np.linalg.norm(axis_3))
     if not length > 1.0:
         raise InputError(f"a sphere of radius {circle.radius:.4g} pixels is not seen at focal length {focal:g} pixels")
-    return SphereView(circle, focal, middle, scaled_3 / length, float(np.sqrt(1.0 - 1.0 / length**2)))
+    return SphereView(circle, focal, middle, axis_3 * (1.0 / length), float(np.sqrt(1.0 - 1.0 / length**2)))
