@@ -84,7 +84,8 @@ def _factor(
     bright_p = np.quantile(samples_ip, GLOSS, axis=0)
     counted_ip = (samples_ip > DARK * bright_p) & (samples_ip <= bright_p) & (bright_p > 0.0)
     left_ir, size_r, right_rp = np.linalg.svd(samples_ip, full_matrices=False)
-    left_i3, right_3p = left_ir[:, :3] * np.sqrt(size_r[:3]), np.sqrt(size_r[:3])[:, None] * right_rp[:3]
+    left_i3: NDArray[np.float64] = left_ir[:, :3] * np.sqrt(size_r[:3])
+    right_3p: NDArray[np.float64] = np.sqrt(size_r[:3])[:, None] * right_rp[:3]
     weight_ip = counted_ip.astype(np.float64)
     for _ in range(_ROUNDS):
         right_3p = _solve(left_i3, samples_ip, weight_ip)
@@ -94,8 +95,8 @@ def _factor(
     used_ip = weight_ip > 0.1
     energy_i = np.sum(np.where(used_ip, samples_ip**2, 0.0), axis=1)
     off_ip = np.where(used_ip, samples_ip - left_i3 @ right_3p, 0.0)
-    residual_i = np.sqrt(np.sum(off_ip**2, axis=1) / np.maximum(energy_i, _FLOOR)).astype(np.float64)
-    return np.asarray(left_i3, np.float64), np.asarray(right_3p, np.float64), residual_i
+    residual_i = np.sqrt(np.sum(off_ip**2, axis=1) / np.maximum(energy_i, _FLOOR))
+    return left_i3, right_3p, residual_i
 
 
 def _solve(
