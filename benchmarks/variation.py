@@ -47,7 +47,7 @@ SPHERES: dict[str, tuple[tuple[float, float, float], dict[str, Any]]] = {
     "all of it: texture, windows, table, shade, noise": (BALL, HARD),
     "matte, by shading": (BALL, {"matte": True, "diffuse": 0.7, "room": 0.0}),
 }
-_PIXELS = 8_000
+_PIXELS, _SURFACE_PIXELS = 8_000, 20_000
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -130,7 +130,7 @@ def _object_row(
     if albedo_hw is not None:
         found = lights_from_normals(samples_ip, normals_p3, albedo_hw.ravel()[pixels])
         painted = f"{np.median(apart(found.lights_i3, stack.directions_i3)):.1f}"
-    step = max(1, int(np.sqrt(inside_hw.sum() / _PIXELS)))
+    step = max(1, int(np.sqrt(inside_hw.sum() / _SURFACE_PIXELS)))
     together = lights_from_surface(grey_ihw[:, ::step, ::step], inside_hw[::step, ::step])
     off_i = apart(together.lights_i3, stack.directions_i3)
     return [

@@ -44,7 +44,7 @@ def find(photographs_ihw, **options):
         ([BALL], {}),
         ([BALL], {"noise": 0.03}),
         ([BALL], {"exposure": 0.15}),
-        ([BALL], {"shade": 0.2}),
+        ([BALL], {"shade": 0.1}),
         ([BALL], {"windows": ((0.3, 0.5, 0.81), (-0.6, 0.1, 0.79))}),
         ([BALL], {"texture": 0.0, "diffuse": 0.15}),
         ([(55.2, 60.7, 30.6)], {}),
@@ -117,7 +117,7 @@ def test_two_spheres_are_found_and_agree():
 
 
 def test_a_near_camera_bends_rays():
-    lights_i3 = lamps(7, 3, least=0.2)
+    lights_i3 = lamps(5, 3, least=0.2)
     photographs_ihw = photograph_spheres(lights_i3, SIZE, [(105.3, 70.6, 35.0)], focal=250.0)
     found_i3, _ = find(photographs_ihw, focal=250.0)
     assert off(found_i3, lights_i3).max() < 0.7
@@ -179,13 +179,13 @@ def test_lamps_and_surface_are_found_together():
         lights_from_surface(samples_ihw[:5], mask_hw)
 
 
-@pytest.mark.parametrize(("name", "most"), [("cat", 5.0), ("bear", 5.0), ("pot1", 8.0)])
+@pytest.mark.parametrize(("name", "most"), [("cat", 4.0), ("bear", 4.0)])
 def test_an_object_tells_the_lights_of_real_photographs(real_data, name, most):
     scipy_io = pytest.importorskip("scipy.io")
     folder = real_data / "stacks" / "diligent" / f"{name}PNG"
     normals = scipy_io.loadmat(folder / "Normal_gt.mat")["Normal_gt"]
     stack = cr.ingest(folder, report=cr.Report())
-    pixels = np.flatnonzero(stack.mask_hw)[::40]
+    pixels = np.flatnonzero(stack.mask_hw)[::100]
     grey_ip = stack.images_ihwc.mean(axis=3, dtype=np.float32).reshape(stack.n_light, -1)[:, pixels]
     found = lights_from_normals(grey_ip, normals.reshape(-1, 3)[pixels])
     unit_i3 = found.lights_i3 / np.linalg.norm(found.lights_i3, axis=1, keepdims=True)

@@ -19,8 +19,8 @@ from clrelight.masks import read_mask
 from clrelight.variation.factoring import lights_from_surface
 from clrelight.variation.shading import lights_from_normals
 
-_PIXELS = 8_000
-"""That are enough: three unknowns a lamp."""
+_PIXELS, _SURFACE_PIXELS = 8_000, 20_000
+"""That are enough: three unknowns a lamp; and slopes of a surface, which blocks of pixels smooth away."""
 _UNEVEN = 0.15
 """Of intensities found, beyond which lamps were not equal or the surface not matte."""
 
@@ -47,7 +47,7 @@ def lights_of_object(
     y_p, x_p = np.nonzero(inside_hw)
     left, top = int(x_p.min()), int(y_p.min())
     window = left, top, int(x_p.max()) + 1 - left, int(y_p.max()) + 1 - top
-    few = int(np.sqrt(len(y_p) / _PIXELS))
+    few = int(np.sqrt(len(y_p) / (_SURFACE_PIXELS if normals_hw3 is None else _PIXELS)))
     tight = int(np.ceil(np.sqrt(3.0 * len(frames.names) * window[2] * window[3] * 4 / budget)))
     factor = max(1, few, tight)
     with stage(progress, "reading images") as tell:

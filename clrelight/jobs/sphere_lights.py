@@ -18,17 +18,18 @@ from clrelight.variation.highlights import Highlight, find_highlights
 from clrelight.variation.shading import ShadingLights, lights_from_normals
 from clrelight.variation.spheres import SphereView, view_sphere
 
-_SIDE, _MOST_LOOKED_AT = 400, 96
+_SIDE, _MOST_LOOKED_AT = 640, 96
 """Pixels of the longer side, and photographs, in which spheres are looked for."""
-_LEAST_RADIUS, _MOST_RADIUS = 7.0, 0.48
+_LEAST_RADIUS, _MOST_RADIUS = 6.0, 0.48
 """Of a sphere that is looked for, in those pixels, and as a share of the shorter side."""
-_CANDIDATES = 8
+_CANDIDATES = 10
 _LEAST_SCORE = 0.35
 _AROUND = 1.35
 """What is read around a sphere, of its radius."""
 _SHARP_RADIUS = 250.0
 """Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
 _COMPACT, _RIVAL = 25.0, 0.5
+_LEAST_TOLD, _SCENE_PIXELS = 8, 4000
 _LEAST_OUTLINE, _MEAN_SHARE = 0.5, 0.75
 _INSIDE = 0.97
 """Share of a matte sphere's radius within which its shading counts."""
@@ -127,16 +128,34 @@ def _outlined(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[
 
 
 def _highlight_share(samples_ihw: NDArray[np.float32], circle: Circle) -> float:
-    """Return the share of photographs with one small highlight, less where it does not move."""
+    """Return the share of photographs with one small highlight, less where it does not move or tells false lights."""
     part_ihw, inner, corner = _cut(samples_ihw, circle)
     sphere = view_sphere(circle, samples_ihw.shape[1:])
-    found = [each for each in find_highlights(part_ihw, inner, sphere, 1.0, corner) if each is not None]
-    sound = [each for each in found if each.spread < _COMPACT and each.rival < _RIVAL]
+    found = find_highlights(part_ihw, inner, sphere, 1.0, corner)
+    told = [i for i, each in enumerate(found) if each is not None and each.spread < _COMPACT and each.rival < _RIVAL]
+    sound = [each for i, each in enumerate(found) if each is not None and i in told]
     if not sound:
         return 0.0
     places = np.array([(each.x, each.y) for each in sound])
     moved = float(np.hypot(*places.std(axis=0)) / circle.radius) if len(samples_ihw) > 1 else 1.0
-    return len(sound) / len(samples_ihw) * min(1.0, moved / 0.1)
+    share = len(sound) / len(samples_ihw) * min(1.0, moved / 0.1)
+    return share * (0.5 + 0.5 * _explained(samples_ihw[told], np.array([each.light_3 for each in sound])))
+
+
+def _explained(samples_ihw: NDArray[np.float32], lights_i3: NDArray[np.float64]) -> float:
+    """Return how much of what the whole view changes by goes with lights, as a matte scene's shading does: 0 to 1.
+
+    Coins and buttons are round and shine too, but what is taken for their lights shades nothing else.
+    """
+    if len(lights_i3) < _LEAST_TOLD:
+        return 1.0
+    step = max(1, samples_ihw[0].size // _SCENE_PIXELS)
+    series_ip = samples_ihw.reshape(len(samples_ihw), -1)[:, ::step].astype(np.float64)
+    moved_ip = series_ip - series_ip.mean(axis=0)
+    towards_i3 = lights_i3 - lights_i3.mean(axis=0)
+    left_ip = moved_ip - towards_i3 @ np.linalg.lstsq(towards_i3, moved_ip, rcond=None)[0]
+    energy = float(np.sum(moved_ip**2))
+    return 1.0 - float(np.sum(left_ip**2)) / energy if energy > 0.0 else 1.0
 
 
 def _matte_share(samples_ihw: NDArray[np.float32], circle: Circle) -> float:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
+from scipy import ndimage, optimize
 
 from clrelight.errors import InputError
 from clrelight.variation.shading import DARK, GLOSS
@@ -177,10 +177,15 @@ def _bulging(
     """Return lamps and normals with the signs of a body that bulges: it faces the camera, left parts to the left."""
     if np.sum(surface_3p[2]) < 0.0:
         lights_i3, surface_3p = -lights_i3, -surface_3p
-    y_p, x_p = np.nonzero(mask_hw)
     unit_3p = surface_3p / np.maximum(np.linalg.norm(surface_3p, axis=0), _FLOOR)
-    outwards = unit_3p[0] @ (x_p - x_p.mean()) - unit_3p[1] @ (y_p - y_p.mean())
-    if outwards < 0.0:
+    # At its outline a body turns away from the camera, outwards; where there is none, it bulges about its middle.
+    soft_hw = ndimage.gaussian_filter(mask_hw.astype(np.float64), 0.02 * np.sqrt(mask_hw.sum()) + 1.0, mode="nearest")
+    down_hw, right_hw = np.gradient(soft_hw)
+    outwards_p = -unit_3p[0] * right_hw[mask_hw] + unit_3p[1] * down_hw[mask_hw]
+    if not np.any(np.abs(right_hw[mask_hw]) + np.abs(down_hw[mask_hw]) > 1e-3):
+        y_p, x_p = np.nonzero(mask_hw)
+        outwards_p = unit_3p[0] * (x_p - x_p.mean()) - unit_3p[1] * (y_p - y_p.mean())
+    if outwards_p.sum() < 0.0:
         turn = np.array([-1.0, -1.0, 1.0])
         lights_i3, surface_3p = lights_i3 * turn, surface_3p * turn[:, None]
     return lights_i3, surface_3p
