@@ -1,4 +1,4 @@
-"""Lamps by spheres in the photographs: the spheres are found, and the highlight on each, or its shading."""
+"""Lamps by spheres whose places are known: their outlines, and the highlight on each, or its shading."""
 
 from __future__ import annotations
 
@@ -13,24 +13,16 @@ from scipy import optimize
 from clrelight.errors import InputError
 from clrelight.jobs.light_frames import Frames
 from clrelight.jobs.report import Progress, Report, stage
-from clrelight.variation.circles import Circle, find_circles, refine_circle
+from clrelight.variation.circles import Circle, refine_circle
 from clrelight.variation.highlights import Highlight, find_highlights
 from clrelight.variation.shading import ShadingLights, lights_from_normals
 from clrelight.variation.spheres import SphereView, view_sphere
 
-_SIDE, _MOST_LOOKED_AT = 640, 96
-"""Pixels of the longer side, and photographs, in which spheres are looked for."""
-_LEAST_RADIUS, _MOST_RADIUS = 6.0, 0.48
-"""Of a sphere that is looked for, in those pixels, and as a share of the shorter side."""
-_CANDIDATES = 10
-_LEAST_SCORE = 0.35
 _AROUND = 1.35
 """What is read around a sphere, of its radius."""
 _SHARP_RADIUS = 250.0
 """Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
-_COMPACT, _RIVAL = 25.0, 0.5
-_LEAST_TOLD, _SCENE_PIXELS = 8, 4000
-_LEAST_OUTLINE, _MEAN_SHARE = 0.5, 0.75
+LEAST_OUTLINE, _MEAN_SHARE = 0.5, 0.75
 _INSIDE = 0.97
 """Share of a matte sphere's radius within which its shading counts."""
 _STRAY = 6.0
@@ -61,48 +53,7 @@ class SphereLights:
     degrees_a_pixel_i: NDArray[np.float64]
 
 
-def look_for_spheres(frames: Frames, count: int, is_matte: bool, progress: Progress | None) -> list[Circle]:
-    """Return the circles of the spheres in photographs, the surest first.
-
-    Circles are voted for by edges of the mean, the spread and the brightest of all photographs; a glossy sphere is one
-    with a small highlight in each photograph, in changing places, a matte one is shaded as a sphere is.
-
-    Raises
-    ------
-    InputError
-        If fewer than `count` are found.
-    """
-    height, width = frames.shape_hw
-    factor = max(1, -(-max(height, width) // _SIDE))
-    n_light = len(frames.names)
-    lights = np.unique(np.linspace(0, n_light - 1, min(n_light, _MOST_LOOKED_AT)).round().astype(int)).tolist()
-    with stage(progress, "looking for spheres") as tell:
-        samples_ihw = frames.take((0, 0, width, height), factor, lights, tell)
-    pictures = _pictures(samples_ihw)
-    radii = _LEAST_RADIUS, _MOST_RADIUS * min(samples_ihw.shape[1:])
-    if radii[1] <= radii[0]:
-        raise InputError(f"photographs of {width}×{height} pixels are too small for a sphere to be found in them")
-    scored: list[tuple[float, Circle]] = []
-    for start in find_circles(pictures, radii, _CANDIDATES):
-        circle, _ = _outlined(pictures, start)
-        if circle.outline >= _LEAST_OUTLINE:
-            judge = _matte_share if is_matte else _highlight_share
-            scored.append((circle.outline * judge(samples_ihw, circle), circle))
-    scored.sort(key=lambda each: each[0], reverse=True)
-    kept: list[Circle] = []
-    for score, circle in scored:
-        apart = all(np.hypot(circle.x - o.x, circle.y - o.y) > 0.7 * max(circle.radius, o.radius) for o in kept)
-        if score >= _LEAST_SCORE and apart and len(kept) < count:
-            kept.append(circle)
-    if len(kept) < count:
-        found = f"only {len(kept)} of {count} spheres are" if kept else "no sphere is"
-        hint = "" if is_matte else ", --kind matte if it does not shine"
-        best = f" (the best candidate scores {scored[0][0]:.2f} of {_LEAST_SCORE:g})" if scored else ""
-        raise InputError(f"{found} found in the photographs{best}: say where with --sphere X,Y,RADIUS{hint}")
-    return [circle.scaled(factor) for circle in kept]
-
-
-def _pictures(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.floating]]:
+def pictures_of(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.floating]]:
     """Return the mean, how odd each pixel is, the spread and the brightest of some photographs.
 
     Odd is what goes with the lamp otherwise than most pixels do: a table's texture, however strong, is not, a sphere
@@ -115,7 +66,7 @@ def _pictures(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.floating]]:
     return [samples_ihw.mean(axis=0), odd_hw, samples_ihw.std(axis=0), samples_ihw.max(axis=0)]
 
 
-def _outlined(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
+def outlined(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
     """Return the circle by the first picture that shows it well.
 
     The mean over the photographs keeps an edge of the sphere where it is; the others, which are no sums of light, move
@@ -127,51 +78,8 @@ def _outlined(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[
     return mean if mean[0].outline >= _MEAN_SHARE * best[0].outline else best
 
 
-def _highlight_share(samples_ihw: NDArray[np.float32], circle: Circle) -> float:
-    """Return the share of photographs with one small highlight, less where it does not move or tells false lights."""
-    part_ihw, inner, corner = _cut(samples_ihw, circle)
-    sphere = view_sphere(circle, samples_ihw.shape[1:])
-    found = find_highlights(part_ihw, inner, sphere, 1.0, corner)
-    told = [i for i, each in enumerate(found) if each is not None and each.spread < _COMPACT and each.rival < _RIVAL]
-    sound = [each for i, each in enumerate(found) if each is not None and i in told]
-    if not sound:
-        return 0.0
-    places = np.array([(each.x, each.y) for each in sound])
-    moved = float(np.hypot(*places.std(axis=0)) / circle.radius) if len(samples_ihw) > 1 else 1.0
-    share = len(sound) / len(samples_ihw) * min(1.0, moved / 0.1)
-    return share * (0.5 + 0.5 * _explained(samples_ihw[told], np.array([each.light_3 for each in sound])))
-
-
-def _explained(samples_ihw: NDArray[np.float32], lights_i3: NDArray[np.float64]) -> float:
-    """Return how much of what the whole view changes by goes with lights, as a matte scene's shading does: 0 to 1.
-
-    Coins and buttons are round and shine too, but what is taken for their lights shades nothing else.
-    """
-    if len(lights_i3) < _LEAST_TOLD:
-        return 1.0
-    step = max(1, samples_ihw[0].size // _SCENE_PIXELS)
-    series_ip = samples_ihw.reshape(len(samples_ihw), -1)[:, ::step].astype(np.float64)
-    moved_ip = series_ip - series_ip.mean(axis=0)
-    towards_i3 = lights_i3 - lights_i3.mean(axis=0)
-    left_ip = moved_ip - towards_i3 @ np.linalg.lstsq(towards_i3, moved_ip, rcond=None)[0]
-    energy = float(np.sum(moved_ip**2))
-    return 1.0 - float(np.sum(left_ip**2)) / energy if energy > 0.0 else 1.0
-
-
-def _matte_share(samples_ihw: NDArray[np.float32], circle: Circle) -> float:
-    """Return how much of the brightness inside a circle is a matte sphere's, of one albedo."""
-    part_ihw, inner, corner = _cut(samples_ihw, circle)
-    lights = _shaded(part_ihw, inner, view_sphere(circle, samples_ihw.shape[1:]), 1.0, corner)
-    return float(np.mean((1.0 - np.minimum(4.0 * lights.residual_i, 1.0)) * (lights.lit_i > 0.1)))
-
-
-def _cut(samples_ihw: NDArray[np.float32], circle: Circle) -> tuple[NDArray[np.float32], Circle, tuple[int, int]]:
-    x, y, width, height = _window(circle, samples_ihw.shape[1:])
-    inner = Circle(circle.x - x, circle.y - y, circle.radius, circle.outline, circle.off)
-    return samples_ihw[:, y : y + height, x : x + width], inner, (x, y)
-
-
-def _window(circle: Circle, shape_hw: tuple[int, int]) -> tuple[int, int, int, int]:
+def window_of(circle: Circle, shape_hw: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Return column, row, width and height of what is read around a sphere."""
     reach = _AROUND * circle.radius + 2.0
     left, top = max(0, int(circle.x - reach)), max(0, int(circle.y - reach))
     right, bottom = min(shape_hw[1], int(circle.x + reach) + 2), min(shape_hw[0], int(circle.y + reach) + 2)
@@ -194,7 +102,7 @@ def lights_of_sphere(
     """
     since = time.perf_counter()
     height, width = frames.shape_hw
-    window = _window(start, (height, width))
+    window = window_of(start, (height, width))
     if window[2] < 8 or window[3] < 8:
         raise InputError(
             f"sphere {start.x:g},{start.y:g},{start.radius:g} lies outside the photographs, {width}×{height}"
@@ -208,9 +116,9 @@ def lights_of_sphere(
     inside = Circle(
         (start.x - window[0] + 0.5) / factor - 0.5, (start.y - window[1] + 0.5) / factor - 0.5, start.radius / factor
     )
-    refined, outline_n2 = _outlined(_pictures(part_ihw), inside)
+    refined, outline_n2 = outlined(pictures_of(part_ihw), inside)
     away = np.hypot(refined.x - inside.x, refined.y - inside.y) + abs(refined.radius - inside.radius)
-    if refined.outline < _LEAST_OUTLINE or (is_given and away > 0.1 * inside.radius):
+    if refined.outline < LEAST_OUTLINE or (is_given and away > 0.1 * inside.radius):
         if is_given:
             report.note(f"no outline is seen at sphere {start.x:g},{start.y:g},{start.radius:g}: it is taken as it is")
         refined, outline_n2 = inside, np.zeros((0, 2))
@@ -221,7 +129,7 @@ def lights_of_sphere(
         refined = _settle(part_ihw, refined)
         circle = refined.scaled(factor, *corner)
         sphere = view_sphere(circle, (height, width), focal, None)
-        shaded = _shaded(part_ihw, refined, sphere, factor, corner)
+        shaded = shaded_lights(part_ihw, refined, sphere, factor, corner)
         length_i = np.linalg.norm(shaded.lights_i3, axis=1, keepdims=True)
         lights_i3 = np.where(length_i > 0.0, shaded.lights_i3 / np.maximum(length_i, 1e-12), 0.0)
         highlights: tuple[Highlight | None, ...] = ()
@@ -236,9 +144,10 @@ def lights_of_sphere(
     return SphereLights(circle, lights_i3, highlights, residual_i, worth_i)
 
 
-def _shaded(
+def shaded_lights(
     part_ihw: NDArray[np.float32], inner: Circle, sphere: SphereView, factor: float, corner: tuple[int, int]
 ) -> ShadingLights:
+    """Return the lamps of a matte sphere of one albedo in a part of the photographs."""
     y_p, x_p = np.nonzero(_disc(part_ihw.shape[1:], inner))
     step = max(1, len(y_p) // 20_000)
     y_p, x_p = y_p[::step], x_p[::step]

@@ -95,8 +95,8 @@ def _factor(
     used_ip = weight_ip > 0.1
     energy_i = np.sum(np.where(used_ip, samples_ip**2, 0.0), axis=1)
     off_ip = np.where(used_ip, samples_ip - left_i3 @ right_3p, 0.0)
-    residual_i = np.sqrt(np.sum(off_ip**2, axis=1) / np.maximum(energy_i, _FLOOR))
-    return left_i3, right_3p, residual_i
+    share_i = np.sum(off_ip**2, axis=1) / np.maximum(energy_i, _FLOOR)
+    return left_i3, right_3p, np.asarray(np.sqrt(share_i), np.float64)
 
 
 def _solve(
