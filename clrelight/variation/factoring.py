@@ -84,8 +84,9 @@ def _factor(
     bright_p = np.quantile(samples_ip, GLOSS, axis=0)
     counted_ip = (samples_ip > DARK * bright_p) & (samples_ip <= bright_p) & (bright_p > 0.0)
     left_ir, size_r, right_rp = np.linalg.svd(samples_ip, full_matrices=False)
-    left_i3: NDArray[np.float64] = left_ir[:, :3] * np.sqrt(size_r[:3])
-    right_3p: NDArray[np.float64] = np.sqrt(size_r[:3])[:, None] * right_rp[:3]
+    root_r = np.sqrt(size_r[:3])
+    left_i3 = np.asarray(left_ir[:, :3] * root_r, np.float64)
+    right_3p = np.asarray(root_r[:, None] * right_rp[:3], np.float64)
     weight_ip = counted_ip.astype(np.float64)
     for _ in range(_ROUNDS):
         right_3p = _solve(left_i3, samples_ip, weight_ip)
@@ -107,7 +108,8 @@ def _solve(
     size_p = np.trace(matrix_p33, axis1=1, axis2=2)
     matrix_p33 += (1e-6 * size_p + _FLOOR)[:, None, None] * np.eye(3)
     right_p3 = (weight_ip * samples_ip).T @ left_i3
-    return np.linalg.solve(matrix_p33, right_p3[:, :, None])[:, :, 0].T
+    found_p3 = np.asarray(np.linalg.solve(matrix_p33, right_p3[:, :, None])[:, :, 0], np.float64)
+    return found_p3.T
 
 
 def _integrable(right_3p: NDArray[np.float64], mask_hw: NDArray[np.bool_]) -> NDArray[np.float64]:
