@@ -22,7 +22,7 @@ _AROUND = 1.35
 """What is read around a sphere, of its radius."""
 _SHARP_RADIUS = 250.0
 """Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
-LEAST_OUTLINE, _MEAN_SHARE = 0.5, 0.75
+LEAST_OUTLINE, _MEAN_SHARE, _WHOLE = 0.5, 0.75, 0.95
 _INSIDE = 0.97
 """Share of a matte sphere's radius within which its shading counts."""
 _STRAY = 6.0
@@ -54,27 +54,32 @@ class SphereLights:
 
 
 def pictures_of(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.floating]]:
-    """Return the mean, how odd each pixel is, the spread and the brightest of some photographs.
+    """Return the mean, what is odd of each pixel, how odd that is, the spread and the brightest of some photographs.
 
     Odd is what goes with the lamp otherwise than most pixels do: a table's texture, however strong, is not, a sphere
-    is. It is the angle between a pixel's samples and the median of all, each of length 1.
+    is. It is what is left of a pixel's samples off the median of all, each of length 1; how odd, the angle to that.
     """
-    length_hw = np.sqrt(np.einsum("ihw,ihw->hw", samples_ihw, samples_ihw)) + 1e-6
+    energy_hw = np.einsum("ihw,ihw->hw", samples_ihw, samples_ihw)
+    length_hw = np.sqrt(energy_hw) + 1e-6
     usual_i = np.median((samples_ihw / length_hw).reshape(len(samples_ihw), -1), axis=1)
     usual_i /= max(float(np.linalg.norm(usual_i)), 1e-12)
-    odd_hw = np.arccos(np.clip(np.einsum("i,ihw->hw", usual_i, samples_ihw) / length_hw, -1.0, 1.0))
-    return [samples_ihw.mean(axis=0), odd_hw, samples_ihw.std(axis=0), samples_ihw.max(axis=0)]
+    along_hw = np.einsum("i,ihw->hw", usual_i, samples_ihw)
+    odd_hw = np.sqrt(np.maximum(energy_hw - along_hw**2, 0.0))
+    angle_hw = np.arccos(np.clip(along_hw / length_hw, -1.0, 1.0))
+    return [samples_ihw.mean(axis=0), odd_hw, angle_hw, samples_ihw.std(axis=0), samples_ihw.max(axis=0)]
 
 
 def outlined(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
-    """Return the circle by the first picture that shows it well.
+    """Return the circle by the picture that shows it best without moving it.
 
-    The mean over the photographs keeps an edge of the sphere where it is; the others, which are no sums of light, move
-    it where it runs through a pixel.
+    The mean over the photographs keeps an edge of the sphere where it is, and so does what is odd of pixels: where the
+    edge runs through a pixel, both are mixtures. The others, which are none, find what these do not.
     """
     tried = [refine_circle([picture_hw], start) for picture_hw in pictures]
     best = max(tried, key=lambda each: each[0].outline)
-    mean = refine_circle(pictures[:1], best[0])
+    mean, odd = refine_circle(pictures[:1], best[0]), refine_circle(pictures[1:2], best[0])
+    if odd[0].outline >= _WHOLE and mean[0].outline < _WHOLE * odd[0].outline:
+        return odd
     return mean if mean[0].outline >= _MEAN_SHARE * best[0].outline else best
 
 
