@@ -8,6 +8,7 @@ import pytest
 import clrelight as cr
 from clrelight import image_sink
 from clrelight.images import read_image, write_image
+from clrelight.jobs import light_frames
 from clrelight.light_files import read_light_file
 from clrelight.sampling import make_pattern
 from clrelight.variation.factoring import lights_from_surface
@@ -229,6 +230,25 @@ def test_command_by_object(tmp_path):
     assert (together.code, together.err) == (0, "")
     assert together.json["off_known"]["median"] < 3.0
     assert any("bas-relief" in note for note in together.json["notes"])
+
+
+@pytest.mark.parametrize("band", [1, 8 << 20])
+def test_parts_of_photographs_are_means_of_blocks(tmp_path, monkeypatch, band):
+    codes = np.random.default_rng(1).integers(0, 255, (4, 23, 31, 3)).astype(np.uint8)
+    cr.write_stack(tmp_path / "s.h5", cr.LightStack(codes, lamps(4, 1), 255.0))
+    (tmp_path / "photos").mkdir()
+    for i, each in enumerate(codes):
+        write_image(tmp_path / "photos" / f"{i}.png", each)
+    monkeypatch.setattr(light_frames, "BAND_BYTES", band)
+    grey = codes[:, 2:19, 3:30].astype(float).mean(axis=3) / 255.0
+    expected = [
+        [part.mean(axis=(1, 2)) for part in np.split(rows, range(5, 27, 5), axis=2)]
+        for rows in np.split(grey, range(5, 17, 5), axis=1)
+    ]
+    for source in (tmp_path / "s.h5", tmp_path / "photos"):
+        with light_frames.lend_frames(source, "linear", cr.Report()) as frames:
+            found = frames.take((3, 2, 27, 17), 5, [2, 0])
+        np.testing.assert_allclose(found, np.array(expected).transpose(2, 0, 1)[[2, 0]], atol=1e-6)
 
 
 def test_what_cannot_be_found_is_refused(tmp_path):
