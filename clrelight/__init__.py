@@ -28,17 +28,20 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.decode import decode as decode
     from clrelight.jobs.encode import encode as encode
     from clrelight.jobs.export import export as export
+    from clrelight.jobs.find_lights import find_lights as find_lights
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
     from clrelight.jobs.normals import normals as normals
     from clrelight.jobs.operators import transfer_operators as transfer_operators
     from clrelight.jobs.pack import pack as pack
+    from clrelight.jobs.recognition import recognise as recognise
     from clrelight.jobs.reflect import reflect as reflect
     from clrelight.jobs.relight import relight as relight
     from clrelight.jobs.render import render as render
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
+    from clrelight.jobs.subspaces import compare_subspaces as compare_subspaces
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
     from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
@@ -94,16 +97,19 @@ _MODULES = {
     "jobs.decode": "decode",
     "jobs.encode": "encode",
     "jobs.export": "export",
+    "jobs.find_lights": "find_lights",
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
     "jobs.operators": "transfer_operators",
     "jobs.normals": "normals",
     "jobs.pack": "pack",
+    "jobs.recognition": "recognise",
     "jobs.reflect": "reflect",
     "jobs.relight": "relight",
     "jobs.render": "render",
     "jobs.report": "Note Report",
+    "jobs.subspaces": "compare_subspaces",
     "jobs.target": "encode_to_quality",
     "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",

@@ -15,6 +15,7 @@ from clrelight.cli import (
     experiments,
     export,
     files,
+    find_lights,
     fit,
     irradiance,
     light,
@@ -62,7 +63,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation),
+    *(operators, transfer, normals, variation, find_lights),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
