@@ -6,16 +6,24 @@ import pytest
 from clrelight.brdf.analytic import Microfacet
 from clrelight.errors import StoreFormatError
 from clrelight.images import read_header, read_image, write_image
-from clrelight.jobs.reflection import build_reflection, render_reflection
+from clrelight.jobs.reflection import build_reflection
 from clrelight.jobs.reflection_bench import cost_slopes, frame_rates, prefilter_shares, time_microfacets, time_phong
 from clrelight.jobs.reflection_codecs import code_maps, principal_shares
 from clrelight.jobs.reflection_peers import compare_peers
+from clrelight.jobs.reflection_render import render_reflection
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
 from clrelight.shrm.lookup import render_sphere, view_sphere
 from clrelight.store import read_shrm, write_light, write_shrm
 from tests.commands import attributes, call, succeed
+from tests.meshes import icosphere
 from tests.test_brdf_measured import lines
+
+
+def obj_text(surface):
+    rows = [("v", surface.vertices_v3), ("vn", surface.normals_v3)]
+    lines = [f"{word} {x:.9g} {y:.9g} {z:.9g}" for word, points in rows for x, y, z in points]
+    return "\n".join([*lines, *("f " + " ".join(f"{k + 1}//{k + 1}" for k in face) for face in surface.faces_f3)])
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +37,7 @@ def made(tmp_path_factory):
     write_light(folder / "light.h5", Light(rng.standard_normal((49, 3)), "noise"))
     (folder / "paint.brdf").write_text("\n".join(lines()) + "\n")
     (folder / "bad.brdf").write_text("no paint\n")
+    (folder / "ball.obj").write_text(obj_text(icosphere(3)))
     succeed("shrm", "build", folder / "map.exr", folder / "glossy.h5", "--sigma", 0.3)
     succeed("shrm", "build", folder / "map.exr", folder / "local.h5", "--sigma", 0.3, "--frame", "local")
     return folder
@@ -87,6 +96,58 @@ def test_a_turntable_goes_round_once(made, tmp_path):
     assert np.abs(frames[0] - frames[2]).max() > 0.01
 
 
+def test_a_mesh_is_shown_from_anywhere(made, tmp_path):
+    """A ball of triangles, seen without perspective, is the sphere; the environment lies behind it, alpha around it."""
+    pytest.importorskip("embreex")
+    words = ("--mesh", made / "ball.obj", "--orthographic", "--from", "0,-1,0.3", "--exposure", 0)
+    ball, flat = tmp_path / "b.exr", tmp_path / "s.exr"
+    told = succeed("shrm", "render", made / "glossy.h5", ball, *words, "--size", 48, "--json").json
+    assert (told["vertices"], told["faces"]) == (642, 1280)
+    assert told["maps_a_second"] > 0
+    succeed("shrm", "render", made / "glossy.h5", flat, "--size", 46, "--exposure", 0)
+    middle = np.s_[14:34, 14:34]
+    got, expected = read_image(read_header(ball))[middle], read_image(read_header(flat))[13:33, 13:33]
+    assert np.linalg.norm(got - expected) < 0.12 * np.linalg.norm(expected)
+    behind = ("--background", "environment", "--env", made / "map.exr", "--size", "24,16")
+    succeed("shrm", "render", made / "glossy.h5", ball, *words[:2], "--exposure", 0, *behind)
+    picture = read_image(read_header(ball))
+    assert picture.shape == (16, 24, 3)
+    assert picture[:2].min() > 0.0
+    clear = ("--background", "transparent", "--size", 16)
+    succeed("shrm", "render", made / "glossy.h5", tmp_path / "a.png", *words[:2], *clear)
+    with pytest.importorskip("PIL.Image").open(tmp_path / "a.png") as opened:
+        assert opened.mode == "RGBA"
+    text = succeed("shrm", "render", made / "glossy.h5", tmp_path / "v.png", *words[:2], "--views", "pixel").out
+    assert "dynamic maps" not in text
+    assert "pictures a second" in text
+
+
+def test_turntables_are_animated(made, tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    for name in ("t.gif", "t.apng"):
+        words = ("--turntable", 3, "--size", 16, "--turns", "view", "--about", "0,1,0")
+        succeed("shrm", "render", made / "glossy.h5", tmp_path / name, *words)
+        with image.open(tmp_path / name) as opened:
+            assert (opened.n_frames, opened.size) == (3, (16, 16))
+            assert name == "t.gif" or opened.format == "PNG"
+
+
+def test_fibres_take_maps_without_azimuth(made, tmp_path):
+    words = ("--brdf", "kajiya-kay", "--exponent", 4)
+    told = succeed("shrm", "build", made / "map.exr", tmp_path / "k.h5", *words, "--json").json
+    assert (told["frame"], told["maps"], told["centre"]) == ("zonal", told["order"] + 1, "tangent")
+    asked = ("--degree", told["degree"], "--order", told["order"], "--frame", "global")
+    whole = succeed("shrm", "build", made / "map.exr", tmp_path / "g.h5", *words, *asked, "--json").json
+    assert whole["maps"] == (told["order"] + 1) ** 2
+    for name in "kg":
+        succeed("shrm", "render", tmp_path / f"{name}.h5", tmp_path / f"{name}.exr", "--exposure", 0, "--size", 32)
+    fewer, all_ = (read_image(read_header(tmp_path / f"{name}.exr")) for name in "kg")
+    np.testing.assert_allclose(fewer, all_, atol=2e-3 * all_.max())
+    ended = call("shrm", "build", made / "map.exr", tmp_path / "m.h5", "--sigma", 0.4, "--frame", "zonal")
+    assert ended.code == 0
+    assert "the rest differs by azimuth" in ended.err
+
+
 def test_plan_says_what_build_takes(made):
     told = succeed("shrm", "plan", "--sigma", 0.3, "--epsilon", 0.03, "--json").json
     assert (told["degree"], told["order"], told["rows"]) == (7, 2, 70)
@@ -131,7 +192,19 @@ REFUSED = [
     ("shrm render glossy.h5 @o.png --view 0,0,0", "not 0"),
     ("shrm render glossy.h5 @o.exr --tonemap clip", "--tonemap is for 8-bit files"),
     ("shrm render glossy.h5 @o.png --turntable 3", "need a number field"),
-    ("shrm render glossy.h5 glossy.h5", "that is the input"),
+    ("shrm render glossy.h5 glossy.h5", "a picture's name ends in"),
+    ("shrm render map.exr map.exr", "that is the input"),
+    ("shrm render glossy.h5 @o.png --subsamples 2", "--subsamples is for --mesh"),
+    ("shrm render glossy.h5 @o.png --from 1,0,0", "--from is for --mesh"),
+    ("shrm render glossy.h5 @o.png --size 20,10", "a sphere fills a square"),
+    ("shrm render glossy.h5 @o.png --mesh none.obj", "cannot read"),
+    ("shrm render glossy.h5 @o.png --mesh ball.obj --view 0,0,1", "a view is for spheres"),
+    ("shrm render glossy.h5 @o.png --mesh ball.obj --camera 0,0,0", "stands where it looks"),
+    ("shrm render glossy.h5 @o.png --mesh ball.obj --background environment", "no longer holds: give --env"),
+    ("shrm render glossy.h5 @o.png --env map.exr", "what --background environment shows"),
+    ("shrm render glossy.h5 @o.png --axes probe", "--axes is for --env"),
+    ("shrm render glossy.h5 @o.png --about 0,0,1", "axis of --turntable"),
+    ("shrm build map.exr @o.h5 --brdf kajiya-kay --exponent 4 --method product", "made by fft, not product"),
     ("shrm plan --sigma -1", "above 0"),
     ("shrm plan --chart @o.png", "under a map: give one"),
     ("shrm plan map.exr --chart @o.pdf", "charts are .png files"),

@@ -20,6 +20,7 @@ from clrelight.harmonics.wigner import complex_coefficients, turn_functions
 from clrelight.lighting.light import Light
 from clrelight.matmul import multiply_columns
 from clrelight.shrm.record import Shrm, grid_angles
+from clrelight.shrm.zonal import with_azimuth
 
 METHODS = ("fft", "product", "device")
 """How sums over orders m become columns: by FFT, or as a matrix product with waves, in float64 or on the device."""
@@ -170,6 +171,7 @@ def to_global(shrm: Shrm) -> Shrm:
     """
     if shrm.frame == "global":
         return shrm
+    shrm = with_azimuth(shrm)
     alpha_h, beta_w = shrm.angles()
     maps_khwc = _turn_rows(shrm.maps_khwc, shrm.order, alpha_h)
     _turn_columns(maps_khwc, shrm.order, beta_w)
@@ -178,8 +180,8 @@ def to_global(shrm: Shrm) -> Shrm:
 
 def to_local(shrm: Shrm) -> Shrm:
     """Return the reflection map with views in the frame of each central direction: the inverse of `to_global`."""
-    if shrm.frame == "local":
-        return shrm
+    if shrm.frame != "global":
+        return with_azimuth(shrm)
     alpha_h, beta_w = shrm.angles()
     maps_khwc = shrm.maps_khwc.copy()
     _turn_columns(maps_khwc, shrm.order, -beta_w)
