@@ -117,9 +117,12 @@ def test_a_mesh_is_shown_from_anywhere(made, tmp_path):
     succeed("shrm", "render", made / "glossy.h5", tmp_path / "a.png", *words[:2], *clear)
     with pytest.importorskip("PIL.Image").open(tmp_path / "a.png") as opened:
         assert opened.mode == "RGBA"
-    text = succeed("shrm", "render", made / "glossy.h5", tmp_path / "v.png", *words[:2], "--views", "pixel").out
-    assert "dynamic maps" not in text
-    assert "pictures a second" in text
+    several = ("--turntable", 2, "--size", 16)
+    for views in ("distant", "pixel"):
+        words_of = (*words[:2], "--views", views, *several)
+        text = succeed("shrm", "render", made / "glossy.h5", tmp_path / "v%d.png", *words_of).out
+        assert ("dynamic maps" in text) == (views == "distant")
+        assert "pictures a second" in text
 
 
 def test_turntables_are_animated(made, tmp_path):
@@ -169,7 +172,32 @@ def test_brdf_info(made):
     assert "40 pairs of directions" in succeed("brdf", "info", made / "paint.brdf").out
 
 
+def test_pictures_tell_the_reflectance(made, tmp_path):
+    """From a ball's picture to a file, from the file to a reflection map, and to the nearest of some materials."""
+    picture, found = tmp_path / "p.exr", tmp_path / "f.json"
+    succeed("shrm", "render", made / "glossy.h5", picture, "--size", 48, "--exposure", 0)
+    light = ("--light", made / "map.exr", "--degree", 7, "--order", 2)
+    told = succeed("brdf", "estimate", picture, found, *light, "--json").json
+    assert (len(told["condition"]), len(told["error"]), told["centre"]) == (8, 8, "reflection")
+    assert told["residual"] < 0.05
+    assert "not explained" in succeed("brdf", "estimate", picture, found, *light, "--prior", "none").out
+    built = succeed("shrm", "build", made / "map.exr", tmp_path / "o.h5", "--brdf", found, "--epsilon", 0.1, "--json")
+    assert built.json["config"]["brdf"] == "estimated"
+    materials = [word for name in ("microfacet:0.3", "phong:4", "lambert", "skin") for word in ("--material", name)]
+    told = succeed("brdf", "recognise", picture, *light, *materials, "--json").json
+    assert told["materials"][0] == "microfacet:0.3"
+    assert told["distances"][0] < 0.5 * told["distances"][1]
+    assert "microfacet:0.3" in succeed("brdf", "recognise", picture, *light, *materials).out
+
+
 REFUSED = [
+    ("brdf estimate map.exr @o.json --light map.exr", "a sphere fills a square"),
+    ("brdf estimate map.exr @o.h5 --light map.exr", "written as .json"),
+    ("brdf estimate map.exr @o.json --light light.h5 --axes probe", "is for maps"),
+    ("brdf estimate none.exr @o.json --light light.h5 --degree 4", "there is no image"),
+    ("brdf recognise map.exr --light map.exr --material skin", "two at least"),
+    ("brdf recognise map.exr --light map.exr --material skin --material phong:-1", "at least 0"),
+    ("brdf recognise map.exr --light map.exr --material skin --material bad.brdf", "is no .brdf file"),
     ("shrm build map.exr @o.h5 --sigma 0", "above 0, got 0"),
     ("shrm build map.exr @o.h5 --sigma -1", "above 0, got -1"),
     ("shrm build map.exr @o.h5 --brdf phong --exponent -1", "at least 0, got -1"),

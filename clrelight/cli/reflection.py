@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.claims import claim_output
-from clrelight.cli.maps import MapReading, map_options, refuse_map_options
+from clrelight.cli.maps import MapReading, is_light_file, map_options, refuse_map_options
 from clrelight.cli.options import device_option, json_option, whole_number
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.reflection_bench import bench
@@ -41,8 +41,9 @@ def brdf_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "name",
             default="microfacet",
             show_default=True,
-            metavar="NAME|FILE.brdf",
-            help="lambert, phong, microfacet, kajiya-kay (fibres along meridians), skin, or a measured file.",
+            metavar="NAME|FILE",
+            help="lambert, phong, microfacet, kajiya-kay (fibres along meridians), skin, a measured file, or what "
+            "brdf estimate wrote.",
         ),
     ):
         command = option(command)
@@ -109,7 +110,7 @@ def build(
     check_output(out, sources)
     report = make_report(as_json)
     source: Any
-    if len(sources) == 1 and sources[0].lower().endswith((".h5", ".hdf5")):
+    if len(sources) == 1 and is_light_file(sources[0]):
         refuse_map_options()
         source = read_light(sources[0])
     else:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
+from clrelight.cli.maps import is_light_file
 from clrelight.cli.options import Exposure, Numbers, is_given, json_option, memory_option, whole_number
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
@@ -132,7 +133,7 @@ def render(
             progress=lambda done, total, what: bar(done, total or done),
             report=report,
         )
-    _print(report, as_json)
+    _print(report, turntable is not None, as_json)
 
 
 def _check(mesh: str | None, environments: tuple[str, ...]) -> None:
@@ -150,7 +151,7 @@ def _check(mesh: str | None, environments: tuple[str, ...]) -> None:
 def _environment(files: tuple[str, ...], layout: str | None, axes: str, report: Report) -> Environment | str | None:
     if not files:
         return None
-    if len(files) == 1 and files[0].lower().endswith((".h5", ".hdf5")):
+    if len(files) == 1 and is_light_file(files[0]):
         if layout is not None or is_given(click.get_current_context(), "axes"):
             raise InputError("--layout and --axes are for maps, not for light files")
         return files[0]
@@ -161,7 +162,7 @@ def _environment(files: tuple[str, ...], layout: str | None, axes: str, report: 
     return environment
 
 
-def _print(report: Report, as_json: bool) -> None:
+def _print(report: Report, several: bool, as_json: bool) -> None:
     from clrelight.jobs.reflection_render import PAPER_RATE
 
     facts = report.facts
@@ -171,8 +172,9 @@ def _print(report: Report, as_json: bool) -> None:
         lines["surface"] = f"{facts['vertices']} vertices, {facts['faces']} faces"
         lines["camera"] = "at " + ", ".join(f"{v:.4g}" for v in facts["camera"]["eye"])
     lines["exposure"] = f"{facts['exposure']:+.2f} stops"
-    lines["rate"] = f"{facts['frames_a_second']:.1f} pictures a second"
-    if "maps_a_second" in facts:
+    if several:  # of one picture, the time is that of beginning
+        lines["rate"] = f"{facts['frames_a_second']:.1f} pictures a second"
+    if several and "maps_a_second" in facts:
         lines["dynamic maps"] = (
             f"{facts['maps_a_second']:.0f} a second of 64²×6 texels, P = {facts['order']} (the paper: {PAPER_RATE:g})"
         )

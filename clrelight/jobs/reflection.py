@@ -80,7 +80,7 @@ def build_reflection(
         since = time.perf_counter()
         chosen = _coefficients(brdf, epsilon, degree, order)
         since = kept.add("reflectance", since)
-        light = _light_of(source, chosen.degree, opened)
+        light = light_of(source, chosen.degree, opened)
         since = kept.add("project", since)
         count = rows or max(_FEWEST_ROWS, SAMPLES_PER_DEGREE * chosen.degree)
         if frame is None:
@@ -115,8 +115,8 @@ def _coefficients(brdf: CentredBrdf, epsilon: float | None, degree: int | None, 
     return brdf_coefficients(brdf, degree, order)
 
 
-def _light_of(source: LightLike, degree: int, device: Device) -> Light:
-    """Return the light to a degree; InputError where the source does not hold it."""
+def light_of(source: LightLike, degree: int, device: Device) -> Light:
+    """Return the light of a map, light or light file to a degree; InputError where the source does not hold it."""
     if isinstance(source, Environment):
         if degree > source.resolved_degree:
             raise InputError(

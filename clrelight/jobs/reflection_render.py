@@ -214,8 +214,8 @@ def _background(wanted: str | Sequence[float], light: Any, report: Report) -> tu
 def _facts(camera: Camera, rate: float, clock: Clock) -> dict[str, Any]:
     placed = {"eye": camera.eye_3, "target": camera.target_3, "field_of_view": camera.field_of_view}
     facts: dict[str, Any] = {"camera": placed, "frames_a_second": rate}
-    if clock.maps:
-        facts["maps_a_second"] = clock.texels / max(clock.seconds, 1e-9) / PAPER_TEXELS
+    if clock.seconds:
+        facts["maps_a_second"] = clock.rate(PAPER_TEXELS)
     return facts
 
 

@@ -37,19 +37,20 @@ class Subject(Protocol):
 
 @dataclass
 class Clock:
-    """What dynamic maps took: how many there were, of how many texels, and seconds."""
+    """What dynamic maps took: seconds for each texel, map by map."""
 
-    maps: int = 0
-    texels: int = 0
-    seconds: float = 0.0
+    seconds: list[float] = field(default_factory=list)
 
     def sum_map(self, shrm: Shrm, view_3: NDArray[np.float64]) -> NDArray[np.floating]:
         """Return the dynamic map of a view (`explicit.view_map`), timed."""
         since = time.perf_counter()
         map_hwc = view_map(shrm, view_3)
-        self.seconds += time.perf_counter() - since
-        self.maps, self.texels = self.maps + 1, self.texels + map_hwc.shape[0] * map_hwc.shape[1]
+        self.seconds.append((time.perf_counter() - since) / (map_hwc.shape[0] * map_hwc.shape[1]))
         return map_hwc
+
+    def rate(self, texels: int) -> float:
+        """Return how many maps of so many texels are summed a second, by the median."""
+        return 1.0 / max(float(np.median(self.seconds)) * texels, 1e-12)
 
 
 @dataclass
