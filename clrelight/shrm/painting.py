@@ -97,7 +97,7 @@ class Mesh:
     views: str = "distant"
     memory: int = 1 << 28
     clock: Clock = field(default_factory=Clock)
-    _held: dict[object, _Seen] = field(default_factory=dict, repr=False)
+    _held: dict[object, Seen] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         if self.views not in VIEWS:
@@ -111,10 +111,10 @@ class Mesh:
         map_hwc = self.clock.sum_map(shrm, distant_3) if self.views == "distant" else None
         bands, coverage, behind, outside = [], [], [], False
         for first in range(0, self.size[1], self._rows):
-            seen = self._look(camera, (first, min(first + self._rows, self.size[1])), shrm.centre)
+            seen = self.see(camera, (first, min(first + self._rows, self.size[1])), shrm.centre)
             central_s3 = seen.central_s3 @ turn
             if map_hwc is None:
-                values_sc = _own_views(shrm, central_s3, seen.towards_s3 @ turn)
+                values_sc = own_views(shrm, central_s3, seen.towards_s3 @ turn)
             else:
                 values_sc = look_up(map_hwc, central_s3)
             bands.append(seen.view.average(values_sc))
@@ -125,27 +125,28 @@ class Mesh:
         check_seen(self.surface, bool(coverage_hw.any()), outside)
         return Picture(np.concatenate(bands), coverage_hw, float(np.sum(behind) / coverage_hw.sum()))
 
-    def _look(self, camera: Camera, rows: tuple[int, int], centre: str) -> _Seen:
+    def see(self, camera: Camera, rows: tuple[int, int], centre: str) -> Seen:
         """Return what is seen of a band; that of the whole picture is kept while the camera stands still."""
         key = (camera, rows, centre)
-        if key not in self._held:
-            view = look(self._scene, camera, self.size, subsamples=self.subsamples, rows=rows)
-            towards_s3 = camera.towards(view.at_samples(self.surface.vertices_v3))
-            normals_s3 = _unit(view.at_samples(self.surface.normals_v3))
-            if centre == "tangent" and self.surface.tangents_v3 is not None:
-                central_s3 = _unit(view.at_samples(self.surface.tangents_v3))
-            elif centre == "reflection":
-                along_s1 = np.einsum("sa,sa->s", normals_s3, towards_s3)[:, None]
-                central_s3 = 2.0 * along_s1 * normals_s3 - towards_s3
-            else:
-                central_s3 = central_directions(normals_s3, towards_s3[:1], centre)
-            self._held = {key: _Seen(view, central_s3, towards_s3)} if rows == (0, self.size[1]) else {}
-            return self._held.get(key) or _Seen(view, central_s3, towards_s3)
-        return self._held[key]
+        if key in self._held:
+            return self._held[key]
+        view = look(self._scene, camera, self.size, subsamples=self.subsamples, rows=rows)
+        towards_s3 = camera.towards(view.at_samples(self.surface.vertices_v3))
+        normals_s3 = _unit(view.at_samples(self.surface.normals_v3))
+        if centre == "tangent" and self.surface.tangents_v3 is not None:
+            central_s3 = _unit(view.at_samples(self.surface.tangents_v3))
+        elif centre == "reflection":
+            along_s1 = np.einsum("sa,sa->s", normals_s3, towards_s3)[:, None]
+            central_s3 = 2.0 * along_s1 * normals_s3 - towards_s3
+        else:
+            central_s3 = central_directions(normals_s3, towards_s3[:1], centre)
+        seen = Seen(view, central_s3, towards_s3)
+        self._held = {key: seen} if rows == (0, self.size[1]) else {}
+        return seen
 
 
 @dataclass(frozen=True)
-class _Seen:
+class Seen:
     """What rays meet, and at each sample the central direction and the direction to the eye, (n_sample, 3)."""
 
     view: View
@@ -153,7 +154,7 @@ class _Seen:
     towards_s3: NDArray[np.float64]
 
 
-def _own_views(shrm: Shrm, central_s3: NDArray[np.float64], towards_s3: NDArray[np.float64]) -> NDArray[np.floating]:
+def own_views(shrm: Shrm, central_s3: NDArray[np.float64], towards_s3: NDArray[np.float64]) -> NDArray[np.floating]:
     """Return the radiance (n, channel) of points towards views of their own: O(P^2) lookups, zonal O(P)."""
     if shrm.frame == "zonal":
         weights_ks = zonal_weights(np.clip(np.einsum("sa,sa->s", central_s3, towards_s3), -1.0, 1.0), shrm.order)
