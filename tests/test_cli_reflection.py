@@ -181,6 +181,7 @@ def test_pictures_tell_the_reflectance(made, tmp_path):
     assert (len(told["condition"]), len(told["error"]), told["centre"]) == (8, 8, "reflection")
     assert told["residual"] < 0.05
     assert "not explained" in succeed("brdf", "estimate", picture, found, *light, "--prior", "none").out
+    assert "F = 7, P = 2, 3 channel(s), angles from the reflection" in succeed("brdf", "info", found).out
     built = succeed("shrm", "build", made / "map.exr", tmp_path / "o.h5", "--brdf", found, "--epsilon", 0.1, "--json")
     assert built.json["config"]["brdf"] == "estimated"
     materials = [word for name in ("microfacet:0.3", "phong:4", "lambert", "skin") for word in ("--material", name)]
@@ -238,6 +239,8 @@ REFUSED = [
     ("shrm plan map.exr --chart @o.pdf", "charts are .png files"),
     ("shrm plan --axes probe", "is for maps"),
     ("brdf info bad.brdf", "is no .brdf file"),
+    ("brdf info none.json", "cannot read"),
+    ("shrm build map.exr @o.h5 --brdf none.json", "cannot read"),
     ("brdf info map.exr", "no text file"),
 ]
 

@@ -65,7 +65,7 @@ def picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.argument("file", type=click.Path())
 @json_option
 def info(file: str, as_json: bool) -> None:
-    """Say what a .brdf file holds, and how its energy falls to orders P of the view.
+    """Say what a .brdf file, or one of estimate, holds, and how its energy falls to orders P of the view.
 
     \b
     Example:
@@ -76,17 +76,26 @@ def info(file: str, as_json: bool) -> None:
     report = make_report(as_json)
     describe_brdf(file, report=report)
     facts = report.facts
+    lines = {"file": file, **(_measured(facts) if "pairs" in facts else _coefficients(facts))}
+    shares = ", ".join(f"{row.mean():.3f}" for row in facts["shares"])
+    lines[f"energy up to P, F = {facts['degree']}"] = shares
+    print_report(report, as_json, lines)
+
+
+def _measured(facts: dict[str, Any]) -> dict[str, str]:
     waves = facts["wavelengths"]
     (first, last), (low, high) = facts["light_degrees"], facts["view_degrees"]
-    lines = {
-        "file": file,
+    return {
         "measured": f"{facts['pairs']} pairs of directions, light {first:.0f} to {last:.0f}°, "
         f"view {low:.0f} to {high:.0f}°",
         "wavelengths": f"{len(waves)}, {waves[0]:g} to {waves[-1]:g} nm",
         "values": f"{facts['least']:.4g} to {facts['largest']:.4g} 1/sr",
-        f"energy up to P, F = {facts['degree']}": ", ".join(f"{row.mean():.3f}" for row in facts["shares"]),
     }
-    print_report(report, as_json, lines)
+
+
+def _coefficients(facts: dict[str, Any]) -> dict[str, str]:
+    orders = f"F = {facts['degree']}, P = {facts['order']}, {facts['channels']} channel(s)"
+    return {"coefficients": f"{orders}, angles from the {facts['centre']}"}
 
 
 @brdf.command()
