@@ -74,9 +74,7 @@ def _make(name: str, sigma: float | None, exponent: float | None) -> CentredBrdf
 @click.option(
     "--method",
     type=click.Choice(["fft", "product", "device"]),
-    default="fft",
-    show_default=True,
-    help="How orders become columns: by FFT, as a product in float64, or on the device.",
+    help="How orders become columns: by FFT (default), as a product in float64, or on the device.",
 )
 @device_option
 @json_option
@@ -92,7 +90,7 @@ def build(
     order: int | None,
     rows: int | None,
     frame: str | None,
-    method: str,
+    method: str | None,
     device: str | None,
     as_json: bool,
 ) -> None:

@@ -26,6 +26,9 @@ from clrelight.store import read_light, write_shrm
 SAMPLES_PER_DEGREE = 10
 """Rows of a map for each degree F (frequency-space-environment-maps, 5.2)."""
 
+METHOD = "fft"
+"""How orders become columns, where nobody says otherwise."""
+
 _FEWEST_ROWS = 16
 
 LightLike = Environment | Light | str | os.PathLike[str]
@@ -41,7 +44,7 @@ def build_reflection(
     order: int | None = None,
     rows: int | None = None,
     frame: str | None = None,
-    method: str = "fft",
+    method: str | None = None,
     device: Device | str | None = None,
     report: Report | None = None,
 ) -> Shrm:
@@ -62,8 +65,8 @@ def build_reflection(
         One of `shrm.record.FRAMES`; by default ``"zonal"`` where the reflectance differs by the view's angle from the
         central direction but not by its azimuth (Kajiya and Kay's fibres), else ``"global"``. Another's coefficients
         of q > 0 are left out of zonal maps, which a note says.
-    method : str
-        One of `shrm.prefilter.METHODS`.
+    method : str, optional
+        One of `shrm.prefilter.METHODS`, of global and local maps; default `METHOD`. Zonal maps are made by ``"fft"``.
     device : Device or str, optional
         Of the direct projection of maps, and of method ``"device"``.
     report : Report, optional
@@ -88,7 +91,8 @@ def build_reflection(
         if frame == "zonal":
             made = _zonal(light, chosen, count, method, kept)
         else:
-            made = build_shrm(light, chosen, count, frame=frame, method=method, dtype=np.float32, device=opened)
+            how = method or METHOD
+            made = build_shrm(light, chosen, count, frame=frame, method=how, dtype=np.float32, device=opened)
         since = kept.add("prefilter", since)
         if out is not None:
             write_shrm(out, made)
@@ -100,8 +104,8 @@ def build_reflection(
     return made
 
 
-def _zonal(light: Light, chosen: BrdfCoefficients, rows: int, method: str, report: Report) -> Shrm:
-    if method != "fft":
+def _zonal(light: Light, chosen: BrdfCoefficients, rows: int, method: str | None, report: Report) -> Shrm:
+    if method not in (None, "fft"):
         raise InputError(f"zonal reflection maps are made by fft, not {method}: ask for --frame global or local")
     if chosen.has_azimuth:
         alone = np.einsum("lpc->", chosen.rho_lpqc[:, :, 0] ** 2) / (chosen.shares()[-1, -1] @ chosen.energy_c)

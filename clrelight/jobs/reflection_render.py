@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.harmonics.rotation import rotation_matrix
 from clrelight.jobs.frames import Rotation
 from clrelight.jobs.inputs import path_text, paths_among, whole
 from clrelight.jobs.meshes import MeshLike, take_surface
@@ -25,7 +26,7 @@ from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
 from clrelight.lighting.lookup import look_up
 from clrelight.memory import DEFAULT_MEMORY
-from clrelight.shrm.painting import Clock, Mesh, Sphere
+from clrelight.shrm.painting import Clock, Mesh, Sphere, distant_view
 from clrelight.shrm.prefilter import to_global
 from clrelight.shrm.record import Shrm
 from clrelight.store import read_shrm
@@ -38,6 +39,9 @@ VIEW = (0.0, -1.0, 0.3)
 
 PAPER_TEXELS, PAPER_RATE = 6 * 64 * 64, 30.0
 """Texels of the paper's dynamic maps, and how many of them it made a second (frequency-space-environment-maps, 7.5)."""
+
+_MAP_BYTES = 1 << 24
+"""Of dynamic maps that are made together."""
 
 
 def render_reflection(
@@ -145,7 +149,7 @@ def render_reflection(
             placed, middle_3 = place_camera(camera, surface, sides, frames), middle_of(surface)
             facts = {"size": list(sides), "vertices": surface.n_vertex, "faces": len(surface.faces_f3)}
         kept.add("read", since)
-        pictures = _paint(subject, shrm, frames, placed, middle_3, rotate, behind, kept)
+        pictures = _paint(subject, shrm, _steps(frames, placed, middle_3, rotate, behind), kept)
         images_ihwc = shown.show(pictures, names, frames.count, has_alpha, kept, progress)
     facts |= _facts(placed, frames.count / max(kept.seconds["render"], 1e-9), clock)
     kept.facts = {"files": names, "degree": shrm.degree, "order": shrm.order, **kept.facts, **facts}
@@ -170,32 +174,50 @@ def _sphere(
     return sphere.camera(np.asarray(VIEW if view is None else view, np.float64)), sphere
 
 
-def _paint(
-    subject: Sphere | Mesh,
-    shrm: Shrm,
+@dataclass(frozen=True)
+class _Step:
+    """One picture: its camera, the turn of its light, and what lies behind it."""
+
+    camera: Camera
+    turn: NDArray[np.float64]
+    behind: Background | None
+
+
+def _steps(
     frames: SurfaceFrames,
     camera: Camera,
     middle_3: NDArray[np.float64],
     rotate: Rotation | None,
     behind: Background | None,
-    report: Report,
-) -> Iterator[Placed]:
-    """Yield pictures, the camera of each, and what lies behind it."""
+) -> Iterator[_Step]:
     turned = np.eye(3) if rotate is None else rotation_of(rotate)
     behind = turn_background(behind, rotate)
     for step in range(frames.count):
+        turn = ("axis", (*frames.axis, 360.0 * step / frames.count))
+        if not step:
+            yield _Step(camera, turned, behind)
+        elif frames.turns == "light":
+            yield _Step(camera, rotation_of(turn) @ turned, turn_background(behind, turn))
+        else:
+            yield _Step(camera.turned(turn[1][-1], frames.axis, middle_3), turned, behind)
+
+
+def _paint(subject: Sphere | Mesh, shrm: Shrm, steps: Iterator[_Step], report: Report) -> Iterator[Placed]:
+    """Yield pictures, the camera of each, and what lies behind it; dynamic maps of many views are made together."""
+    at_once = max(1, _MAP_BYTES // shrm.maps_khwc[0].nbytes)
+    while batch := list(itertools.islice(steps, at_once)):
         since = time.perf_counter()
-        angle, turn, placed, back = 360.0 * step / frames.count, turned, camera, behind
-        if step and frames.turns == "light":
-            turn = rotation_matrix("axis", (*frames.axis, angle)) @ turned
-            back = turn_background(behind, ("axis", (*frames.axis, angle)))
-        elif step:
-            placed = camera.turned(angle, frames.axis, middle_3)
-        picture = subject.paint(shrm, placed, turn)
-        report.add("render", since)
-        if picture.behind > 0.0:
-            report.note(f"{picture.behind:.1%} of what is seen is the inner side of the surface, which is black")
-        yield picture, placed, back
+        maps: list[NDArray[np.floating] | None] = [None] * len(batch)
+        if not isinstance(subject, Mesh) or subject.views == "distant":
+            views_i3 = np.stack([distant_view(each.camera, each.turn) for each in batch])
+            maps = list(subject.clock.sum_maps(shrm, views_i3))
+        for each, map_hwc in zip(batch, maps, strict=True):
+            picture = subject.paint(shrm, each.camera, each.turn, map_hwc)
+            report.add("render", since)
+            if picture.behind > 0.0:
+                report.note(f"{picture.behind:.1%} of what is seen is the inner side of the surface, which is black")
+            yield picture, each.camera, each.behind
+            since = time.perf_counter()
 
 
 def _background(wanted: str | Sequence[float], light: Any, report: Report) -> tuple[Background | None, bool]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
-from clrelight.shrm.explicit import view_map
+from clrelight.shrm.explicit import explicit_maps, view_map
 from clrelight.shrm.lookup import central_directions, look_up, view_sphere
 from clrelight.shrm.record import Shrm
 from clrelight.shrm.zonal import zonal_weights
@@ -30,23 +30,34 @@ _BYTES_A_RAY = 240
 class Subject(Protocol):
     """What is shown."""
 
-    def paint(self, shrm: Shrm, camera: Camera, turn: NDArray[np.float64]) -> Picture:
-        """Return the picture under light turned by a rotation (3, 3)."""
+    def paint(
+        self, shrm: Shrm, camera: Camera, turn: NDArray[np.float64], map_hwc: NDArray[np.floating] | None = None
+    ) -> Picture:
+        """Return the picture under light turned by a rotation (3, 3); by a dynamic map that is there already."""
         ...
+
+
+def distant_view(camera: Camera, turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the direction to a camera, (3,), in the axes of light turned by a rotation: that turns the view back."""
+    return np.asarray(-camera.axes()[2] @ turn)
 
 
 @dataclass
 class Clock:
-    """What dynamic maps took: seconds for each texel, map by map."""
+    """What dynamic maps took: seconds for each texel, batch by batch."""
 
     seconds: list[float] = field(default_factory=list)
 
-    def sum_map(self, shrm: Shrm, view_3: NDArray[np.float64]) -> NDArray[np.floating]:
-        """Return the dynamic map of a view (`explicit.view_map`), timed."""
+    def sum_maps(self, shrm: Shrm, views_i3: NDArray[np.float64]) -> list[NDArray[np.floating]]:
+        """Return the dynamic maps of views (eq. 12), timed; of a global map by one product."""
         since = time.perf_counter()
-        map_hwc = view_map(shrm, view_3)
-        self.seconds.append((time.perf_counter() - since) / (map_hwc.shape[0] * map_hwc.shape[1]))
-        return map_hwc
+        if shrm.frame == "global":
+            maps = list(explicit_maps(shrm, views_i3))
+        else:
+            maps = [view_map(shrm, view_3) for view_3 in views_i3]
+        texels = len(maps) * maps[0].shape[0] * maps[0].shape[1]
+        self.seconds.append((time.perf_counter() - since) / texels)
+        return maps
 
     def rate(self, texels: int) -> float:
         """Return how many maps of so many texels are summed a second, by the median."""
@@ -66,10 +77,14 @@ class Sphere:
         upward = (0.0, 0.0, 1.0) if abs(back_3[2]) < 1.0 - 1e-9 else (0.0, 1.0, 0.0)
         return Camera(back_3, (0.0, 0.0, 0.0), upward, height=2.0)
 
-    def paint(self, shrm: Shrm, camera: Camera, turn: NDArray[np.float64]) -> Picture:
+    def paint(
+        self, shrm: Shrm, camera: Camera, turn: NDArray[np.float64], map_hwc: NDArray[np.floating] | None = None
+    ) -> Picture:
         """See `Subject`."""
         sphere = view_sphere(self.size, np.asarray(camera.eye_3), shrm.centre)
-        values_nc = look_up(self.clock.sum_map(shrm, sphere.view_3 @ turn), sphere.central_n3 @ turn)
+        if map_hwc is None:
+            map_hwc = self.clock.sum_maps(shrm, distant_view(camera, turn)[None])[0]
+        values_nc = look_up(map_hwc, sphere.central_n3 @ turn)
         return Picture(sphere.picture(values_nc).astype(np.float32), sphere.inside_hw.astype(np.float32), 0.0)
 
 
@@ -105,10 +120,12 @@ class Mesh:
         self._scene = RayScene(self.surface)
         self._rows = max(1, self.memory // (self.size[0] * self.subsamples**2 * _BYTES_A_RAY))
 
-    def paint(self, shrm: Shrm, camera: Camera, turn: NDArray[np.float64]) -> Picture:
+    def paint(
+        self, shrm: Shrm, camera: Camera, turn: NDArray[np.float64], map_hwc: NDArray[np.floating] | None = None
+    ) -> Picture:
         """See `Subject`."""
-        distant_3 = -camera.axes()[2] @ turn
-        map_hwc = self.clock.sum_map(shrm, distant_3) if self.views == "distant" else None
+        if map_hwc is None and self.views == "distant":
+            map_hwc = self.clock.sum_maps(shrm, distant_view(camera, turn)[None])[0]
         bands, coverage, behind, outside = [], [], [], False
         for first in range(0, self.size[1], self._rows):
             seen = self.see(camera, (first, min(first + self._rows, self.size[1])), shrm.centre)
