@@ -15,9 +15,10 @@ from clrelight.harmonics.wigner import complex_coefficients, turn_functions
 from clrelight.lighting.irradiance import evaluate_irradiance
 from clrelight.lighting.light import Light
 from clrelight.shrm.angular import integrate_directions
+from clrelight.shrm.expansion import METHODS
 from clrelight.shrm.explicit import explicit_maps, view_map
 from clrelight.shrm.lookup import local_view
-from clrelight.shrm.prefilter import METHODS, build_shrm, to_global, to_local
+from clrelight.shrm.prefilter import build_shrm, to_global, to_local
 from clrelight.shrm.record import Shrm, grid_directions
 from tests.reference import shrm as reference
 from tests.styles import both_styles

@@ -20,10 +20,12 @@ from clrelight.harmonics.latlong import latitude_weights, project_latlong, synth
 from clrelight.lighting.light import Light
 from clrelight.matmul import apply_operator, pack_operator
 from clrelight.shrm.angular import integrate_on_device
+from clrelight.shrm.expansion import expand_product
 from clrelight.shrm.explicit import explicit_maps, view_grid
 from clrelight.shrm.orders import phong_width, sufficient_coefficients
-from clrelight.shrm.prefilter import build_shrm, expand_product, sum_degrees
+from clrelight.shrm.prefilter import build_shrm
 from clrelight.shrm.record import grid_directions
+from clrelight.shrm.spectrum import sum_degrees
 
 EXPONENTS = (8, 16, 32, 64, 128, 256, 512)
 SIGMAS = (0.1, 0.2, 0.3, 0.4, 0.5)
@@ -150,7 +152,7 @@ def _orders_seconds(degree: int, order: int, size: int) -> float:
     rng = np.random.default_rng(0)
     brdf = brdf_coefficients(Microfacet(0.3), degree, order)
     light = Light(rng.standard_normal((coefficient_count(degree), 1)))
-    spectrum_khmc = sum_degrees(light.coeffs_kc, brdf, size)
+    sums_hkmc = sum_degrees(light.coeffs_kc, brdf, size)
     seconds: list[float] = []
 
     def multiply(waves_wn: NDArray, parts_nx: NDArray) -> NDArray:
@@ -161,7 +163,7 @@ def _orders_seconds(degree: int, order: int, size: int) -> float:
 
     with threadpool_limits(1):  # threads of a busy machine wait for each other
         for _ in range(1 + _REPEATS):
-            expand_product(spectrum_khmc, size, multiply)
+            expand_product(sums_hkmc, size, multiply)
     return min(seconds[1:])
 
 

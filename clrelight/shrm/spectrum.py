@@ -1,0 +1,152 @@
+"""Reflection maps as sums over orders m: made of light and reflectance by sums over degrees, and turned row by row."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from clrelight.brdf.coefficients import BrdfCoefficients
+from clrelight.harmonics.index import coefficient_count, coefficient_index
+from clrelight.harmonics.rotations import turns_about_y
+from clrelight.harmonics.wigner import turn_tables
+
+_ORDERS_AT_ONCE = 16
+"""Orders m of one batch of products: degrees below the least of them are left out."""
+_KEPT_TABLES = 1 << 26
+"""Bytes of the functions of one q and -q beyond which they are made anew for each map."""
+
+
+def sum_degrees(
+    light_kc: NDArray[np.float64], brdf: BrdfCoefficients, height: int, dtype: DTypeLike = np.float64
+) -> NDArray[np.complexfloating]:
+    """Return A with ``map_k = Re sum_m A_km e^(i m beta)``, (height, (P + 1)**2, F + 1, channel) complex.
+
+    As the light is real, the orders m and -m add up to ``Re (L_lm e^(i m beta)) (d_mq + d_-mq)`` in the real part of
+    ``B_pq``, and to ``Im (L_lm e^(i m beta)) (d_mq - d_-mq)`` in the imaginary one. Either is the same at a row and at
+    its mirror about the equator, but for a sign that l + m decides: so only half of the rows are summed.
+
+    Parameters
+    ----------
+    light_kc : ndarray, shape (n_coeff, channel), float64
+        What lies beyond the reflectance's degree does not count.
+    brdf : BrdfCoefficients
+    height : int
+        Rows of the map.
+    dtype : float64 or float32
+        Of the sums.
+    """
+    degree, order = brdf.degree, brdf.order
+    light_mlc = _light_by_order(light_kc, degree)
+    real, complexes = np.dtype(dtype), np.result_type(dtype, np.complex64)
+    channel, upper, lower = max(light_kc.shape[1], brdf.channels), (height + 1) // 2, height // 2
+    sums_mhkx = np.zeros((degree + 1, height, coefficient_count(order), 2 * channel), real)
+    placed: list[int] = []
+    for q in range((min(order, degree) if brdf.has_azimuth else 0) + 1):
+        product_mlpc = light_mlc[:, :, None] * brdf.rho_lpqc[:, q:, q]
+        for side in range(2 if q else 1):  # q, then -q, where -Im z = Re (i z)
+            part = slice(len(placed), len(placed) + order + 1 - q)
+            placed += [coefficient_index(p, -q if side else q) for p in range(q, order + 1)]
+            both_mlspc = np.empty((*product_mlpc.shape[:2], 2, *product_mlpc.shape[2:]), complexes)
+            np.multiply(product_mlpc, np.sqrt(2.0) * (1j if side else 1.0) if q else 1.0, out=both_mlspc[:, :, 0])
+            np.multiply(both_mlspc[:, :, 0], _mirror_signs(degree, q + side), out=both_mlspc[:, :, 1])
+            for block in _row_blocks(height, degree, q, real):
+                flat_mly = both_mlspc[block.orders, block.first :].view(real)
+                flat_mly = flat_mly.reshape(*flat_mly.shape[:2], -1)
+                made_mhspx = np.matmul(block.tables_mhl[side], flat_mly).reshape(-1, upper, 2, order + 1 - q, 2 * channel)
+                sums_mhkx[block.orders, :upper, part] = made_mhspx[:, :, 0]
+                sums_mhkx[block.orders, upper:, part] = made_mhspx[:, :lower, 1][:, ::-1]
+    place_k = np.empty(coefficient_count(order), np.intp)
+    left = [k for k in range(len(place_k)) if k not in set(placed)]
+    place_k[placed + left] = np.arange(len(place_k))
+    return np.ascontiguousarray(sums_mhkx.transpose(1, 2, 0, 3)[:, place_k]).view(complexes)
+
+
+def _light_by_order(light_kc: NDArray[np.float64], degree: int) -> NDArray[np.complex128]:
+    """Return ``L_lm`` of complex harmonics of m >= 0 (`harmonics.wigner`), (m, l, channel), 0 where l < m."""
+    m, l = np.ogrid[: degree + 1, : degree + 1]
+    held = l >= m
+    plus_mlc, minus_mlc = (light_kc[np.where(held, l * (l + 1) + side * m, 0)] for side in (1, -1))
+    scale_ml = held * np.where(m > 0, np.sqrt(0.5), 1.0)
+    return scale_ml[:, :, None] * (plus_mlc - 1j * minus_mlc * (m > 0)[:, :, None])
+
+
+@functools.lru_cache(maxsize=64)
+def _mirror_signs(degree: int, sides: int) -> NDArray[np.float64]:
+    """Return ``(-1)**(l + m + sides)``, (m, l, 1, 1)."""
+    m, l = np.ogrid[: degree + 1, : degree + 1]
+    return (-1.0) ** ((l + m + sides) % 2)[:, :, None, None]
+
+
+@dataclass(frozen=True)
+class _RowBlock:
+    """Functions of some orders m at the rows of the upper half.
+
+    Attributes
+    ----------
+    orders : slice
+        Which m.
+    first : int
+        Least degree of any of them.
+    tables_mhl : tuple of ndarray, shape (m, row, l)
+        ``d_mq + d_-mq`` (for m = 0 ``d_0q``), then ``d_mq - d_-mq``.
+    """
+
+    orders: slice
+    first: int
+    tables_mhl: tuple[NDArray[np.floating], NDArray[np.floating]]
+
+
+def _row_blocks(height: int, degree: int, q: int, real: np.dtype) -> list[_RowBlock]:
+    size = 2 * ((height + 1) // 2) * (degree + 1) ** 2 * real.itemsize
+    return (_kept_blocks if size <= _KEPT_TABLES else _make_blocks)(height, degree, q, real)
+
+
+def _make_blocks(height: int, degree: int, q: int, real: np.dtype) -> list[_RowBlock]:
+    alpha_h = np.pi * (np.arange((height + 1) // 2) + 0.5) / height
+    blocks = []
+    for start in range(0, degree + 1, _ORDERS_AT_ONCE):
+        orders, first = slice(start, min(start + _ORDERS_AT_ONCE, degree + 1)), max(start, q)
+        plus_mhl, minus_mhl = turn_tables(alpha_h, degree, np.arange(degree + 1)[orders], q)
+        sums_mhl, differences_mhl = plus_mhl + minus_mhl, plus_mhl - minus_mhl
+        if start == 0:
+            sums_mhl[0] = plus_mhl[0]
+        tables = (np.ascontiguousarray(table[:, :, first:], real) for table in (sums_mhl, differences_mhl))
+        blocks.append(_RowBlock(orders, first, tuple(tables)))
+    return blocks
+
+
+_kept_blocks = functools.lru_cache(maxsize=16)(_make_blocks)
+
+
+def turn_rows(values_hkx: NDArray, order: int, alpha_h: NDArray[np.float64]) -> NDArray:
+    """Return coefficients (row, k, ...) turned about y by the angle of their row; values may be complex sums."""
+    return turns_about_y(tuple(alpha_h.tolist()), order, values_hkx.real.dtype.name).apply_each(values_hkx)
+
+
+def turn_orders(sums_hkmc: NDArray[np.complexfloating], order: int) -> NDArray[np.complexfloating]:
+    """Return sums of maps turned about z by the azimuth of their column, of orders up to ``F + P``.
+
+    ``Z = map_q + i map_-q`` becomes ``e^(i q beta) Z``: its orders move up by q.
+    """
+    height, count, n_order, channel = sums_hkmc.shape
+    made_hkmc = np.zeros((height, count, n_order + order, channel), sums_hkmc.dtype)
+    zonal = [coefficient_index(p, 0) for p in range(order + 1)]
+    made_hkmc[:, zonal, :n_order] = sums_hkmc[:, zonal]
+    for q in range(1, order + 1):
+        plus, minus = ([coefficient_index(p, side * q) for p in range(q, order + 1)] for side in (1, -1))
+        real, imaginary = sums_hkmc[:, plus], sums_hkmc[:, minus]
+        imaginary *= 1j
+        up, down = 0.5 * (real + imaginary), 0.5 * (real - imaginary)  # orders m of Z, and conjugates of -m
+        up[:, :, 0] = real[:, :, 0].real + 1j * imaginary[:, :, 0].imag
+        moved = np.zeros((height, len(plus), n_order + q, channel), sums_hkmc.dtype)
+        moved[:, :, q:] = up
+        few = min(q, n_order - 1)
+        moved[:, :, q - few : q] = down[:, :, few:0:-1].conj()
+        back = np.zeros_like(moved)  # conjugates of orders -m
+        back[:, :, 1 : max(n_order - q, 1)] = down[:, :, 1 + q :]
+        made_hkmc[:, plus, : n_order + q] = moved + back
+        made_hkmc[:, minus, : n_order + q] = -1j * (moved - back)
+    return made_hkmc
