@@ -74,10 +74,10 @@ def _make(name: str, sigma: float | None, exponent: float | None) -> CentredBrdf
 )
 @click.option(
     "--method",
-    type=click.Choice(["fft", "product", "device"]),
-    default="fft",
+    type=click.Choice(["device", "fft", "product"]),
+    default="device",
     show_default=True,
-    help="How orders become columns: by FFT, as a product in float64, or on the device.",
+    help="How columns become orders and orders columns: by kernels, by FFT on the host, or as a product there.",
 )
 @device_option
 @json_option

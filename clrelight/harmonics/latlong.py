@@ -40,41 +40,50 @@ def project_latlong(
     ndarray, shape ((degree + 1)**2, channel), float64
     """
     width = radiance_hwc.shape[1]
-    spectrum_hmc = _sum_azimuths(radiance_hwc, min(degree, width // 2) + 1)  # few columns have few orders
-    # The FFT has e^(-2 pi i m w / width): what is left are the azimuths of the first column.
-    m = np.arange(spectrum_hmc.shape[1])
-    phase_m = np.exp(1j * m * longitude_azimuths(width)[0])
-    return project_rows(spectrum_hmc * phase_m[:, None], width, degree, matrix)
+    sums_hmc = _sum_azimuths(radiance_hwc, min(degree, width // 2) + 1)  # few columns have few orders
+    return project_rows(sums_hmc, width, degree, matrix, first=longitude_azimuths(width)[0], side=-1)
 
 
 def project_rows(
-    sums_hmc: NDArray[np.complexfloating], width: int, degree: int, matrix: NDArray[np.float64] | None = None
+    sums_hmc: NDArray[np.complexfloating],
+    width: int,
+    degree: int,
+    matrix: NDArray[np.float64] | None = None,
+    *,
+    first: float = 0.0,
+    side: int = 1,
 ) -> NDArray[np.float64]:
-    """Return the coefficients ((degree + 1)**2, channel) of sums of rows, ``sum_w L e^(i m beta)``; see `project_latlong`.
+    """Return the coefficients ((degree + 1)**2, channel) of sums of rows, in float64; see `project_latlong`.
 
     Parameters
     ----------
     sums_hmc : ndarray, shape (height, order m, channel), complex
-        At the azimuths of `longitude_azimuths`; of fewer than degree + 1 orders the others are 0.
+        ``sum_w L e^(-i m a)``, where ``beta = first + side a`` are the azimuths of `longitude_azimuths`. Of fewer than
+        degree + 1 orders the others are 0.
     width : int
         Columns that were summed.
     degree, matrix
         As of `project_latlong`.
+    first : float
+        Radians.
+    side : int
+        1 or -1.
     """
     axes = np.eye(3) if matrix is None else matrix
     height, n_order, channel = sums_hmc.shape
     plan = _latlong_plan(height, degree)
-    # Azimuths in our axes, which may be turned about z by quarters and mirrored: phi = start + side beta.
-    start = math.atan2(axes[1, 0], axes[0, 0])
-    if axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0] < 0:
-        sums_hmc = sums_hmc.conj()
-    turn_m1 = np.exp(1j * np.arange(n_order) * start)[:, None] * (2.0 * np.pi / width)
-    sums_mhc = (sums_hmc[:: 1 if axes[2, 2] > 0 else -1] * turn_m1).transpose(1, 0, 2)
-    parts_mhx = np.concatenate([sums_mhc.real, sums_mhc.imag], axis=2).astype(np.float64, copy=False)
+    parts_hmx = sums_hmc.view(sums_hmc.real.dtype)[:: 1 if axes[2, 2] > 0 else -1]
+    parts_mhx = parts_hmx.transpose(1, 0, 2).astype(np.float64, order="C")
     made_mlx = np.zeros((degree + 1, degree + 1, 2 * channel))
     for m in range(n_order):
         np.matmul(plan.legendre_mlh[m], parts_mhx[m], out=made_mlx[m, m:])
-    return made_mlx.reshape(-1, channel)[plan.place_k]
+    made_mlc = made_mlx.view(np.complex128)
+    # Azimuths in our axes, which may be turned about z by quarters and mirrored: phi = start + turn beta.
+    start = math.atan2(axes[1, 0], axes[0, 0])
+    turn = 1.0 if axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0] > 0 else -1.0
+    phase_m11 = np.exp(1j * np.arange(degree + 1) * (start + turn * first))[:, None, None] * (2.0 * np.pi / width)
+    made_mlc = phase_m11 * (made_mlc.conj() if turn * side > 0 else made_mlc)
+    return made_mlc.view(np.float64).reshape(-1, channel, 2)[plan.place_k, :, plan.part_k]
 
 
 def _sum_azimuths(radiance_hwc: NDArray[np.floating], orders: int) -> NDArray[np.complexfloating]:
@@ -84,7 +93,7 @@ def _sum_azimuths(radiance_hwc: NDArray[np.floating], orders: int) -> NDArray[np
     height, width, channel = radiance_hwc.shape
     waves_xn = _waves(width, orders, channel, radiance_hwc.dtype)
     cosine, sine = np.moveaxis((radiance_hwc.reshape(height, -1) @ waves_xn).reshape(height, 2, orders, channel), 1, 0)
-    return cosine - 1j * sine
+    return np.ascontiguousarray(cosine - 1j * sine)
 
 
 @functools.lru_cache(maxsize=2)
@@ -99,11 +108,12 @@ def _waves(width: int, orders: int, channel: int, dtype: np.dtype) -> NDArray[np
 class _LatlongPlan:
     """For each order m its polynomials at the rows times the rows' weights, and where coefficients come from.
 
-    ``place_k`` are rows of sums by m, by l, cosines before sines.
+    ``place_k`` are places of sums by m, then l; ``part_k`` is 0 for their real parts, 1 for imaginary ones.
     """
 
     legendre_mlh: tuple[NDArray[np.float64], ...]
     place_k: NDArray[np.intp]
+    part_k: NDArray[np.intp]
 
 
 @functools.lru_cache(maxsize=2)
@@ -112,8 +122,8 @@ def _latlong_plan(height: int, degree: int) -> _LatlongPlan:
     tables = legendre_tables(np.pi * (np.arange(height) + 0.5) / height, degree)
     l = degrees_of_coefficients(degree)
     m = np.arange(len(l)) - l * (l + 1)
-    place_k = 2 * (np.abs(m) * (degree + 1) + l) + (m < 0)
-    return _LatlongPlan(tuple(table * weight_h for table in tables), place_k)
+    legendre = tuple(np.ascontiguousarray(table * weight_h) for table in tables)
+    return _LatlongPlan(legendre, np.abs(m) * (degree + 1) + l, (m < 0).astype(np.intp))
 
 
 def synthesize_latlong(coeffs_kc: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64]:

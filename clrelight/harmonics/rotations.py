@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,12 @@ from numpy.typing import DTypeLike, NDArray
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import MAX_DEGREE
 from clrelight.harmonics.index import band, coefficient_count, degree_of
-from clrelight.harmonics.rotation import nearest_rotation, rotation_blocks
+from clrelight.harmonics.rotation import nearest_rotations, rotation_blocks
+from clrelight.threads import on_one_thread
 
+_CACHED_BYTES = 1 << 18
+"""Of matrices that are made together: what is left of each step stays in the processor's cache."""
+_FEW = 16
 _QUARTER_ABOUT_X = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -80,7 +85,7 @@ class Rotations:
         return self._like(made_nkx.reshape(values_nkx.shape), coeffs_nkx)
 
     def _values(self, coeffs: NDArray, axis: int) -> NDArray[np.floating]:
-        """Return coefficients in our precision, with real and imaginary parts as an axis; InputError of a wrong count."""
+        """Return coefficients in our precision, complex ones as pairs; InputError of a wrong count."""
         if coeffs.ndim <= axis or degree_of(coeffs.shape[axis]) > self.degree:
             raise InputError(
                 f"rotations of degree {self.degree} turn up to {coefficient_count(self.degree)} coefficients, "
@@ -122,15 +127,37 @@ def make_rotations(matrices_n33: NDArray[np.float64], degree: int, dtype: DTypeL
         raise InputError(f"rotations are float32 or float64, got {dtype!r}")
     if matrices.ndim != 3 or len(matrices) == 0:
         raise InputError(f"rotations are matrices of shape (n, 3, 3), got {matrices.shape}")
-    turn = np.stack([nearest_rotation(matrix) for matrix in matrices])
-    alpha_n, beta_n, gamma_n = zyz_angles(turn)
+    turn = nearest_rotations(matrices)
+    alpha_n1, beta_n1, gamma_n1 = (angle_n[:, None] for angle_n in zyz_angles(turn))
+    m = np.arange(-degree, degree + 1)
+    waves = [np.stack([np.cos(m * angle_n), np.sin(m * angle_n)]) for angle_n in (alpha_n1, beta_n1, gamma_n1)]
     blocks = []
-    for l, quarter_ij in enumerate(quarter_turns(degree)):
-        block_nij = _about_z(np.broadcast_to(np.eye(2 * l + 1), (len(turn), 2 * l + 1, 2 * l + 1)), gamma_n)
-        block_nij = _about_z(quarter_ij @ block_nij, beta_n)
-        block_nij = _about_z(quarter_ij.T @ block_nij, alpha_n)
-        blocks.append(np.ascontiguousarray(block_nij, dtype))
+    with on_one_thread() if len(turn) > _FEW else nullcontext():  # for many small products BLAS's threads would wait
+        for l, quarter_ij in enumerate(quarter_turns(degree)):
+            own = [wave[:, :, degree - l : degree + l + 1] for wave in waves]
+            block_nij = np.empty((len(turn), 2 * l + 1, 2 * l + 1), dtype)
+            step = max(1, _CACHED_BYTES // block_nij[:1].nbytes)
+            for first in range(0, len(turn), step):
+                part = slice(first, first + step)
+                block_nij[part] = _turn_blocks(quarter_ij, *(wave[:, part] for wave in own))
+            blocks.append(block_nij)
     return Rotations(tuple(blocks))
+
+
+def _turn_blocks(
+    quarter_ij: NDArray[np.float64],
+    alpha_jni: NDArray[np.float64],
+    beta_jni: NDArray[np.float64],
+    gamma_jni: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the blocks of one degree, from cosines and sines of m times the angles.
+
+    Turns about z have cosines on the diagonal and sines on the other one: they mix rows, or columns, of m and -m.
+    """
+    turned_nij = beta_jni[0, :, :, None] * quarter_ij - beta_jni[1, :, :, None] * quarter_ij[::-1]
+    about_y_nij = quarter_ij.T @ turned_nij
+    turned_nij = alpha_jni[0, :, :, None] * about_y_nij - alpha_jni[1, :, :, None] * about_y_nij[:, ::-1]
+    return gamma_jni[0, :, None] * turned_nij + gamma_jni[1, :, None] * turned_nij[:, :, ::-1]
 
 
 @functools.lru_cache(maxsize=8)
@@ -165,10 +192,3 @@ def zyz_angles(
 def quarter_turns(degree: int) -> list[NDArray[np.float64]]:
     """Return the blocks of the turn by 90 degrees about x."""
     return rotation_blocks(_QUARTER_ABOUT_X, degree)
-
-
-def _about_z(block_nij: NDArray[np.float64], angle_n: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rows of blocks turned about z: cosines on the diagonal, sines on the other."""
-    l = block_nij.shape[1] // 2
-    angle_ni = np.arange(-l, l + 1) * angle_n[:, None]
-    return np.cos(angle_ni)[:, :, None] * block_nij - np.sin(angle_ni)[:, :, None] * block_nij[:, ::-1]

@@ -28,7 +28,7 @@ from clrelight.jobs.pictures import (
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
-from clrelight.lighting.projection import project_environment
+from clrelight.lighting.projection import is_separable, project_environment
 from clrelight.lighting.relighting import TONEMAPS, automatic_exposure
 from clrelight.shrm.explicit import view_map
 from clrelight.shrm.lookup import look_up, view_sphere
@@ -55,7 +55,7 @@ def build_reflection(
     order: int | None = None,
     rows: int | None = None,
     frame: str = "global",
-    method: str = "fft",
+    method: str = "device",
     device: Device | str | None = None,
     report: Report | None = None,
 ) -> Shrm:
@@ -75,7 +75,7 @@ def build_reflection(
     frame : str
         ``"global"`` or ``"local"``, see `shrm.record.FRAMES`.
     method : str
-        One of `shrm.prefilter.METHODS`.
+        One of `shrm.expansion.METHODS`: ``"device"`` also sums the azimuths of a lat-long map there.
     device : Device or str, optional
         Of the direct projection of maps, and of method ``"device"``.
     report : Report, optional
@@ -92,7 +92,7 @@ def build_reflection(
         since = time.perf_counter()
         chosen = _coefficients(brdf, epsilon, degree, order)
         since = kept.add("reflectance", since)
-        light = _light_of(source, chosen.degree, opened)
+        light = _light_of(source, chosen.degree, method, opened)
         since = kept.add("project", since)
         count = rows or max(_FEWEST_ROWS, SAMPLES_PER_DEGREE * chosen.degree)
         made = build_shrm(light, chosen, count, frame=frame, method=method, dtype=np.float32, device=opened)
@@ -113,7 +113,7 @@ def _coefficients(brdf: CentredBrdf, epsilon: float | None, degree: int | None, 
     return brdf_coefficients(brdf, degree, order)
 
 
-def _light_of(source: LightLike, degree: int, device: Device) -> Light:
+def _light_of(source: LightLike, degree: int, method: str, device: Device) -> Light:
     """Return the light to a degree; InputError where the source does not hold it."""
     if isinstance(source, Environment):
         if degree > source.resolved_degree:
@@ -121,7 +121,8 @@ def _light_of(source: LightLike, degree: int, device: Device) -> Light:
                 f"the map is fine enough for degree {source.resolved_degree}, F = {degree} is asked for: "
                 "take a finer map, a smaller degree or a larger epsilon"
             )
-        return project_environment(source, degree, device=device)
+        how = "separable-device" if method == "device" and is_separable(source) else "auto"
+        return project_environment(source, degree, method=how, device=device)
     light = source if isinstance(source, Light) else read_light(source)
     if degree > light.degree:
         raise InputError(f"the light has degree {light.degree}, F = {degree} is asked for")

@@ -1,4 +1,4 @@
-"""The separable transform of lat-long maps on a device: azimuths there, in float32, then rows on the host in float64."""
+"""The separable transform of lat-long maps on a device: azimuths there in float32, rows on the host in float64."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from clrelight.device import Device
 from clrelight.harmonics.latlong import fold_of, folded_waves, project_rows
 
 _BLOCK = 256
-_ROWS = {1: 8, 3: 2}
+_ROWS = {1: 8, 3: 4}
 """Rows of a work-item, for one channel and for three."""
 
 
 def project_latlong_on_device(
-    radiance_hwc: NDArray[np.floating], degree: int, matrix: NDArray[np.float64] | None, device: Device
+    radiance_hwc: NDArray[np.floating], degree: int, device: Device, matrix: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
     """Return what `harmonics.latlong.project_latlong` does, with sums over azimuth by lighting/azimuths.cl.
 
@@ -22,9 +22,10 @@ def project_latlong_on_device(
     ----------
     radiance_hwc : ndarray, shape (height, width, channel), float32 or float64
         Taken as float32.
-    degree, matrix
-        As of `project_latlong`.
+    degree : int
     device : Device
+    matrix : ndarray, shape (3, 3), optional
+        As of `project_latlong`.
 
     Returns
     -------
@@ -33,12 +34,12 @@ def project_latlong_on_device(
     height, width, channel = radiance_hwc.shape
     orders = min(degree, width // 2) + 1
     waves_mjx = folded_waves(width, orders, _BLOCK)
-    sums_hmjc = device.empty((height, orders, 2, channel), np.float32)
+    sums_hmcj = device.empty((height, orders, channel, 2), np.float32)
     device.launch(
         "lighting/azimuths.cl",
         "sum_azimuths_hmjc",
         (-(-height // _ROWS[channel]),),
-        sums_hmjc,
+        sums_hmcj,
         device.upload(np.ascontiguousarray(radiance_hwc, np.float32)),
         device.upload(waves_mjx),
         height,
@@ -53,5 +54,4 @@ def project_latlong_on_device(
             "VECTOR": device.info.lanes,
         },
     )
-    parts_hmjc = device.download(sums_hmjc).astype(np.float64)
-    return project_rows(parts_hmjc[:, :, 0] - 1j * parts_hmjc[:, :, 1], width, degree, matrix)
+    return project_rows(device.download(sums_hmcj).view(np.complex64)[..., 0], width, degree, matrix)

@@ -71,9 +71,7 @@ def expand_product(
     return np.ascontiguousarray(np.moveaxis(maps_wx.reshape(width, k, height, channel), 0, 2))
 
 
-def _expand_on_device(
-    sums_hkmc: NDArray[np.complexfloating], width: int, device: Device
-) -> NDArray[np.float32]:
+def _expand_on_device(sums_hkmc: NDArray[np.complexfloating], width: int, device: Device) -> NDArray[np.float32]:
     """Return maps by shrm/expand.cl, float32."""
     height, count, n_order, channel = sums_hkmc.shape
     sums_hkmx = np.ascontiguousarray(sums_hkmc, np.complex64).view(np.float32)

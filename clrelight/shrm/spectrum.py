@@ -25,8 +25,8 @@ def sum_degrees(
     """Return A with ``map_k = Re sum_m A_km e^(i m beta)``, (height, (P + 1)**2, F + 1, channel) complex.
 
     As the light is real, the orders m and -m add up to ``Re (L_lm e^(i m beta)) (d_mq + d_-mq)`` in the real part of
-    ``B_pq``, and to ``Im (L_lm e^(i m beta)) (d_mq - d_-mq)`` in the imaginary one. Either is the same at a row and at
-    its mirror about the equator, but for a sign that l + m decides: so only half of the rows are summed.
+    ``B_pq``, and to ``Im (L_lm e^(i m beta)) (d_mq - d_-mq)`` in the imaginary one: for each q one matrix product an
+    order m, for all p and channels at once.
 
     Parameters
     ----------
@@ -41,27 +41,25 @@ def sum_degrees(
     degree, order = brdf.degree, brdf.order
     light_mlc = _light_by_order(light_kc, degree)
     real, complexes = np.dtype(dtype), np.result_type(dtype, np.complex64)
-    channel, upper, lower = max(light_kc.shape[1], brdf.channels), (height + 1) // 2, height // 2
-    sums_mhkx = np.zeros((degree + 1, height, coefficient_count(order), 2 * channel), real)
+    count, channel = coefficient_count(order), max(light_kc.shape[1], brdf.channels)
+    sums_hmkx = np.zeros((height, degree + 1, count, 2 * channel), real)
+    sums_mhy = sums_hmkx.reshape(height, degree + 1, -1).transpose(1, 0, 2)
     placed: list[int] = []
     for q in range((min(order, degree) if brdf.has_azimuth else 0) + 1):
         product_mlpc = light_mlc[:, :, None] * brdf.rho_lpqc[:, q:, q]
         for side in range(2 if q else 1):  # q, then -q, where -Im z = Re (i z)
-            part = slice(len(placed), len(placed) + order + 1 - q)
+            part = slice(2 * channel * len(placed), 2 * channel * (len(placed) + order + 1 - q))
             placed += [coefficient_index(p, -q if side else q) for p in range(q, order + 1)]
-            both_mlspc = np.empty((*product_mlpc.shape[:2], 2, *product_mlpc.shape[2:]), complexes)
-            np.multiply(product_mlpc, np.sqrt(2.0) * (1j if side else 1.0) if q else 1.0, out=both_mlspc[:, :, 0])
-            np.multiply(both_mlspc[:, :, 0], _mirror_signs(degree, q + side), out=both_mlspc[:, :, 1])
+            side_mlpc = product_mlpc * (np.sqrt(2.0) * (1j if side else 1.0) if q else 1.0)
+            side_mly = side_mlpc.astype(complexes, copy=False).view(real).reshape(degree + 1, degree + 1, -1)
             for block in _row_blocks(height, degree, q, real):
-                flat_mly = both_mlspc[block.orders, block.first :].view(real)
-                flat_mly = flat_mly.reshape(*flat_mly.shape[:2], -1)
-                made_mhspx = np.matmul(block.tables_mhl[side], flat_mly).reshape(-1, upper, 2, order + 1 - q, 2 * channel)
-                sums_mhkx[block.orders, :upper, part] = made_mhspx[:, :, 0]
-                sums_mhkx[block.orders, upper:, part] = made_mhspx[:, :lower, 1][:, ::-1]
-    place_k = np.empty(coefficient_count(order), np.intp)
-    left = [k for k in range(len(place_k)) if k not in set(placed)]
-    place_k[placed + left] = np.arange(len(place_k))
-    return np.ascontiguousarray(sums_mhkx.transpose(1, 2, 0, 3)[:, place_k]).view(complexes)
+                product_mly = np.ascontiguousarray(side_mly[block.orders, block.first :])
+                np.matmul(block.tables_mhl[side], product_mly, out=sums_mhy[block.orders, :, part])
+    place_k = np.empty(count, np.intp)
+    place_k[placed + sorted(set(range(count)) - set(placed))] = np.arange(count)
+    # Channels go together: one copy of all their bytes.
+    whole_hmk = sums_hmkx.view(np.dtype((np.void, 2 * channel * real.itemsize)))[..., 0]
+    return whole_hmk.transpose(0, 2, 1)[:, place_k].copy()[..., None].view(complexes)
 
 
 def _light_by_order(light_kc: NDArray[np.float64], degree: int) -> NDArray[np.complex128]:
@@ -73,16 +71,9 @@ def _light_by_order(light_kc: NDArray[np.float64], degree: int) -> NDArray[np.co
     return scale_ml[:, :, None] * (plus_mlc - 1j * minus_mlc * (m > 0)[:, :, None])
 
 
-@functools.lru_cache(maxsize=64)
-def _mirror_signs(degree: int, sides: int) -> NDArray[np.float64]:
-    """Return ``(-1)**(l + m + sides)``, (m, l, 1, 1)."""
-    m, l = np.ogrid[: degree + 1, : degree + 1]
-    return (-1.0) ** ((l + m + sides) % 2)[:, :, None, None]
-
-
 @dataclass(frozen=True)
 class _RowBlock:
-    """Functions of some orders m at the rows of the upper half.
+    """Functions of some orders m at all rows: at a row and its mirror about the equator the same but for signs.
 
     Attributes
     ----------
@@ -100,21 +91,27 @@ class _RowBlock:
 
 
 def _row_blocks(height: int, degree: int, q: int, real: np.dtype) -> list[_RowBlock]:
-    size = 2 * ((height + 1) // 2) * (degree + 1) ** 2 * real.itemsize
+    size = 2 * height * (degree + 1) ** 2 * real.itemsize
     return (_kept_blocks if size <= _KEPT_TABLES else _make_blocks)(height, degree, q, real)
 
 
 def _make_blocks(height: int, degree: int, q: int, real: np.dtype) -> list[_RowBlock]:
-    alpha_h = np.pi * (np.arange((height + 1) // 2) + 0.5) / height
+    upper = (height + 1) // 2
+    alpha_h = np.pi * (np.arange(upper) + 0.5) / height
+    l = np.arange(degree + 1)
     blocks = []
     for start in range(0, degree + 1, _ORDERS_AT_ONCE):
         orders, first = slice(start, min(start + _ORDERS_AT_ONCE, degree + 1)), max(start, q)
-        plus_mhl, minus_mhl = turn_tables(alpha_h, degree, np.arange(degree + 1)[orders], q)
+        plus_mhl, minus_mhl = turn_tables(alpha_h, degree, l[orders], q)
         sums_mhl, differences_mhl = plus_mhl + minus_mhl, plus_mhl - minus_mhl
         if start == 0:
             sums_mhl[0] = plus_mhl[0]
-        tables = (np.ascontiguousarray(table[:, :, first:], real) for table in (sums_mhl, differences_mhl))
-        blocks.append(_RowBlock(orders, first, tuple(tables)))
+        sign_m1l = (-1.0) ** ((l[orders, None, None] + l + q) % 2)  # of sums at the mirrored row
+        tables = (
+            np.concatenate([table, sign * sign_m1l * table[:, : height - upper][:, ::-1]], axis=1)[:, :, first:]
+            for table, sign in ((sums_mhl, 1.0), (differences_mhl, -1.0))
+        )
+        blocks.append(_RowBlock(orders, first, tuple(np.ascontiguousarray(table, real) for table in tables)))
     return blocks
 
 

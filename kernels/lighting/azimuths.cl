@@ -1,6 +1,6 @@
 /* Sums over the azimuths of a lat-long map, sum_w L e^(-i m beta) (frequency-space-environment-maps, 6.1).
  *
- *   sums_hmjc       (H, M, 2, C) float   out: real and imaginary part
+ *   sums_hmcj       (H, M, C, 2) float   out: real and imaginary part
  *   radiance_hwc    (H, W, C) float      linear radiance L
  *   waves_mjx       (M, 2, X) float      cos(m beta), -sin(m beta) at the first W / FOLD columns; X of whole vectors
  *
@@ -101,7 +101,7 @@ INLINE void fold_row(float *folded, __global const float *row, const int first, 
         }
 }
 
-__kernel void sum_azimuths_hmjc(__global float *restrict sums_hmjc, __global const float *restrict radiance_hwc,
+__kernel void sum_azimuths_hmjc(__global float *restrict sums_hmcj, __global const float *restrict radiance_hwc,
                                 __global const float *restrict waves_mjx, const int size_h, const int size_m,
                                 const int size_w, const int size_x)
 {
@@ -124,7 +124,7 @@ __kernel void sum_azimuths_hmjc(__global float *restrict sums_hmjc, __global con
             }
             for (int r = 0; r < ROWS; r++)
                 for (int c = 0; c < CHANNELS && first_row + r < size_h; c++) {
-                    __global float *out = sums_hmjc + ((long)(first_row + r) * size_m * 2 + n) * CHANNELS + c;
+                    __global float *out = sums_hmcj + (((long)(first_row + r) * size_m + n / 2) * CHANNELS + c) * 2 + n % 2;
                     *out = first ? *out + total(sum[r * CHANNELS + c]) : total(sum[r * CHANNELS + c]);
                 }
         }

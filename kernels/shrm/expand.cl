@@ -69,15 +69,26 @@ __kernel void expand_orders_khwc(__global float *restrict maps_khwc, __global co
     for (int first = 0; first < columns; first += VECTOR) {
         vecf cosines[2 * CHANNELS], sines[2 * CHANNELS]; /* of even m, then of odd */
         for (int i = 0; i < 2 * CHANNELS; i++) cosines[i] = sines[i] = 0.0f;
-        for (int start = 0; start < 2; start++)
-            for (int m = start; m < size_m; m += 2) {
-                __global const float *wave = waves_mjx + (long)m * 2 * size_x + first;
-                const vecf cosine = AT(__global const, vecf, wave), sine = AT(__global const, vecf, wave + size_x);
-                for (int c = 0; c < CHANNELS; c++) {
-                    cosines[start * CHANNELS + c] += sums[m * 2 * CHANNELS + 2 * c] * cosine;
-                    sines[start * CHANNELS + c] += sums[m * 2 * CHANNELS + 2 * c + 1] * sine;
-                }
+        __global const float *wave = waves_mjx + first, *sum = sums;
+        int m = 0;
+        for (; m + 1 < size_m; m += 2, wave += 4L * size_x, sum += 4 * CHANNELS) {
+            const vecf even_cosine = AT(__global const, vecf, wave), even_sine = AT(__global const, vecf, wave + size_x);
+            const vecf odd_cosine = AT(__global const, vecf, wave + 2 * size_x);
+            const vecf odd_sine = AT(__global const, vecf, wave + 3 * size_x);
+            for (int c = 0; c < CHANNELS; c++) {
+                cosines[c] += sum[2 * c] * even_cosine;
+                sines[c] += sum[2 * c + 1] * even_sine;
+                cosines[CHANNELS + c] += sum[2 * CHANNELS + 2 * c] * odd_cosine;
+                sines[CHANNELS + c] += sum[2 * CHANNELS + 2 * c + 1] * odd_sine;
             }
+        }
+        if (m < size_m) {
+            const vecf cosine = AT(__global const, vecf, wave), sine = AT(__global const, vecf, wave + size_x);
+            for (int c = 0; c < CHANNELS; c++) {
+                cosines[c] += sum[2 * c] * cosine;
+                sines[c] += sum[2 * c + 1] * sine;
+            }
+        }
         const int count = LESSER(VECTOR, columns - first);
         lanes_of here[CHANNELS], across[CHANNELS], mirrored[CHANNELS], opposite[CHANNELS];
         for (int c = 0; c < CHANNELS; c++) {
