@@ -14,6 +14,7 @@ from clrelight.cli.options import Exposure, Numbers, device_option, json_option,
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.reflection_bench import bench
+from clrelight.cli.reflection_turns import rotate
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
@@ -262,5 +263,6 @@ def _print_plan(report: Report, as_json: bool) -> None:
         print_table(["F", "reflected", "light", "reflectance", "bound"], rows)
 
 
+shrm.add_command(rotate)
 shrm.add_command(bench)
 COMMANDS = (shrm,)

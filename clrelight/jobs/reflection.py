@@ -30,7 +30,7 @@ from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
 from clrelight.lighting.projection import is_separable, project_environment
 from clrelight.lighting.relighting import TONEMAPS, automatic_exposure
-from clrelight.shrm.explicit import view_map
+from clrelight.shrm.explicit import explicit_maps
 from clrelight.shrm.lookup import look_up, view_sphere
 from clrelight.shrm.orders import sufficient_coefficients
 from clrelight.shrm.prefilter import build_shrm, to_global
@@ -41,6 +41,8 @@ SAMPLES_PER_DEGREE = 10
 """Rows of a map for each degree F (frequency-space-environment-maps, 5.2)."""
 
 _FEWEST_ROWS = 16
+_MAPS_AT_ONCE = 1 << 24
+"""Bytes of dynamic maps that are made together."""
 
 LightLike = Environment | Light | str | os.PathLike[str]
 
@@ -177,7 +179,7 @@ def render_reflection(
         check_animation()
     count = turntable or 1
     names = [target] if is_animation(target) else name_pictures(target, count)
-    turned = _rotation(rotate)
+    turned = rotation_of(rotate)
     with claimed(names, paths_among(source), kept):
         since = time.perf_counter()
         shrm = to_global(source if isinstance(source, Shrm) else read_shrm(source))
@@ -185,11 +187,14 @@ def render_reflection(
         since = kept.add("read", since)
         frames, stops = [], exposure
         with stage(progress, "rendering") as tell:
-            for i in range(count):
-                back = rotation_matrix("axis", (0.0, 0.0, 1.0, 360.0 * i / count)) @ turned
-                values_nc = look_up(view_map(shrm, sphere.view_3 @ back), sphere.central_n3 @ back)
-                frames.append(sphere.picture(values_nc).astype(np.float32))
-                tell(i + 1, count)
+            turns_i33 = np.stack([rotation_matrix("axis", (0, 0, 1, 360.0 * i / count)) @ turned for i in range(count)])
+            # Light turned by R is what a view turned back sees: one product makes the maps of many views.
+            step = max(1, _MAPS_AT_ONCE // shrm.maps_khwc[0].nbytes)
+            for first in range(0, count, step):
+                backs_i33 = turns_i33[first : first + step]
+                for back, map_hwc in zip(backs_i33, explicit_maps(shrm, sphere.view_3 @ backs_i33), strict=True):
+                    frames.append(sphere.picture(look_up(map_hwc, sphere.central_n3 @ back)).astype(np.float32))
+                    tell(len(frames), count)
         since = kept.add("render", since)
         stops = automatic_exposure(frames[0]) if stops is None else stops
         _write(names, frames, 2.0**stops, tonemap, transfer)
@@ -198,7 +203,8 @@ def render_reflection(
     return kept
 
 
-def _rotation(rotate: tuple[str, Sequence[float]] | float | None) -> NDArray[np.float64]:
+def rotation_of(rotate: tuple[str, Sequence[float]] | float | None) -> NDArray[np.float64]:
+    """Return the matrix of degrees about z, or of a form and numbers of `harmonics.rotation.rotation_matrix`."""
     if rotate is None:
         return np.eye(3)
     if isinstance(rotate, int | float):

@@ -9,8 +9,8 @@ from clrelight.device import Device
 from clrelight.harmonics.latlong import fold_of, folded_waves, project_rows
 
 _BLOCK = 256
-_ROWS = {1: 8, 3: 4}
-"""Rows of a work-item, for one channel and for three."""
+_LINES = 12
+"""Rows times channels of a work-item, as lighting/azimuths.cl has them."""
 
 
 def project_latlong_on_device(
@@ -38,7 +38,7 @@ def project_latlong_on_device(
     device.launch(
         "lighting/azimuths.cl",
         "sum_azimuths_hmjc",
-        (-(-height // _ROWS[channel]),),
+        (-(-height * channel // _LINES),),
         sums_hmcj,
         device.upload(np.ascontiguousarray(radiance_hwc, np.float32)),
         device.upload(waves_mjx),
@@ -50,7 +50,6 @@ def project_latlong_on_device(
             "BLOCK": _BLOCK,
             "CHANNELS": channel,
             "FOLD": fold_of(width),
-            "ROWS": _ROWS[channel],
             "VECTOR": device.info.lanes,
         },
     )

@@ -6,18 +6,25 @@
  *
  * Columns have beta = 3/2 pi - 2 pi (w + 1/2) / W, so those at w, W - 1 - w, W / 2 - 1 - w and W / 2 + w have waves that
  * differ by signs alone: they are added first where W is a multiple of 4 (FOLD 4), the first two where it is of 2 (FOLD 2).
- * A work-item takes ROWS rows, BLOCK of their folded columns at a time.
+ * A work-item takes 12 lines, those of ROWS rows' channels, BLOCK of their folded columns at a time.
  * |error| <= eps32 (BLOCK / VECTOR + W / (FOLD BLOCK) + 8) sum |L|
  */
 #include "common/lanes.clh"
 #include "common/vector.clh"
 
-#if !defined(BLOCK) || !defined(CHANNELS) || !defined(FOLD) || !defined(ROWS)
-#error "BLOCK (columns, a multiple of VECTOR), CHANNELS (1 or 3), FOLD (1, 2 or 4) and ROWS must be defined"
+#if !defined(BLOCK) || !defined(CHANNELS) || !defined(FOLD)
+#error "BLOCK (columns, a multiple of VECTOR), CHANNELS (1 or 3) and FOLD (1, 2 or 4) must be defined"
 #endif
 
-#define LINES (ROWS * CHANNELS)
+#define LINES 12
+#define ROWS (LINES / CHANNELS)
 #define VECTORS (BLOCK / VECTOR)
+
+/* Written out by name because arrays of vectors are not kept in registers. */
+#define EACH_LINE(DO) DO(0) DO(1) DO(2) DO(3) DO(4) DO(5) DO(6) DO(7) DO(8) DO(9) DO(10) DO(11)
+#define DECLARE_SUM(i) vecf sum_##i = 0.0f;
+#define ADD_TERM(i) sum_##i += factor * from[i * VECTORS + v];
+#define KEEP_SUM(i) line[i] = total(sum_##i);
 
 typedef vecf __attribute__((aligned(4))) vecf_at;
 
@@ -116,16 +123,17 @@ __kernel void sum_azimuths_hmjc(__global float *restrict sums_hmcj, __global con
         for (int n = 0; n < 2 * size_m; n++) {
             const vecf *from = folded + (n % 4) * (LINES * VECTORS);
             __global const float *wave = waves_mjx + (long)n * size_x + first;
-            vecf sum[LINES];
-            for (int i = 0; i < LINES; i++) sum[i] = 0.0f;
+            float line[LINES];
+            EACH_LINE(DECLARE_SUM)
             for (int v = 0; v < vectors; v++) {
                 const vecf factor = AT(__global const, vecf, wave + v * VECTOR);
-                for (int i = 0; i < LINES; i++) sum[i] += factor * from[i * VECTORS + v];
+                EACH_LINE(ADD_TERM)
             }
+            EACH_LINE(KEEP_SUM)
             for (int r = 0; r < ROWS; r++)
                 for (int c = 0; c < CHANNELS && first_row + r < size_h; c++) {
                     __global float *out = sums_hmcj + (((long)(first_row + r) * size_m + n / 2) * CHANNELS + c) * 2 + n % 2;
-                    *out = first ? *out + total(sum[r * CHANNELS + c]) : total(sum[r * CHANNELS + c]);
+                    *out = first ? *out + line[r * CHANNELS + c] : line[r * CHANNELS + c];
                 }
         }
     }

@@ -18,24 +18,41 @@
 
 typedef vecf __attribute__((aligned(4))) vecf_at;
 
-#define FOURS (VECTOR / 4)
+#if VECTOR >= 8
+#define GROUP 8
+typedef float8 group;
+#define BACK(v) (v).s76543210
+#else
+#define GROUP 4
+typedef float4 group;
+#define BACK(v) (v).s3210
+#endif
+#define GROUPS (VECTOR / GROUP)
 
 typedef union {
     vecf all;
-    float4 four[FOURS];
+    group part[GROUPS];
     float each[VECTOR];
 } lanes_of;
 
-/* Four texels from w on of a row, of which each channel has its lanes. */
-INLINE void store_four(__global float *row, const int w, const float4 r, const float4 g, const float4 b)
+/* A group of texels from w on of a row, of which each channel has its lanes. */
+INLINE void store_group(__global float *row, const int w, const group r, const group g, const group b)
 {
-#if CHANNELS == 3
-    __global float *out = row + 3 * w;
+    __global float *out = row + CHANNELS * w;
+#if CHANNELS == 1
+#if GROUP == 8
+    AT(__global, float8, out) = r;
+#else
+    AT(__global, float4, out) = r;
+#endif
+#elif GROUP == 8
+    AT(__global, float8, out) = (float8)(r.s0, g.s0, b.s0, r.s1, g.s1, b.s1, r.s2, g.s2);
+    AT(__global, float8, out + 8) = (float8)(b.s2, r.s3, g.s3, b.s3, r.s4, g.s4, b.s4, r.s5);
+    AT(__global, float8, out + 16) = (float8)(g.s5, b.s5, r.s6, g.s6, b.s6, r.s7, g.s7, b.s7);
+#else
     AT(__global, float4, out) = (float4)(r.s0, g.s0, b.s0, r.s1);
     AT(__global, float4, out + 4) = (float4)(g.s1, b.s1, r.s2, g.s2);
     AT(__global, float4, out + 8) = (float4)(b.s2, r.s3, g.s3, b.s3);
-#else
-    AT(__global, float4, row + w) = r;
 #endif
 }
 
@@ -44,18 +61,37 @@ INLINE void store_lanes(__global float *row, const int first, const int step, co
 {
     const int last = CHANNELS - 1, middle = last / 2;
     int i = 0;
-    for (int f = 0; f < FOURS; f++)
-        if (4 * f + 4 <= count) {
-            const float4 r = lanes[0].four[f], g = lanes[middle].four[f], b = lanes[last].four[f];
+    for (int f = 0; f < GROUPS; f++)
+        if (GROUP * (f + 1) <= count) {
+            const group r = lanes[0].part[f], g = lanes[middle].part[f], b = lanes[last].part[f];
             if (step > 0)
-                store_four(row, first + 4 * f, r, g, b);
+                store_group(row, first + GROUP * f, r, g, b);
             else
-                store_four(row, first - 4 * f - 3, r.s3210, g.s3210, b.s3210);
-            i = 4 * f + 4;
+                store_group(row, first - GROUP * (f + 1) + 1, BACK(r), BACK(g), BACK(b));
+            i = GROUP * (f + 1);
         }
     for (; i < count; i++)
         for (int c = 0; c < CHANNELS; c++) row[(first + step * i) * CHANNELS + c] = lanes[c].each[i];
 }
+
+/* Written out by name because arrays of vectors are not kept in registers. */
+#if CHANNELS == 3
+#define EACH_CHANNEL(DO) DO(0) DO(1) DO(2)
+#else
+#define EACH_CHANNEL(DO) DO(0)
+#endif
+#define DECLARE_SUMS(c) vecf even_cosine_##c = 0.0f, even_sine_##c = 0.0f, odd_cosine_##c = 0.0f, odd_sine_##c = 0.0f;
+#define ADD_EVEN(c)                      \
+    even_cosine_##c += sum[2 * c] * cosine; \
+    even_sine_##c += sum[2 * c + 1] * sine;
+#define ADD_ODD(c)                                         \
+    odd_cosine_##c += sum[2 * CHANNELS + 2 * c] * odd_cosine; \
+    odd_sine_##c += sum[2 * CHANNELS + 2 * c + 1] * odd_sine;
+#define UNFOLD(c)                                                                              \
+    here[c].all = (even_cosine_##c + odd_sine_##c) + (odd_cosine_##c + even_sine_##c);            \
+    mirrored[c].all = (even_cosine_##c + odd_sine_##c) - (odd_cosine_##c + even_sine_##c);        \
+    across[c].all = (even_cosine_##c - odd_sine_##c) + (odd_cosine_##c - even_sine_##c);          \
+    opposite[c].all = (even_cosine_##c - odd_sine_##c) - (odd_cosine_##c - even_sine_##c);
 
 __kernel void expand_orders_khwc(__global float *restrict maps_khwc, __global const float *restrict sums_hkmy,
                                  __global const float *restrict waves_mjx, const int size_k, const int size_h,
@@ -67,38 +103,23 @@ __kernel void expand_orders_khwc(__global float *restrict maps_khwc, __global co
     const int columns = size_w / FOLD;
 
     for (int first = 0; first < columns; first += VECTOR) {
-        vecf cosines[2 * CHANNELS], sines[2 * CHANNELS]; /* of even m, then of odd */
-        for (int i = 0; i < 2 * CHANNELS; i++) cosines[i] = sines[i] = 0.0f;
         __global const float *wave = waves_mjx + first, *sum = sums;
+        EACH_CHANNEL(DECLARE_SUMS)
         int m = 0;
         for (; m + 1 < size_m; m += 2, wave += 4L * size_x, sum += 4 * CHANNELS) {
-            const vecf even_cosine = AT(__global const, vecf, wave), even_sine = AT(__global const, vecf, wave + size_x);
+            const vecf cosine = AT(__global const, vecf, wave), sine = AT(__global const, vecf, wave + size_x);
+            EACH_CHANNEL(ADD_EVEN)
             const vecf odd_cosine = AT(__global const, vecf, wave + 2 * size_x);
             const vecf odd_sine = AT(__global const, vecf, wave + 3 * size_x);
-            for (int c = 0; c < CHANNELS; c++) {
-                cosines[c] += sum[2 * c] * even_cosine;
-                sines[c] += sum[2 * c + 1] * even_sine;
-                cosines[CHANNELS + c] += sum[2 * CHANNELS + 2 * c] * odd_cosine;
-                sines[CHANNELS + c] += sum[2 * CHANNELS + 2 * c + 1] * odd_sine;
-            }
+            EACH_CHANNEL(ADD_ODD)
         }
         if (m < size_m) {
             const vecf cosine = AT(__global const, vecf, wave), sine = AT(__global const, vecf, wave + size_x);
-            for (int c = 0; c < CHANNELS; c++) {
-                cosines[c] += sum[2 * c] * cosine;
-                sines[c] += sum[2 * c + 1] * sine;
-            }
+            EACH_CHANNEL(ADD_EVEN)
         }
         const int count = LESSER(VECTOR, columns - first);
         lanes_of here[CHANNELS], across[CHANNELS], mirrored[CHANNELS], opposite[CHANNELS];
-        for (int c = 0; c < CHANNELS; c++) {
-            const vecf same = cosines[c] + sines[CHANNELS + c], other = cosines[CHANNELS + c] + sines[c];
-            const vecf like = cosines[c] - sines[CHANNELS + c], unlike = cosines[CHANNELS + c] - sines[c];
-            here[c].all = same + other;
-            mirrored[c].all = same - other;
-            across[c].all = like + unlike;
-            opposite[c].all = like - unlike;
-        }
+        EACH_CHANNEL(UNFOLD)
         store_lanes(row, first, 1, count, here);
 #if FOLD >= 2
         store_lanes(row, size_w - 1 - first, -1, count, mirrored);
