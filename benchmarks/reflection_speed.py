@@ -1,8 +1,8 @@
 """How fast reflection maps are made and turned, beside NumPy and ducc0: ``python -m benchmarks.reflection_speed``.
 
 Each number of threads has a process of its own, held to as many cores, with as many threads of the device, of BLAS and
-of ducc0. Times are the least of rounds that take all ways in turns: other programs of a busy machine only add to them. With
-one thread they are the processor's, with more the clock's.
+of ducc0. Times are the least of rounds that take all ways in turns: other programs of a busy machine only add to them.
+With one thread they are the processor's, with more the clock's.
 ``--markdown docs/shrm.md`` renews the tables there.
 """
 
@@ -26,6 +26,12 @@ from clrelight.speed.tables import markdown_table
 SIZE = (512, 1024)
 """Rows and columns of the light's map: 1024 × 512 RGB."""
 
+ROTATED = ((13, 1, 27), (13, 36, 27), (10, 360, 3), (10, 360, 60), (30, 36, 300))
+"""Degree, rotations and functions: the maps of an SHRM of F = 11, P = 2 in RGB turned once and round, one light in RGB
+turned round, twenty probes, and a hundred probes of a higher degree."""
+
+_RUNS, _MOST_ONE_BY_ONE = 4, 2000
+
 CASES = ((0.1, None), (0.2, None), (0.3, None), (0.5, None), (0.2, (20, 5)), (0.1, (40, 5)))
 """Roughness of microfacets, and F and P where not those of epsilon 0.03."""
 
@@ -33,16 +39,18 @@ CASES = ((0.1, None), (0.2, None), (0.3, None), (0.5, None), (0.2, (20, 5)), (0.
 def least_milliseconds(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
     """Return each way's least time of rounds that take all in turns; in a process with one thread, of its processor.
 
-    Time of the processor is what a quiet machine takes where nothing waits.
+    Time of the processor is what a quiet machine takes where nothing waits. In each round a way runs some times, of
+    which the first warms caches.
     """
     clock = time.process_time if os.environ.get("OPENBLAS_NUM_THREADS") == "1" else time.perf_counter
     least = dict.fromkeys(works, float("inf"))
-    for turn in range(rounds + 1):  # the first one compiles and makes tables
+    for _ in range(rounds):
         for name, work in works.items():
-            since = clock()
-            work()
-            if turn:
-                least[name] = min(least[name], 1e3 * (clock() - since))
+            for turn in range(_RUNS):
+                since = clock()
+                work()
+                if turn:
+                    least[name] = min(least[name], 1e3 * (clock() - since))
     return least
 
 
@@ -117,7 +125,64 @@ def share_rows(threads: int, rounds: int) -> list[dict[str, Any]]:
     return [{"threads": threads, "ms": least_milliseconds(works, rounds)}]
 
 
-PARTS: dict[str, Callable[[int, int], list[dict[str, Any]]]] = {"prefilter": prefilter_rows, "share": share_rows}
+def rotation_rows(threads: int, rounds: int) -> list[dict[str, Any]]:
+    """Return times of turning many functions, once and for all, one by one, and by ducc0."""
+    import ducc0
+
+    from clrelight.harmonics.rotation import rotation_blocks, rotation_matrix
+    from clrelight.harmonics.rotations import make_rotations
+
+    rng = np.random.default_rng(0)
+    rows = []
+    for degree, turns, maps in ROTATED:
+        matrices_n33 = np.stack([rotation_matrix("euler", (360.0 * i / turns, 40.0, 20.0)) for i in range(turns)])
+        coeffs_kx = rng.standard_normal(((degree + 1) ** 2, maps))
+        alm_xk = _to_alm(coeffs_kx, degree)
+        rotations = make_rotations(matrices_n33, degree)
+        angles = [np.radians((20.0, 40.0, 360.0 * i / turns)) for i in range(turns)]
+
+        def one_by_one(matrices_n33: Any = matrices_n33, coeffs_kx: Any = coeffs_kx, degree: int = degree) -> Any:
+            made = []
+            for matrix in matrices_n33:
+                for x in range(coeffs_kx.shape[1]):
+                    blocks = rotation_blocks(matrix, degree)
+                    made.append([block @ coeffs_kx[l * l : (l + 1) ** 2, x] for l, block in enumerate(blocks)])
+            return made
+
+        def by_ducc(together: bool, alm_xk: Any = alm_xk, angles: Any = angles, degree: int = degree) -> Any:
+            parts = [alm_xk] if together else [alm_xk[x : x + 1] for x in range(len(alm_xk))]
+            return [[ducc0.sht.rotate_alm(part, degree, *abc, nthreads=threads) for part in parts] for abc in angles]
+
+        works: dict[str, Callable[[], Any]] = {
+            "make": lambda: make_rotations(matrices_n33, degree),  # noqa: B023
+            "apply": lambda: rotations.apply(coeffs_kx),  # noqa: B023
+            "one": one_by_one,
+            "ducc_one": lambda: by_ducc(False),
+            "ducc": lambda: by_ducc(True),
+        }
+        if turns * maps > _MOST_ONE_BY_ONE:  # a minute or more
+            del works["one"]
+        exact_xk = _to_alm(rotations.apply(coeffs_kx)[-1], degree)
+        apart = float(np.abs(works["ducc"]()[-1][0] - exact_xk).max() / np.abs(exact_xk).max())
+        found = least_milliseconds(works, max(1, rounds // 5))
+        rows.append({"degree": degree, "turns": turns, "maps": maps, "threads": threads, "ms": found, "apart": apart})
+    return rows
+
+
+def _to_alm(coeffs_kx: np.ndarray, degree: int) -> np.ndarray:
+    """Return coefficients of complex harmonics with Condon and Shortley's sign as ducc0 has them, (function, k)."""
+    from clrelight.harmonics.wigner import complex_coefficients
+
+    return np.ascontiguousarray(
+        np.concatenate([(-1) ** m * complex_coefficients(coeffs_kx, m) for m in range(degree + 1)]).T
+    )
+
+
+PARTS: dict[str, Callable[[int, int], list[dict[str, Any]]]] = {
+    "prefilter": prefilter_rows,
+    "share": share_rows,
+    "rotation": rotation_rows,
+}
 
 
 def measure(part: str, threads: int, rounds: int) -> list[dict[str, Any]]:
@@ -158,7 +223,23 @@ def share_table(rows: list[dict[str, Any]]) -> str:
     return markdown_table([*headers, "ratio"], lines)
 
 
-TABLES = {"prefilter": prefilter_table, "share": share_table}
+def rotation_table(rows: list[dict[str, Any]]) -> str:
+    """Return the table of turned functions."""
+    headers = ["degree", "rotations × functions", "threads", "matrices, ms", "all functions", "one by one"]
+    headers += ["ducc0, one by one", "ducc0, together", "times as fast as ducc0", "apart"]
+    lines = []
+    for row in rows:
+        ms = row["ms"]
+        speeds = f"{ms['ducc_one'] / ms['apply']:.0f}, {ms['ducc'] / ms['apply']:.1f}"
+        lines.append(
+            [str(row["degree"]), f"{row['turns']} × {row['maps']}", str(row["threads"])]
+            + [f"{ms[name]:.3g}" if name in ms else "" for name in ("make", "apply", "one", "ducc_one", "ducc")]
+            + [speeds, f"{row['apart']:.0e}"]
+        )
+    return markdown_table(headers, lines)
+
+
+TABLES = {"prefilter": prefilter_table, "share": share_table, "rotation": rotation_table}
 
 
 @click.command()

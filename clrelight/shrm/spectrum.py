@@ -57,9 +57,13 @@ def sum_degrees(
                 np.matmul(block.tables_mhl[side], product_mly, out=sums_mhy[block.orders, :, part])
     place_k = np.empty(count, np.intp)
     place_k[placed + sorted(set(range(count)) - set(placed))] = np.arange(count)
-    # Channels go together: one copy of all their bytes.
-    whole_hmk = sums_hmkx.view(np.dtype((np.void, 2 * channel * real.itemsize)))[..., 0]
-    return whole_hmk.transpose(0, 2, 1)[:, place_k].copy()[..., None].view(complexes)
+    made_hkmx = np.empty((height, count, degree + 1, 2 * channel), real)
+    # All channels of an order are one value of so many bytes.
+    value = np.dtype((np.void, 2 * channel * real.itemsize))
+    made_hkm, sums_hmk = made_hkmx.view(value)[..., 0], sums_hmkx.view(value)[..., 0]
+    for k, place in enumerate(place_k):
+        made_hkm[:, k] = sums_hmk[:, :, place]
+    return made_hkmx.view(complexes)
 
 
 def _light_by_order(light_kc: NDArray[np.float64], degree: int) -> NDArray[np.complex128]:
