@@ -22,10 +22,12 @@ from clrelight.lighting.light import Light
 from clrelight.lighting.projection_device import project_latlong_on_device
 from clrelight.matmul import apply_operator, pack_operator
 from clrelight.shrm.angular import integrate_on_device
+from clrelight.shrm.expansion import expand_product
 from clrelight.shrm.explicit import explicit_maps, view_grid
 from clrelight.shrm.orders import phong_width, sufficient_coefficients
 from clrelight.shrm.prefilter import build_shrm
 from clrelight.shrm.record import grid_directions
+from clrelight.shrm.spectrum import sum_degrees
 
 EXPONENTS = (8, 16, 32, 64, 128, 256, 512)
 SIGMAS = (0.1, 0.2, 0.3, 0.4, 0.5)
@@ -153,10 +155,17 @@ def cost_slopes(size: int = SIZE, rounds: int = 4 * _REPEATS) -> dict[str, dict[
 
 def _orders_work(degree: int, order: int, size: int) -> Callable[[], object]:
     """Return the sum over orders m of a map of size × size texels, a product in float64, ready to be run."""
-    rng = np.random.default_rng(0)
-    waves_wn = rng.standard_normal((size, 2 * (degree + 1)))
-    parts_nx = rng.standard_normal((2 * (degree + 1), coefficient_count(order) * size))
-    made_wx = np.empty((size, parts_nx.shape[1]))
+    light = Light(np.random.default_rng(0).standard_normal((coefficient_count(degree), 1)))
+    sums_hkmc = sum_degrees(light.coeffs_kc, brdf_coefficients(Microfacet(0.3), degree, order), size)
+    factors: list[NDArray] = []
+
+    def keep(waves_wn: NDArray, parts_nx: NDArray) -> NDArray:
+        factors.extend((waves_wn, parts_nx))
+        return np.zeros((len(waves_wn), parts_nx.shape[1]))
+
+    expand_product(sums_hkmc, size, keep)
+    made_wx = np.empty((size, factors[1].shape[1]))
+    waves_wn, parts_nx = factors
     return lambda: np.matmul(waves_wn, parts_nx, out=made_wx)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -57,7 +58,7 @@ def rotate_maps(
     return turned_kp.reshape(coeffs_khwc.shape)
 
 
-def _blocks_of(turn: NDArray[np.float64] | Rotations, degree: int) -> list[NDArray[np.floating]]:
+def _blocks_of(turn: NDArray[np.float64] | Rotations, degree: int) -> Sequence[NDArray[np.floating]]:
     """Return the blocks of one rotation up to a degree."""
     if not isinstance(turn, Rotations):
         return rotation_blocks(turn, degree)

@@ -72,7 +72,7 @@ def _light_by_order(light_kc: NDArray[np.float64], degree: int) -> NDArray[np.co
     held = l >= m
     plus_mlc, minus_mlc = (light_kc[np.where(held, l * (l + 1) + side * m, 0)] for side in (1, -1))
     scale_ml = held * np.where(m > 0, np.sqrt(0.5), 1.0)
-    return scale_ml[:, :, None] * (plus_mlc - 1j * minus_mlc * (m > 0)[:, :, None])
+    return np.asarray(scale_ml[:, :, None] * (plus_mlc - 1j * minus_mlc * (m > 0)[:, :, None]), np.complex128)
 
 
 @dataclass(frozen=True)
@@ -111,11 +111,14 @@ def _make_blocks(height: int, degree: int, q: int, real: np.dtype) -> list[_RowB
         if start == 0:
             sums_mhl[0] = plus_mhl[0]
         sign_m1l = (-1.0) ** ((l[orders, None, None] + l + q) % 2)  # of sums at the mirrored row
-        tables = (
-            np.concatenate([table, sign * sign_m1l * table[:, : height - upper][:, ::-1]], axis=1)[:, :, first:]
+        sums, differences = (
+            np.ascontiguousarray(
+                np.concatenate([table, sign * sign_m1l * table[:, : height - upper][:, ::-1]], axis=1)[:, :, first:],
+                real,
+            )
             for table, sign in ((sums_mhl, 1.0), (differences_mhl, -1.0))
         )
-        blocks.append(_RowBlock(orders, first, tuple(np.ascontiguousarray(table, real) for table in tables)))
+        blocks.append(_RowBlock(orders, first, (sums, differences)))
     return blocks
 
 
