@@ -13,6 +13,7 @@ from clrelight.cli.options import device_option, json_option, whole_number
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.reflection_bench import bench
 from clrelight.cli.reflection_render import render
+from clrelight.cli.reflection_turns import rotate
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
@@ -73,8 +74,9 @@ def _make(name: str, sigma: float | None, exponent: float | None) -> CentredBrdf
 )
 @click.option(
     "--method",
-    type=click.Choice(["fft", "product", "device"]),
-    help="How orders become columns: by FFT (default), as a product in float64, or on the device.",
+    type=click.Choice(["device", "fft", "product"]),
+    help="How columns become orders and orders columns: by kernels (device, the default but for zonal maps), by FFT on "
+    "the host, or as a product there.",
 )
 @device_option
 @json_option
@@ -202,6 +204,6 @@ def _print_plan(report: Report, as_json: bool) -> None:
         print_table(["F", "reflected", "light", "reflectance", "bound"], rows)
 
 
-for command in (render, bench):
+for command in (render, rotate, bench):
     shrm.add_command(command)
 COMMANDS = (shrm,)

@@ -16,7 +16,7 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Report, report_for
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
-from clrelight.lighting.projection import project_environment
+from clrelight.lighting.projection import is_separable, project_environment
 from clrelight.shrm.orders import sufficient_coefficients
 from clrelight.shrm.prefilter import build_shrm
 from clrelight.shrm.record import Shrm
@@ -26,7 +26,7 @@ from clrelight.store import read_light, write_shrm
 SAMPLES_PER_DEGREE = 10
 """Rows of a map for each degree F (frequency-space-environment-maps, 5.2)."""
 
-METHOD = "fft"
+METHOD = "device"
 """How orders become columns, where nobody says otherwise."""
 
 _FEWEST_ROWS = 16
@@ -66,7 +66,8 @@ def build_reflection(
         central direction but not by its azimuth (Kajiya and Kay's fibres), else ``"global"``. Another's coefficients
         of q > 0 are left out of zonal maps, which a note says.
     method : str, optional
-        One of `shrm.prefilter.METHODS`, of global and local maps; default `METHOD`. Zonal maps are made by ``"fft"``.
+        One of `shrm.expansion.METHODS`, of global and local maps, default `METHOD`: ``"device"`` also sums the azimuths
+        of a lat-long map there. Zonal maps are made by ``"fft"``.
     device : Device or str, optional
         Of the direct projection of maps, and of method ``"device"``.
     report : Report, optional
@@ -83,7 +84,7 @@ def build_reflection(
         since = time.perf_counter()
         chosen = _coefficients(brdf, epsilon, degree, order)
         since = kept.add("reflectance", since)
-        light = light_of(source, chosen.degree, opened)
+        light = light_of(source, chosen.degree, opened, method or METHOD)
         since = kept.add("project", since)
         count = rows or max(_FEWEST_ROWS, SAMPLES_PER_DEGREE * chosen.degree)
         if frame is None:
@@ -119,7 +120,7 @@ def _coefficients(brdf: CentredBrdf, epsilon: float | None, degree: int | None, 
     return brdf_coefficients(brdf, degree, order)
 
 
-def light_of(source: LightLike, degree: int, device: Device) -> Light:
+def light_of(source: LightLike, degree: int, device: Device, method: str = METHOD) -> Light:
     """Return the light of a map, light or light file to a degree; InputError where the source does not hold it."""
     if isinstance(source, Environment):
         if degree > source.resolved_degree:
@@ -127,7 +128,8 @@ def light_of(source: LightLike, degree: int, device: Device) -> Light:
                 f"the map is fine enough for degree {source.resolved_degree}, F = {degree} is asked for: "
                 "take a finer map, a smaller degree or a larger epsilon"
             )
-        return project_environment(source, degree, device=device)
+        how = "separable-device" if method == "device" and is_separable(source) else "auto"
+        return project_environment(source, degree, method=how, device=device)
     light = source if isinstance(source, Light) else read_light(source)
     if degree > light.degree:
         raise InputError(f"the light has degree {light.degree}, F = {degree} is asked for")
