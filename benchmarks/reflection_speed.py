@@ -245,7 +245,7 @@ TABLES = {"prefilter": prefilter_table, "share": share_table, "rotation": rotati
 @click.command()
 @click.option("--part", "parts", type=click.Choice(list(PARTS)), multiple=True, help="Default: all.")
 @click.option("--threads", "counts", type=click.IntRange(min=1), multiple=True, default=(1, 2), show_default=True)
-@click.option("--rounds", type=click.IntRange(min=1), default=15, show_default=True)
+@click.option("--rounds", type=click.IntRange(min=1), default=8, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Measure one part in this process, and print its rows.")
 @click.option("--markdown", type=click.Path(dir_okay=False, path_type=Path), help="Page whose blocks are renewed.")
 def main(parts: tuple[str, ...], counts: tuple[int, ...], rounds: int, as_json: bool, markdown: Path | None) -> None:

@@ -90,7 +90,7 @@ def time_phong(
             )
 
         angular_nc, angular = by_angles(), best_seconds(by_angles, 2)
-        frequency = best_seconds(by_orders)
+        frequency = best_seconds(by_orders, 8 * _REPEATS)
         found_nc = by_orders()[0].reshape(len(central_n3), -1) / math.sqrt(4.0 * math.pi)
         apart = float(np.linalg.norm(found_nc - angular_nc) / np.linalg.norm(found_nc))
         rows.append({"s": s, "degree": degree, "width": phong_width(s, ANGULAR_EPSILON), "angular": angular})
@@ -120,7 +120,7 @@ def time_microfacets(
 
         image = best_seconds(by_angles, 1)
         shrm, views = whole(), view_grid(10)
-        seconds, explicit = best_seconds(whole), best_seconds(lambda: explicit_maps(shrm, views), 1)  # noqa: B023
+        seconds, explicit = best_seconds(whole, 4 * _REPEATS), best_seconds(lambda: explicit_maps(shrm, views), 1)  # noqa: B023
         since = time.perf_counter()
         sufficient_coefficients(brdf, FREQUENCY_EPSILON)
         reflectance = time.perf_counter() - since
