@@ -30,6 +30,7 @@ from clrelight.cli import (
     render,
     sampled,
     shader,
+    to_sh,
     trade,
     transfer,
     variation,
@@ -62,7 +63,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation),
+    *(operators, transfer, normals, variation, to_sh),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

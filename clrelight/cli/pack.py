@@ -10,6 +10,7 @@ from clrelight.cli.files import reading_options
 from clrelight.cli.options import (
     ByteCount,
     DegreeType,
+    basis_option,
     device_option,
     holdout_by_option,
     holdout_option,
@@ -51,6 +52,7 @@ from clrelight.cli.psnr import psnr_lines
     "--method", default="auto", show_default=True, help="auto, or a method of fit: spectrum, spline, cls, ..."
 )
 @click.option("--degree", type=DegreeType(), default="auto", show_default=True, help="Largest SH degree, or auto.")
+@basis_option
 @within_option
 @holdout_option("the fit")
 @holdout_by_option
