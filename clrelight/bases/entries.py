@@ -23,8 +23,8 @@ GRAM_SCHMIDT = Family((0, 0))
 ZERNIKE = Family((0, -1), alternates=True)
 MAKHOTKIN = Family((1, -1), cosine=True)
 
-_CELL_NODES = 1 << 7
-"""Nodes along a side of the square at least, by which means of harmonics over Haar's cells are taken."""
+_CELL_PARTS = 64
+"""Parts along a side of the square at least, by which means of harmonics over Haar's cells are taken."""
 
 
 def polar_roughness(degree: int) -> NDArray[np.float64]:
@@ -52,13 +52,13 @@ def _product_rule(degree: int, other: int) -> Rule:
 @functools.lru_cache(maxsize=4)
 def _haar_rule(degree: int, other: int) -> Rule:
     side = 1 << level_of(degree)
-    per_cell = max(_CELL_NODES, 8 * (other + 1)) // side + 1
-    directions_i3 = cell_nodes(side, per_cell).reshape(-1, 3)
+    pairs = max(_CELL_PARTS, 4 * (other + 1)) // side + 1
+    directions_i3 = cell_nodes(side, pairs).reshape(-1, 3)
     return directions_i3, np.full(len(directions_i3), 2.0 * np.pi / len(directions_i3))
 
 
 def _haar_nodes(degree: int) -> Rule:
-    directions_i3 = cell_nodes(1 << level_of(degree), 1).reshape(-1, 3)
+    directions_i3 = cell_nodes(1 << level_of(degree), 0).reshape(-1, 3)
     return directions_i3, np.full(len(directions_i3), 2.0 * np.pi / len(directions_i3))
 
 

@@ -56,15 +56,17 @@ def sphere_to_square(directions_n3: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([np.copysign(u, x), np.copysign(v, y)], axis=1)
 
 
-def cell_nodes(side: int, per_cell: int) -> NDArray[np.float64]:
+def cell_nodes(side: int, pairs: int) -> NDArray[np.float64]:
     """Return directions in each cell of the hemisphere's square, (side, side, n_node, 3), all of equal solid angle.
 
-    Each cell is `per_cell` by `per_cell` smaller ones, by whose centres a mean over the cell is taken (an error of the
-    square of their width).
+    A mean over the cell is that over them: Gauss's two nodes of each of `pairs` parts along each side, or its centre
+    alone for 0. What is lost is lost along the square's diagonals, where the map has a fold.
     """
-    fine = side * per_cell
-    at = (np.arange(fine) + 0.5) * (2.0 / fine) - 1.0
+    offsets = (np.arange(max(pairs, 1))[:, None] + 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)) / max(pairs, 1)
+    within = offsets.ravel() if pairs else np.array([0.5])
+    at = ((np.arange(side)[:, None] + within).ravel()) * (2.0 / side) - 1.0
     b, a = np.meshgrid(at, at, indexing="ij")
     directions = square_to_hemisphere(np.stack([a.ravel(), b.ravel()], axis=1))
-    parted = directions.reshape(side, per_cell, side, per_cell, 3).transpose(0, 2, 1, 3, 4)
-    return np.ascontiguousarray(parted.reshape(side, side, per_cell * per_cell, 3))
+    count = len(within)
+    parted = directions.reshape(side, count, side, count, 3).transpose(0, 2, 1, 3, 4)
+    return np.ascontiguousarray(parted.reshape(side, side, count * count, 3))

@@ -42,8 +42,8 @@ def harmonics_seen(basis_id: str, degree: int, light_degree: int) -> NDArray[np.
 def seen_light(basis_id: str, degree: int, light_kc: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the integral over the hemisphere of each function times a light given by harmonics, (n_coeff, channel).
 
-    A view's radiance under the light is ``c^T`` of it, exact to rounding; of the basis ``haar`` to the square of the
-    width of the parts that cells are cut into (`clrelight.bases.entries`).
+    A view's radiance under the light is ``c^T`` of it. Exact to rounding; of the basis ``haar`` to 2e-4 of the light's
+    coefficients.
     """
     if basis_id == SH:
         return project_onto_hemisphere(light_kc, degree)

@@ -38,7 +38,7 @@ class Basis:
         Takes unit directions (n, 3) and a degree, and returns (n, (degree + 1)**2) float64.
     rule : callable
         Takes a degree and another, and returns a quadrature over the hemisphere for products of a function of the
-        degree with a spherical harmonic of the other, to rounding (``haar``: to the square of its parts' width).
+        degree with a spherical harmonic of the other, to rounding (``haar``: to 2e-4).
     nodes : callable
         Takes a degree and returns a quadrature with few nodes that is exact for products of two functions.
     roughness : callable

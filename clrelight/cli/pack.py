@@ -114,6 +114,7 @@ def pack(
         "packed": out,
         "images": f"{facts['n_light'] + facts['n_holdout']} of {width}×{height}, {channel} channel(s)",
         "fit": f"{facts['method']}, degree {facts['degree']}, {facts['n_light']} lights",
+        **({"basis": facts["fit_config"]["basis"]} if "basis" in facts["fit_config"] else {}),
         "size": f"{facts['bytes_on_disk']} bytes on disk, {facts['bits_per_coefficient']:.4g} bit per coefficient",
         **psnr_lines(report.psnr),
     }
