@@ -45,14 +45,14 @@ def test_uls_is_the_least_squares_of_that_basis(stack, name):
 
 @pytest.mark.parametrize("name", HEMISPHERICAL)
 def test_spline_takes_the_roughness_of_the_basis(stack, name):
-    fitted = cr.fit(stack, "spline", 7, basis=name, lam=0.01)
-    basis_ik = reference.FUNCTIONS[name](stack.directions_i3, 7)
-    k = np.arange(64)
+    fitted = cr.fit(stack, "spline", 3, basis=name, lam=0.01)
+    basis_ik = basis_of(name).evaluate(stack.directions_i3, 15)
+    k = np.arange(256)
     l = np.sqrt(k).astype(int)
     level = np.where(k > 0, np.floor(np.log2(np.maximum(k, 1)) / 2 + 1e-12), 0)
     rough = np.where(k > 0, 4.0 ** (level + 1), 0.01) if name == "haar" else 0.01 + (l * (l + 1.0)) ** 2
     expected = np.linalg.solve(basis_ik.T @ basis_ik + 0.01 * np.diag(rough), basis_ik.T @ samples_of(stack))
-    np.testing.assert_allclose(columns_of(fitted), expected, rtol=0, atol=3e-5)
+    np.testing.assert_allclose(columns_of(fitted), expected[:16], rtol=0, atol=3e-5)
     assert "lam" in cr.fit(stack, "spline", 3, basis=name).config  # by cross-validation, at degree 15
 
 
@@ -258,7 +258,9 @@ def test_what_does_not_become_harmonics_is_refused(stack):
 
 def test_pack_takes_a_basis(stack_file, tmp_path):
     out = tmp_path / "packed.h5"
-    succeed("pack", stack_file, out, "--method", "uls", "--degree", 3, "--basis", "zernike", "--holdout", 5)
+    succeed(
+        "pack", stack_file, out, "--method", "uls", "--degree", 3, "--basis", "zernike", "--holdout", 5, "--rate", 8
+    )
     assert attributes(out)["clrelight_schema"] == "encoded/3"
     found = succeed("psnr", out, stack_file, "--json").json["psnr"]
     fitted = cr.fit(stack_file, "uls", 3, basis="zernike", holdout=5, report=cr.Report())

@@ -35,7 +35,8 @@ _EXPONENT_TOLERANCE = 1e-4
 class SmoothingSpline(FitMethod):
     """``c = (Y'Y + lambda P)^-1 Y' beta`` with ``P = diag(EPSILON + (l (l + 1))^2)``.
 
-    P is the basis' `roughness`. Of spherical harmonics the penalty is the energy of the function's Laplacian over the
+    P is the basis' `roughness`, and a hemispherical basis is fitted at degree `REFERENCE_DEGREE` or more and then cut.
+    Of spherical harmonics the penalty is the energy of the function's Laplacian over the
     sphere (Wahba 1981, Spline interpolation and smoothing on the sphere). One linear map for all pixels, so it costs
     what a projection costs.
 
@@ -89,7 +90,9 @@ class SmoothingSpline(FitMethod):
         """Return the matrices; fewer lights than coefficients is legal."""
         if self.lam is None:
             raise ValueError("lambda is not settled yet: settle the method, or give lam")
-        plan = self._components(lighting, degree)
+        # Of functions that are orthonormal on the hemisphere the first are the nearest to the whole: cut last.
+        wide = max(degree, REFERENCE_DEGREE) if basis_of(lighting.basis).hemispherical else degree
+        plan = _first_of(self._components(lighting, wide), coefficient_count(degree))
         freedom = [(plan.singular_r**2 / (plan.singular_r**2 + value)).sum() for value in np.atleast_1d(self.lam)]
         notes = (
             f"spline: lambda {_listing(np.atleast_1d(self.lam), '.3g')}, which leaves {_listing(freedom, '.1f')} "
@@ -134,6 +137,11 @@ class SmoothingSpline(FitMethod):
     def _factors_rc(self, plan: FitPlan) -> NDArray[np.float64]:
         singular_r1 = plan.singular_r[:, None]
         return singular_r1 / (singular_r1**2 + np.atleast_1d(np.asarray(self.lam, np.float64)))
+
+
+def _first_of(plan: FitPlan, n_coeff: int) -> FitPlan:
+    """Return the plan of the first coefficients alone, which are what they are among all."""
+    return plan if plan.synthesis_kr is None else replace(plan, synthesis_kr=plan.synthesis_kr[:n_coeff])
 
 
 def minimize_gcv(singular_r: NDArray[np.float64], energy_r: NDArray[np.float64], outside: float, n_light: int) -> float:
