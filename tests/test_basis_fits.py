@@ -235,6 +235,12 @@ def test_what_needs_harmonics_refuses_in_one_line(stack_file, tmp_path, line):
     assert set(tmp_path.iterdir()) == there
 
 
+def test_textures_of_a_map_in_memory_are_refused(device, stack, tmp_path):
+    with pytest.raises(InputError, match="of basis hsh"):
+        cr.export_textures(cr.fit(stack, "uls", 3, basis="hsh"), tmp_path / "textures", device=device)
+    assert not list(tmp_path.iterdir())
+
+
 def test_gram_schmidt_becomes_a_fit_of_harmonics(stack_file, tmp_path):
     small, fit = tmp_path / "small.h5", tmp_path / "fit.h5"
     succeed("fit", stack_file, small, "--method", "uls", "--degree", 3, "--basis", "gram-schmidt")

@@ -19,8 +19,7 @@ def to_sh(fitted: str, out: str, device: str | None, as_json: bool) -> None:
 
     \b
     Example:
-      clrelight fit stack.h5 small.h5 --method uls --basis gram-schmidt
-      clrelight to-sh small.h5 fit.h5
+      clrelight to-sh gram-schmidt.h5 harmonics.h5
     """
     from clrelight.jobs.to_sh import to_sh as run
 
