@@ -93,8 +93,7 @@ def export_textures(
     Raises
     ------
     InputError
-        If the format is unknown, coefficients are of another basis than spherical harmonics, or `out` cannot be written:
-        then nothing was.
+        If the format is unknown, coefficients are not of spherical harmonics, or `out` cannot be written: nothing was.
     """
     require_sh(coefficients.basis)
     check_export(out, file_format)
