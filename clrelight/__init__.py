@@ -50,6 +50,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.report import Report as Report
     from clrelight.jobs.subspaces import compare_subspaces as compare_subspaces
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
+    from clrelight.jobs.to_sh import to_sh as to_sh
     from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
     from clrelight.jobs.variation import inverse_lighting as inverse_lighting
@@ -126,6 +127,7 @@ _MODULES = {
     "jobs.report": "Note Report",
     "jobs.subspaces": "compare_subspaces",
     "jobs.target": "encode_to_quality",
+    "jobs.to_sh": "to_sh",
     "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
     "jobs.variation": "inverse_lighting principal_components",

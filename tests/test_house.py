@@ -15,7 +15,7 @@ FLOORS = [
         *("arrays", "errors", "conventions", "configurable", "text_rows", "interrupts"),
         *("memory", "recycling", "search", "streaming", "statements"),
     },
-    {"harmonics", "durable", "remote", "threads"},
+    {"harmonics", "bases", "durable", "remote", "threads"},
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {
         *("dataset", "directions", "holdout", "lights", "light_columns", "light_files", "masks", "negatives"),

@@ -31,6 +31,7 @@ from clrelight.cli import (
     render,
     sampled,
     shader,
+    to_sh,
     trade,
     transfer,
     variation,
@@ -63,7 +64,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights),
+    *(operators, transfer, normals, variation, find_lights, to_sh),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

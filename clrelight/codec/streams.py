@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH
 from clrelight.codec.finite import check_sums
 from clrelight.codec.workspace import ArrayPlanes, Planes, Shape, Workspace
 from clrelight.device import Device
@@ -73,6 +74,8 @@ class Source(ABC):
     """How coefficients hang on samples, where there is no more to it and `read_samples` gives those."""
     sample_type: np.dtype = np.dtype(np.float32)
     """Of those."""
+    basis: str = SH
+    """What coefficients are of (`clrelight.bases`)."""
 
     def __init__(self, shape: Shape, device: Device, workspace: Workspace) -> None:
         self.shape, self.device, self.workspace = shape, device, workspace
@@ -151,9 +154,9 @@ class Source(ABC):
 class ArraySource(Source):
     """Coefficients in memory, C-contiguous."""
 
-    def __init__(self, coeffs_khwc: NDArray[np.float32], device: Device) -> None:
+    def __init__(self, coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH) -> None:
         super().__init__(coeffs_khwc.shape, device, Workspace())
-        self._coeffs = coeffs_khwc
+        self._coeffs, self.basis = coeffs_khwc, basis
 
     def read_rows(self, first: int, end: int) -> NDArray[np.float32]:
         """See `Source`."""

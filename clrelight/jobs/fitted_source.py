@@ -27,7 +27,7 @@ class FittedSource(Source):
     def __init__(self, prepared: PreparedFit, workspace: Workspace, bands: Bands) -> None:
         shape = (coefficient_count(prepared.degree), *prepared.stack.image_shape)
         super().__init__(shape, prepared.device, workspace)
-        self._report, self._bands = prepared.report, bands
+        self._report, self._bands, self.basis = prepared.report, bands, prepared.record.basis
         self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.precision))
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
         self.sample_type = np.dtype(prepared.stack.images_ihwc.dtype)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes
 from clrelight.opencl.arguments import DeviceArray
@@ -68,7 +69,7 @@ class Whitening:
 
 
 def whitening_of(
-    shape: tuple[int, int, int, int], read: ReadRow, turn_dc: NDArray[np.float64] | None = None
+    shape: tuple[int, int, int, int], read: ReadRow, turn_dc: NDArray[np.float64] | None = None, basis: str = SH
 ) -> Whitening:
     """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does.
 
@@ -76,15 +77,18 @@ def whitening_of(
     """
     pixels_pkc = _sample(shape, read)
     with on_one_thread():
-        return _whiten(pixels_pkc, shape[0], shape[3], turn_dc)
+        return _whiten(pixels_pkc, hemisphere_metric(shape[0], AXES, basis).forward_jk, shape[3], turn_dc)
 
 
 def _whiten(
-    pixels_pkc: NDArray[np.float64], n_coeff: int, channel: int, wanted_dc: NDArray[np.float64] | None
+    pixels_pkc: NDArray[np.float64],
+    metric_jk: NDArray[np.float64],
+    channel: int,
+    wanted_dc: NDArray[np.float64] | None,
 ) -> Whitening:
     largest = float(np.abs(pixels_pkc).max())
     exponent = int(np.clip(np.frexp(largest)[1], -126, 126)) if largest else 0
-    forward_jk = np.ldexp(hemisphere_metric(n_coeff, AXES).forward_jk, -exponent)
+    n_coeff, forward_jk = metric_jk.shape[1], np.ldexp(metric_jk, -exponent)
     turned_pjc = np.einsum("jk,pkc->pjc", forward_jk, pixels_pkc, optimize=True)
     if wanted_dc is None:
         flat = turned_pjc.reshape(-1, channel)
