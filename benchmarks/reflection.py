@@ -65,6 +65,10 @@ def tables(probe: Path, paints: list[Path]) -> dict[str, str]:
         [f"{r['s']}", f"{r['degree']}", f"{r['angular']:.3f}", f"{r['frequency']:.4f}", f"{r['ratio']:.0f}"]
         for r in lobes["rows"]
     ]
+    slopes = [
+        [name, f"{found['theory']:g}", f"{found['slope']:.2f}"]
+        for name, found in shown([*bench, "costs"])["rows"].items()
+    ]
     facets = []
     for r in shown([*bench, "microfacets"])["rows"]:
         seconds = f"{r['image']:.2f}", f"{r['images']:.0f}", f"{r['frequency']:.3f}", f"{r['shrm']:.4f}"
@@ -77,6 +81,7 @@ def tables(probe: Path, paints: list[Path]) -> dict[str, str]:
         peers.append([Path(name).stem.replace("_", " "), *(f"{error:.3f}" for error in errors)])
     return {
         "orders": to_table(["F", *map(str, degrees)], orders),
+        "costs": to_table(["cost of", "theory", "measured"], slopes),
         "phong": f"Device: {lobes['device']}.\n\n"
         + to_table(["s", "F", "by angles, s", "by orders, s", "ratio"], phong),
         "microfacets": to_table(

@@ -14,6 +14,8 @@ TYPE_CHECKING = False  # typing's own would take most of the time of this import
 if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the same names, see _HOMES
     from typing import Any
 
+    from clrelight.brdf.named import make_brdf as make_brdf
+    from clrelight.brdf.named import parse_brdf as parse_brdf
     from clrelight.codec import Encoded as Encoded
     from clrelight.codec import codec_class as codec_class
     from clrelight.dataset import CoefficientMap as CoefficientMap
@@ -28,18 +30,27 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.decode import decode as decode
     from clrelight.jobs.encode import encode as encode
     from clrelight.jobs.export import export as export
+    from clrelight.jobs.find_lights import find_lights as find_lights
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
     from clrelight.jobs.normals import normals as normals
     from clrelight.jobs.operators import transfer_operators as transfer_operators
     from clrelight.jobs.pack import pack as pack
+    from clrelight.jobs.recognition import recognise as recognise
     from clrelight.jobs.reflect import reflect as reflect
+    from clrelight.jobs.reflection import build_reflection as build_reflection
+    from clrelight.jobs.reflection_estimate import estimate_reflectance as estimate_reflectance
+    from clrelight.jobs.reflection_estimate import recognise_material as recognise_material
+    from clrelight.jobs.reflection_plan import plan_reflection as plan_reflection
+    from clrelight.jobs.reflection_render import render_reflection as render_reflection
     from clrelight.jobs.relight import relight as relight
     from clrelight.jobs.render import render as render
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
+    from clrelight.jobs.subspaces import compare_subspaces as compare_subspaces
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
+    from clrelight.jobs.to_sh import to_sh as to_sh
     from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
     from clrelight.jobs.variation import inverse_lighting as inverse_lighting
@@ -61,15 +72,18 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.metrics import summarize_errors as summarize_errors
     from clrelight.opencl.devices import list_devices as list_devices
     from clrelight.report import write_report as write_report
+    from clrelight.shrm.record import Shrm as Shrm
     from clrelight.store import open_fit as open_fit
     from clrelight.store import open_stack as open_stack
     from clrelight.store import read_encoded as read_encoded
     from clrelight.store import read_fit as read_fit
     from clrelight.store import read_light as read_light
     from clrelight.store import read_results as read_results
+    from clrelight.store import read_shrm as read_shrm
     from clrelight.store import write_encoded as write_encoded
     from clrelight.store import write_fit as write_fit
     from clrelight.store import write_light as write_light
+    from clrelight.store import write_shrm as write_shrm
     from clrelight.store import write_stack as write_stack
     from clrelight.surface import Surface as Surface
     from clrelight.transfer.cameras import Camera as Camera
@@ -83,6 +97,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
 __version__ = "0.1.0"
 
 _MODULES = {
+    "brdf.named": "make_brdf parse_brdf",
     "codec": "Encoded codec_class",
     "dataset": "CoefficientMap LightStack",
     "device": "open_device",
@@ -94,17 +109,25 @@ _MODULES = {
     "jobs.decode": "decode",
     "jobs.encode": "encode",
     "jobs.export": "export",
+    "jobs.find_lights": "find_lights",
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
     "jobs.operators": "transfer_operators",
     "jobs.normals": "normals",
     "jobs.pack": "pack",
+    "jobs.recognition": "recognise",
     "jobs.reflect": "reflect",
+    "jobs.reflection": "build_reflection",
+    "jobs.reflection_estimate": "estimate_reflectance recognise_material",
+    "jobs.reflection_plan": "plan_reflection",
+    "jobs.reflection_render": "render_reflection",
     "jobs.relight": "relight",
     "jobs.render": "render",
     "jobs.report": "Note Report",
+    "jobs.subspaces": "compare_subspaces",
     "jobs.target": "encode_to_quality",
+    "jobs.to_sh": "to_sh",
     "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
     "jobs.variation": "inverse_lighting principal_components",
@@ -119,8 +142,9 @@ _MODULES = {
     "metrics": "measure_errors summarize_errors",
     "opencl.devices": "list_devices",
     "report": "write_report",
-    "store": "open_fit open_stack read_encoded read_fit read_light read_results "
-    "write_encoded write_fit write_light write_stack",
+    "shrm.record": "Shrm",
+    "store": "open_fit open_stack read_encoded read_fit read_light read_results read_shrm "
+    "write_encoded write_fit write_light write_shrm write_stack",
     "surface": "Surface",
     "transfer.cameras": "Camera Framing",
     "transfer.local_light": "LocalLights",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,9 @@ SAMPLE_DTYPES = ("uint8", "uint16", "float16", "float32")
 
 COEFFICIENT_DTYPES = ("float32", "float16")
 """The types that coefficients may be stored in; kernels that relight read both."""
+
+Span = tuple[int, int]
+"""The first of some rows or columns, and the one behind the last."""
 
 _ACCEPTED_KINDS = "buif"
 _LEAST_PEAK = 1e-37
@@ -155,6 +160,19 @@ class LightSubset:
             self._images.read_some_into(self._lights, first, end, out_ihwc)
         else:
             out_ihwc[...] = self._images[:, first:end][self._lights]
+
+    def part_reader(self) -> Callable[[Span, Span, NDArray], None] | None:
+        """See `part_reader`."""
+        if not hasattr(self._images, "read_some_part_into"):
+            return None
+        return functools.partial(self._images.read_some_part_into, self._lights)
+
+
+def part_reader(images_ihwc: Any) -> Callable[[Span, Span, NDArray], None] | None:
+    """Return what reads some columns of rows of all images into an array; None where whole rows are to be read."""
+    if isinstance(images_ihwc, LightSubset):
+        return images_ihwc.part_reader()
+    return getattr(images_ihwc, "read_part_into", None)
 
 
 def read_rows_into(array_nhwc: Any, first: int, end: int, out_nhwc: NDArray) -> NDArray:

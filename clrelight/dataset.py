@@ -22,6 +22,7 @@ from clrelight.arrays import (
     check_transfer,
     read_rows_into,
 )
+from clrelight.bases import OfBasis
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import PIECE_BYTES
@@ -143,8 +144,8 @@ class LightStack:
 
 
 @dataclass(frozen=True)
-class CoefficientMap:
-    """Spherical-harmonic coefficients of every pixel and channel; checked when made.
+class CoefficientMap(OfBasis):
+    """Coefficients of every pixel and channel, of spherical harmonics or another basis; checked when made.
 
     Attributes
     ----------
@@ -196,6 +197,7 @@ class CoefficientMap:
             raise InputError(f"coefficients must be {' or '.join(COEFFICIENT_DTYPES)}, got {self.coeffs_khwc.dtype}")
         if self.degree < 0 or shape[0] != coefficient_count(self.degree):
             raise InputError(f"degree {self.degree} has {coefficient_count(self.degree)} coefficients, got {shape[0]}")
+        self.check_basis()
         check_transfer(self.transfer)
         check_peak(self.peak)
         check_directions(self.directions_i3, None)
@@ -245,7 +247,7 @@ class CoefficientMap:
 
 
 @dataclass(frozen=True)
-class FitRecord:
+class FitRecord(OfBasis):
     """What a fit holds beside its maps; attributes as of `CoefficientMap`."""
 
     degree: int

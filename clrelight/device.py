@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from clrelight import recycling
 from clrelight.errors import KernelBuildError
 from clrelight.kernel_source import kernel_for, read_kernel_source
 from clrelight.opencl.arguments import DeviceArray, check_arguments
@@ -122,7 +123,7 @@ class Device:
         if not self.shares_memory:
             return DeviceArray(self._cl.Buffer(self._context, flags.READ_WRITE, size), tuple(shape), dtype)
         if host is None:
-            host = np.empty(shape, dtype)
+            host = recycling.empty(shape, dtype)
         elif host.shape != tuple(shape) or host.dtype != dtype or not host.flags.c_contiguous:
             raise ValueError(
                 f"expected a C-contiguous {dtype} host array of shape {shape}, got {host.dtype} {host.shape}"

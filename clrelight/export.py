@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import require_sh
 from clrelight.codec import Bc6h, Encoded, encode
 from clrelight.codec.formats.dds import write_dds
 from clrelight.dataset import CoefficientMap
@@ -92,8 +93,9 @@ def export_textures(
     Raises
     ------
     InputError
-        If the format is unknown, or `out` cannot be written: then nothing was.
+        If the format is unknown, coefficients are not of spherical harmonics, or `out` cannot be written: nothing was.
     """
+    require_sh(coefficients.basis)
     check_export(out, file_format)
     target = Path(os.fsdecode(out))
     coeffs_khwc = coefficients.to_float32().coeffs_khwc

@@ -56,6 +56,18 @@ def list_photographs(folder: Path, count: int, source: Path) -> tuple[tuple[Path
     return tuple(photographs), notes
 
 
+def list_series(folder: Path) -> tuple[Path, ...]:
+    """Return the photographs of a folder that has no light file, in natural order: all images but masks and such.
+
+    InputError if there are none.
+    """
+    listed = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_EXTENSIONS and not p.name.startswith(".")]
+    photographs = [path for path in listed if not _NO_PHOTOGRAPH.search(path.stem.casefold())]
+    if not photographs:
+        raise InputError(f"there are no images in {folder}")
+    return tuple(sorted(photographs, key=lambda p: natural_key(p.name)))
+
+
 def resolve_names(
     folder: Path, names: Sequence[str], source: Path, label: Callable[[int], str]
 ) -> tuple[tuple[Path, ...], list[str]]:

@@ -30,7 +30,9 @@ def sink_for(part: Part, extension: str, n_bytes: int) -> Iterator[str]:
     """
     if not hasattr(os, "memfd_create") or not os.path.isdir("/proc/self/fd"):
         yield str(part.path)
-    elif extension == ".jpg":
+    elif extension == ".jpg" and 2 * n_bytes + _MARGIN_BYTES > _most_bytes():
+        # Only where memory may end, which libjpeg would not survive: OpenImageIO closes a file without letting other
+        # threads of Python run, so that a pipe that is full then stays so for ever.
         with _pipe(part) as name:
             yield name
     else:

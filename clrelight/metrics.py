@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
-from clrelight.harmonics.basis import evaluate_basis
 from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, tile_defines
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.streaming import Buffer, reading_ahead
@@ -122,7 +121,7 @@ def measure_errors(
     count = int(mask_hw.sum()) * channel
     if count == 0:
         raise InputError("the mask leaves no pixel to measure")
-    basis = pack_operator(device, evaluate_basis(stack.directions_i3, coefficients.degree))
+    basis = pack_operator(device, coefficients.functions_at(stack.directions_i3))
     total_i = np.zeros(stack.n_light)
     dtype = np.dtype(coefficients.coeffs_khwc.dtype)
     column_bytes = 4 * stack.n_light + dtype.itemsize * coefficients.n_coeff

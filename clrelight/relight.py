@@ -15,7 +15,6 @@ from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
-from clrelight.harmonics.basis import evaluate_basis
 from clrelight.matmul import multiply_columns
 from clrelight.streaming import Buffer, reading_ahead
 
@@ -50,7 +49,7 @@ def relight(
     if not directions_i3.size:
         raise InputError("relighting needs at least 1 light, got none")
     check_directions(directions_i3, None)
-    return combine_maps(device or open_device(), evaluate_basis(directions_i3, coefficients.degree), coefficients)
+    return combine_maps(device or open_device(), coefficients.functions_at(directions_i3), coefficients)
 
 
 def combine_maps(device: Device, factor_ik: NDArray[np.float64], coefficients: CoefficientMap) -> NDArray[np.float32]:

@@ -130,6 +130,15 @@ SCENES: dict[str, Scene] = {
             ),
             "datasets_synth.dama:render_dama",
         ),
+        Scene(
+            "head",
+            "A matte head in its own shadow; each seed is another person.",
+            "--size 96 --lights 64 --seed 3",
+            _options(
+                96, "Width and height in pixels.", "Number of lights.", "uint8", "Of the person and scattered lights."
+            ),
+            "datasets_synth.heads:render_heads",
+        ),
     )
 }
 """By name, in the order of tables."""

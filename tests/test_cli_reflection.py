@@ -6,16 +6,24 @@ import pytest
 from clrelight.brdf.analytic import Microfacet
 from clrelight.errors import StoreFormatError
 from clrelight.images import read_header, read_image, write_image
-from clrelight.jobs.reflection import build_reflection, render_reflection
+from clrelight.jobs.reflection import build_reflection
 from clrelight.jobs.reflection_bench import cost_slopes, frame_rates, prefilter_shares, time_microfacets, time_phong
 from clrelight.jobs.reflection_codecs import code_maps, principal_shares
 from clrelight.jobs.reflection_peers import compare_peers
+from clrelight.jobs.reflection_render import render_reflection
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
 from clrelight.shrm.lookup import render_sphere, view_sphere
 from clrelight.store import read_shrm, write_light, write_shrm
 from tests.commands import attributes, call, succeed
+from tests.meshes import icosphere
 from tests.test_brdf_measured import lines
+
+
+def obj_text(surface):
+    rows = [("v", surface.vertices_v3), ("vn", surface.normals_v3)]
+    lines = [f"{word} {x:.9g} {y:.9g} {z:.9g}" for word, points in rows for x, y, z in points]
+    return "\n".join([*lines, *("f " + " ".join(f"{k + 1}//{k + 1}" for k in face) for face in surface.faces_f3)])
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +37,7 @@ def made(tmp_path_factory):
     write_light(folder / "light.h5", Light(rng.standard_normal((49, 3)), "noise"))
     (folder / "paint.brdf").write_text("\n".join(lines()) + "\n")
     (folder / "bad.brdf").write_text("no paint\n")
+    (folder / "ball.obj").write_text(obj_text(icosphere(3)))
     succeed("shrm", "build", folder / "map.exr", folder / "glossy.h5", "--sigma", 0.3)
     succeed("shrm", "build", folder / "map.exr", folder / "local.h5", "--sigma", 0.3, "--frame", "local")
     return folder
@@ -51,7 +60,7 @@ def test_build_writes_what_it_prints(made, tmp_path):
     assert (shown["schema"], shown["datasets"]["maps"]["shape"]) == ("shrm/1", [9, 70, 140, 3])
 
 
-@pytest.mark.parametrize("method", ["product", "device"])
+@pytest.mark.parametrize("method", ["product", "fft"])
 def test_methods_agree(made, tmp_path, method):
     succeed("shrm", "build", made / "map.exr", tmp_path / "o.h5", "--sigma", 0.3, "--method", method)
     expected = read_shrm(made / "glossy.h5").maps_khwc
@@ -87,6 +96,61 @@ def test_a_turntable_goes_round_once(made, tmp_path):
     assert np.abs(frames[0] - frames[2]).max() > 0.01
 
 
+def test_a_mesh_is_shown_from_anywhere(made, tmp_path):
+    """A ball of triangles, seen without perspective, is the sphere; the environment lies behind it, alpha around it."""
+    pytest.importorskip("embreex")
+    words = ("--mesh", made / "ball.obj", "--orthographic", "--from", "0,-1,0.3", "--exposure", 0)
+    ball, flat = tmp_path / "b.exr", tmp_path / "s.exr"
+    told = succeed("shrm", "render", made / "glossy.h5", ball, *words, "--size", 48, "--json").json
+    assert (told["vertices"], told["faces"]) == (642, 1280)
+    assert told["maps_a_second"] > 0
+    succeed("shrm", "render", made / "glossy.h5", flat, "--size", 46, "--exposure", 0)
+    middle = np.s_[14:34, 14:34]
+    got, expected = read_image(read_header(ball))[middle], read_image(read_header(flat))[13:33, 13:33]
+    assert np.linalg.norm(got - expected) < 0.12 * np.linalg.norm(expected)
+    behind = ("--background", "environment", "--env", made / "map.exr", "--size", "24,16")
+    succeed("shrm", "render", made / "glossy.h5", ball, *words[:2], "--exposure", 0, *behind)
+    picture = read_image(read_header(ball))
+    assert picture.shape == (16, 24, 3)
+    assert picture[:2].min() > 0.0
+    clear = ("--background", "transparent", "--size", 16)
+    succeed("shrm", "render", made / "glossy.h5", tmp_path / "a.png", *words[:2], *clear)
+    with pytest.importorskip("PIL.Image").open(tmp_path / "a.png") as opened:
+        assert opened.mode == "RGBA"
+    several = ("--turntable", 2, "--size", 16)
+    for views in ("distant", "pixel"):
+        words_of = (*words[:2], "--views", views, *several)
+        text = succeed("shrm", "render", made / "glossy.h5", tmp_path / "v%d.png", *words_of).out
+        assert ("dynamic maps" in text) == (views == "distant")
+        assert "pictures a second" in text
+
+
+def test_turntables_are_animated(made, tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    for name in ("t.gif", "t.apng"):
+        words = ("--turntable", 3, "--size", 16, "--turns", "view", "--about", "0,1,0")
+        succeed("shrm", "render", made / "glossy.h5", tmp_path / name, *words)
+        with image.open(tmp_path / name) as opened:
+            assert (opened.n_frames, opened.size) == (3, (16, 16))
+            assert name == "t.gif" or opened.format == "PNG"
+
+
+def test_fibres_take_maps_without_azimuth(made, tmp_path):
+    words = ("--brdf", "kajiya-kay", "--exponent", 4)
+    told = succeed("shrm", "build", made / "map.exr", tmp_path / "k.h5", *words, "--json").json
+    assert (told["frame"], told["maps"], told["centre"]) == ("zonal", told["order"] + 1, "tangent")
+    asked = ("--degree", told["degree"], "--order", told["order"], "--frame", "global")
+    whole = succeed("shrm", "build", made / "map.exr", tmp_path / "g.h5", *words, *asked, "--json").json
+    assert whole["maps"] == (told["order"] + 1) ** 2
+    for name in "kg":
+        succeed("shrm", "render", tmp_path / f"{name}.h5", tmp_path / f"{name}.exr", "--exposure", 0, "--size", 32)
+    fewer, all_ = (read_image(read_header(tmp_path / f"{name}.exr")) for name in "kg")
+    np.testing.assert_allclose(fewer, all_, atol=2e-3 * all_.max())
+    ended = call("shrm", "build", made / "map.exr", tmp_path / "m.h5", "--sigma", 0.4, "--frame", "zonal")
+    assert ended.code == 0
+    assert "the rest differs by azimuth" in ended.err
+
+
 def test_plan_says_what_build_takes(made):
     told = succeed("shrm", "plan", "--sigma", 0.3, "--epsilon", 0.03, "--json").json
     assert (told["degree"], told["order"], told["rows"]) == (7, 2, 70)
@@ -108,7 +172,33 @@ def test_brdf_info(made):
     assert "40 pairs of directions" in succeed("brdf", "info", made / "paint.brdf").out
 
 
+def test_pictures_tell_the_reflectance(made, tmp_path):
+    """From a ball's picture to a file, from the file to a reflection map, and to the nearest of some materials."""
+    picture, found = tmp_path / "p.exr", tmp_path / "f.json"
+    succeed("shrm", "render", made / "glossy.h5", picture, "--size", 48, "--exposure", 0)
+    light = ("--light", made / "map.exr", "--degree", 7, "--order", 2)
+    told = succeed("brdf", "estimate", picture, found, *light, "--json").json
+    assert (len(told["condition"]), len(told["error"]), told["centre"]) == (8, 8, "reflection")
+    assert told["residual"] < 0.05
+    assert "not explained" in succeed("brdf", "estimate", picture, found, *light, "--prior", "none").out
+    assert "F = 7, P = 2, 3 channel(s), angles from the reflection" in succeed("brdf", "info", found).out
+    built = succeed("shrm", "build", made / "map.exr", tmp_path / "o.h5", "--brdf", found, "--epsilon", 0.1, "--json")
+    assert built.json["config"]["brdf"] == "estimated"
+    materials = [word for name in ("microfacet:0.3", "phong:4", "lambert", "skin") for word in ("--material", name)]
+    told = succeed("brdf", "recognise", picture, *light, *materials, "--json").json
+    assert told["materials"][0] == "microfacet:0.3"
+    assert told["distances"][0] < 0.5 * told["distances"][1]
+    assert "microfacet:0.3" in succeed("brdf", "recognise", picture, *light, *materials).out
+
+
 REFUSED = [
+    ("brdf estimate map.exr @o.json --light map.exr", "a sphere fills a square"),
+    ("brdf estimate map.exr @o.h5 --light map.exr", "written as .json"),
+    ("brdf estimate map.exr @o.json --light light.h5 --axes probe", "is for maps"),
+    ("brdf estimate none.exr @o.json --light light.h5 --degree 4", "there is no image"),
+    ("brdf recognise map.exr --light map.exr --material skin", "two at least"),
+    ("brdf recognise map.exr --light map.exr --material skin --material phong:-1", "at least 0"),
+    ("brdf recognise map.exr --light map.exr --material skin --material bad.brdf", "is no .brdf file"),
     ("shrm build map.exr @o.h5 --sigma 0", "above 0, got 0"),
     ("shrm build map.exr @o.h5 --sigma -1", "above 0, got -1"),
     ("shrm build map.exr @o.h5 --brdf phong --exponent -1", "at least 0, got -1"),
@@ -131,12 +221,26 @@ REFUSED = [
     ("shrm render glossy.h5 @o.png --view 0,0,0", "not 0"),
     ("shrm render glossy.h5 @o.exr --tonemap clip", "--tonemap is for 8-bit files"),
     ("shrm render glossy.h5 @o.png --turntable 3", "need a number field"),
-    ("shrm render glossy.h5 glossy.h5", "that is the input"),
+    ("shrm render glossy.h5 glossy.h5", "a picture's name ends in"),
+    ("shrm render map.exr map.exr", "that is the input"),
+    ("shrm render glossy.h5 @o.png --subsamples 2", "--subsamples is for --mesh"),
+    ("shrm render glossy.h5 @o.png --from 1,0,0", "--from is for --mesh"),
+    ("shrm render glossy.h5 @o.png --size 20,10", "a sphere fills a square"),
+    ("shrm render glossy.h5 @o.png --mesh none.obj", "cannot read"),
+    ("shrm render glossy.h5 @o.png --mesh ball.obj --view 0,0,1", "a view is for spheres"),
+    ("shrm render glossy.h5 @o.png --mesh ball.obj --camera 0,0,0", "stands where it looks"),
+    ("shrm render glossy.h5 @o.png --mesh ball.obj --background environment", "no longer holds: give --env"),
+    ("shrm render glossy.h5 @o.png --env map.exr", "what --background environment shows"),
+    ("shrm render glossy.h5 @o.png --axes probe", "--axes is for --env"),
+    ("shrm render glossy.h5 @o.png --about 0,0,1", "axis of --turntable"),
+    ("shrm build map.exr @o.h5 --brdf kajiya-kay --exponent 4 --method product", "made by fft, not product"),
     ("shrm plan --sigma -1", "above 0"),
     ("shrm plan --chart @o.png", "under a map: give one"),
     ("shrm plan map.exr --chart @o.pdf", "charts are .png files"),
     ("shrm plan --axes probe", "is for maps"),
     ("brdf info bad.brdf", "is no .brdf file"),
+    ("brdf info none.json", "cannot read"),
+    ("shrm build map.exr @o.h5 --brdf none.json", "cannot read"),
     ("brdf info map.exr", "no text file"),
 ]
 
@@ -177,7 +281,7 @@ def test_tables_have_their_rows(device):
     assert (facets["degree"], facets["order"]) == (4, 2)
     assert min(frame_rates(2, device).values()) > 0
     radiance = np.random.default_rng(0).random((32, 64, 3), np.float32)
-    assert prefilter_shares(radiance, 0.5).keys() == {"whole", "with_reflectance", "transforms"}
+    assert prefilter_shares(radiance, device).keys() == {"whole", "host", "with_reflectance", "transforms"}
     assert cost_slopes.__doc__
 
 

@@ -200,7 +200,7 @@ OTHERS = [
     ("bench stack.h5 --out @o.h5 --codecs wavelet --rates 0", "got 0"),
     ("bench stack.h5 --out @o.h5 --codecs wavelet --rates nan", "numbers"),
     ("bench stack.h5 --out @o.h5 --holdout 37 --force", "keeps no light out of 36"),
-    ("bench stack.h5 --out @o.h5 --size 16", "--size is an option of the scenes ring, torus, dama, not of"),
+    ("bench stack.h5 --out @o.h5 --size 16", "--size is an option of the scenes ring, torus, dama, head, not of"),
     ("bench ring --out @o.h5 --pattern spiral --force", "pattern must be one of"),
     ("devices --device gpu", "No such option '--device'"),
     ("dance", "No such command 'dance'"),

@@ -13,9 +13,9 @@ ROOT = Path(clrelight.__file__).parent
 FLOORS = [
     {
         *("arrays", "errors", "conventions", "configurable", "text_rows", "interrupts"),
-        *("memory", "search", "streaming", "statements"),
+        *("memory", "recycling", "search", "streaming", "statements"),
     },
-    {"harmonics", "durable", "remote", "threads"},
+    {"harmonics", "bases", "durable", "remote", "threads"},
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {
         *("dataset", "directions", "holdout", "lights", "light_columns", "light_files", "masks", "negatives"),

@@ -15,8 +15,10 @@ from clrelight.lighting import layouts
 from clrelight.lighting.environment import Environment, read_environment
 from clrelight.lighting.light import Light, apply_window, set_coefficients, turn_about_z
 from clrelight.lighting.projection import measure_lobes, project_environment
+from clrelight.lighting.projection_device import project_latlong_on_device
 from tests.reference.basis import real_harmonics
 from tests.reference.lighting import band_limited, render
+from tests.styles import both_styles, every_width
 
 EPS32 = 2.0**-23
 SIZES = {
@@ -129,10 +131,41 @@ def test_both_methods_agree_with_the_plain_sum(device, axes, channels):
     basis_tk = real_harmonics(directions_t3, 12)
     expected_kc = basis_tk.T @ weighted_tc
     bound_kc = 64 * EPS32 * (np.abs(basis_tk).T @ weighted_tc)
-    for method in ("separable", "direct"):
+    for method in ("separable", "separable-device", "direct"):
         made = project_environment(environment, 12, method=method, device=device)
         assert made.config["method"] == method
         assert (np.abs(made.coeffs_kc - expected_kc) <= bound_kc).all()
+
+
+@both_styles
+@pytest.mark.parametrize("channels", [1, 3])
+def test_azimuths_on_the_device_at_sizes_around_its_blocks(device, channels):
+    """Widths that fold by four, by two and not at all, one block of columns and a little more, rows."""
+    rng = np.random.default_rng(5)
+    for height, width, degree in (
+        (1, 1, 0),
+        (3, 2, 2),
+        (5, 12, 3),
+        (11, 1020, 4),
+        (13, 1028, 9),
+        (4, 513, 2),
+        (24, 66, 5),
+    ):
+        radiance_hwc = rng.random((height, width, channels), np.float32) ** 6
+        expected_kc = project_latlong(radiance_hwc.astype(np.float64), degree)
+        got_kc = project_latlong_on_device(radiance_hwc, degree, device)
+        # Sums over all texels of |y_lm| below sqrt((2 l + 1) / 4 pi) times their solid angle.
+        bound = 40 * EPS32 * np.sqrt(2 * degree + 1) * np.pi * radiance_hwc.max()
+        np.testing.assert_allclose(got_kc, expected_kc, atol=bound)
+
+
+@every_width
+def test_azimuths_at_every_width_of_vectors(device):
+    radiance_hwc = np.random.default_rng(6).random((9, 68, 3), np.float32)
+    expected_kc = project_latlong(radiance_hwc.astype(np.float64), 4)
+    np.testing.assert_allclose(
+        project_latlong_on_device(radiance_hwc, 4, device), expected_kc, atol=40 * EPS32 * 3 * np.pi
+    )
 
 
 @pytest.mark.parametrize("texels", [(1, 1), (15, 15), (16, 16), (17, 17), (61, 61)])

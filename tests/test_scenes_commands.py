@@ -76,7 +76,10 @@ def test_toml_takes_options_of_every_scene(tmp_path):
         ("synth dama o.h5 --material wood", "'wood' is not one of"),
         ("bench torus --out o.h5 --material ggx", "--material is an option of the dama scene, not of torus"),
         ("bench ring --out o.h5 --albedo tiles", "--albedo is an option of the torus scene, not of ring"),
-        ("bench stack.h5 --out o.h5 --seed 1", "--seed is an option of the scenes ring, torus, dama, not of stack.h5"),
+        (
+            "bench stack.h5 --out o.h5 --seed 1",
+            "--seed is an option of the scenes ring, torus, dama, head, not of stack.h5",
+        ),
         ("bench torus --out o.h5 --albedo red", "albedo must be one of white, tiles, got 'red'"),
     ],
 )
@@ -89,7 +92,7 @@ def test_refusals(tmp_path, monkeypatch, words, message):
 
 
 def test_registry_says_what_renderers_take():
-    assert list(SCENES) == ["ring", "torus", "dama"]
+    assert list(SCENES) == ["ring", "torus", "dama", "head"]
     assert scenes_with("material") == ("dama",)
     assert SCENES["torus"].stack_name({"albedo": "tiles", "dtype": "float32", "size": 9}) == "tiles-torus"
     for scene in SCENES.values():

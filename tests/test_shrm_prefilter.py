@@ -11,16 +11,17 @@ from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.latlong import project_latlong, synthesize_latlong
 from clrelight.harmonics.quadrature import product_rule
 from clrelight.harmonics.rotation import rotation_blocks, rotation_matrix
-from clrelight.harmonics.wigner import complex_coefficients, turn_functions
+from clrelight.harmonics.wigner import complex_coefficients, turn_functions, turn_tables
 from clrelight.lighting.irradiance import evaluate_irradiance
 from clrelight.lighting.light import Light
 from clrelight.shrm.angular import integrate_directions
+from clrelight.shrm.expansion import METHODS, expand_orders
 from clrelight.shrm.explicit import explicit_maps, view_map
 from clrelight.shrm.lookup import local_view
-from clrelight.shrm.prefilter import METHODS, build_shrm, to_global, to_local
+from clrelight.shrm.prefilter import build_shrm, to_global, to_local
 from clrelight.shrm.record import Shrm, grid_directions
 from tests.reference import shrm as reference
-from tests.styles import both_styles
+from tests.styles import both_styles, every_width
 
 F, P, ROWS, COLUMNS = 6, 3, 5, 15
 
@@ -68,6 +69,17 @@ def test_turns_are_those_of_wigner(l):
         for q in range(-l, l + 1):
             got = turn_functions(alpha, l, m, q)[-1]
             np.testing.assert_allclose(got, sign[m] * sign[q] * reference.small_d(l, m, q, alpha), atol=1e-13)
+
+
+@pytest.mark.parametrize("q", [0, 1, 4])
+def test_tables_of_many_orders_are_those_of_one(q):
+    alpha = np.array([0.0, 0.3, 1.2, 2.9])
+    orders = np.array([0, 1, 4, 6])
+    tables = turn_tables(alpha, 6, orders, q)
+    for m, plus, minus in zip(orders.tolist(), *tables, strict=True):
+        for side, got in ((1, plus), (-1, minus)):
+            np.testing.assert_allclose(got[:, max(m, q) :].T, turn_functions(alpha, 6, side * m, q), atol=1e-14)
+            assert not got[:, : max(m, q)].any()
 
 
 def test_turns_stay_orthonormal_at_high_degrees():
@@ -230,6 +242,37 @@ def test_real_reflectances_come_near_integration(brdf, degree, order):
     truth = integrate_directions(nodes, radiance, brdf, central, view).reshape(8, -1, 1)
     error = np.linalg.norm(view_map(shrm, view) - truth) / np.linalg.norm(truth)
     assert error < 0.05  # microfacets end at the horizon with an edge, of which P = 12 lacks 0.15% of the energy
+
+
+@every_width
+@pytest.mark.parametrize("channels", [1, 3])
+def test_waves_become_columns_at_every_width(device, channels):
+    """Against the sum as written, at columns that fold by four, by two and not at all, around whole vectors."""
+    rng = np.random.default_rng(9)
+    for height, count, orders, columns in (
+        (1, 1, 1, 1),
+        (2, 4, 2, 6),
+        (3, 1, 5, 60),
+        (2, 4, 4, 64),
+        (1, 4, 9, 68),
+        (2, 1, 8, 61),
+    ):
+        shape = height, count, orders, channels
+        sums_hkmc = (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
+        beta_w = 1.5 * np.pi - 2.0 * np.pi * (np.arange(columns) + 0.5) / columns
+        waves_mw = np.exp(1j * np.outer(np.arange(orders), beta_w))
+        expected = np.einsum("hkmc,mw->khwc", sums_hkmc.astype(np.complex128), waves_mw).real
+        bound = (orders + 4) * 2.0**-23 * np.abs(sums_hkmc).sum(axis=2).max()
+        np.testing.assert_allclose(expand_orders(sums_hkmc, columns, "device", device), expected, atol=bound)
+
+
+def test_orders_beyond_the_columns_look_like_coarser_ones():
+    """A global map has F + P orders, of which narrow maps hold fewer."""
+    rng = np.random.default_rng(10)
+    for columns in (1, 2, 3, 4, 7, 8):
+        sums_hkmc = rng.standard_normal((2, 1, 9, 1)) + 1j * rng.standard_normal((2, 1, 9, 1))
+        expected = expand_orders(sums_hkmc, columns, "product")
+        np.testing.assert_allclose(expand_orders(sums_hkmc, columns, "fft"), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("method", METHODS)

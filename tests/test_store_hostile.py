@@ -125,8 +125,8 @@ def test_other_schemas_are_named(tmp_path):
     def rename(text):
         edit(paths["fit"], lambda f: f.attrs.create("clrelight_schema", np.bytes_(text)))
 
-    rename("fit/2")
-    refused(paths["fit"], "fit/2 is newer than this program reads (fit/1): upgrade clrelight", kind="fit")
+    rename("fit/3")
+    refused(paths["fit"], "fit/3 is newer than this program reads (fit/2): upgrade clrelight", kind="fit")
     for text in ("fits/1", "fit/0", "fit", "fit/1x", "fit/-1"):
         rename(text)
         refused(paths["fit"], f"unknown schema '{text}'", kind="fit")

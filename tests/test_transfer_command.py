@@ -109,7 +109,8 @@ def test_a_grid_keeps_its_rows(tmp_path):
     np.testing.assert_array_equal(held.surface.tangents_v3, grid.tangents_v3)
     cr.transfer(grid, out=tmp_path / "g.h5", samples=64, degree=2, frame="local", memory="80k", report=cr.Report())
     read = store.read_fit(tmp_path / "g.h5")
-    np.testing.assert_array_equal(read.coeffs_khwc, held.coeffs_khwc)
+    # Parts of other sizes, of which BLAS sums in another order on some processors.
+    np.testing.assert_allclose(read.coeffs_khwc, held.coeffs_khwc, rtol=0, atol=1e-6)
     assert read.surface.grid == (6, 9)
 
 

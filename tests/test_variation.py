@@ -5,7 +5,7 @@ import pytest
 
 import clrelight as cr
 from clrelight.errors import InputError
-from clrelight.images import write_image
+from clrelight.images import read_image, write_image
 from clrelight.lighting.irradiance import cosine_coefficients
 from clrelight.variation.inverse import basis_pictures, find_light
 from clrelight.variation.subspaces import analytic_subspace, empirical_subspace, energy_bound, kernel_energy
@@ -80,7 +80,13 @@ def test_pca_of_photographs(real_data, tmp_path):
     assert (told["kind"], told["count"], told["centred"]) == ("stack", 240, True)
     shares = [told["cumulative"][count] for count in ("3", "5", "9")]
     np.testing.assert_allclose(shares, [0.901, 0.924, 0.949], atol=0.015)
-    assert succeed("variation", "pca", tmp_path / "s.h5", "--json").json["variance"] == pytest.approx(told["variance"])
+    words = ("variation", "pca", tmp_path / "s.h5", "--pictures", tmp_path / "drawn", "--json")
+    assert succeed(*words).json["variance"] == pytest.approx(told["variance"])
+    with cr.open_stack(tmp_path / "s.h5") as stack:
+        grey_ip = np.asarray(stack.images_ihwc[...], np.float64).mean(axis=3).reshape(240, -1)
+    best_p = np.linalg.svd(grey_ip - grey_ip.mean(axis=0), full_matrices=False)[2][0]
+    drawn = read_image(tmp_path / "drawn" / "component_1.png").ravel().astype(float)
+    assert abs(np.corrcoef(drawn, best_p)[0, 1]) > 0.97
 
 
 def test_pca_of_meshes_and_normals(tmp_path):
@@ -97,6 +103,19 @@ def test_pca_of_meshes_and_normals(tmp_path):
     np.testing.assert_allclose(held["variance"][:5], [0.425, 0.328, 0.167, 0.034, 0.022], atol=4e-3)
     coded = succeed("variation", "pca", tmp_path / "n.png", "--green", "down", "--json").json
     np.testing.assert_allclose(coded["variance"], held["variance"], atol=1e-4)
+    words = ("variation", "pca", tmp_path / "n.exr", "--pictures", tmp_path / "drawn")
+    assert len(succeed(*words, "--json").json["files"]) == len(list((tmp_path / "drawn").iterdir()))
+    # The first harmonic is one value all over, grey beside the pixels that have a normal; every so many are shown.
+    step = -(-image.shape[1] // 1024)
+    seen = image[0, ::step].any(axis=1)
+    drawn = read_image(tmp_path / "drawn" / "harmonic_0_0.png")[0, :, 0]
+    assert set(drawn[~seen]) == {128}
+    assert set(drawn[seen]) == {255}
+    first = read_image(tmp_path / "drawn" / "component_1.png")[0, seen, 0].astype(float)
+    basis_pk = real_harmonics(normals_p3, 2)[:, 1:] * np.repeat(cosine_coefficients(2)[1:], [3, 5])
+    best_p = basis_pk @ np.linalg.svd(basis_pk, full_matrices=False)[2][0]
+    assert abs(np.corrcoef(first, np.concatenate([np.zeros(5), best_p])[::step][seen])[0, 1]) > 0.999
+    assert call(*words).err.count("is there: pictures go to a new folder") == 1
     lines = succeed("variation", "pca", tmp_path / "n.exr", "--raw").out
     assert "kept" in lines
     assert "pixels" in lines
@@ -154,7 +173,8 @@ def test_lights_in_a_cap_are_refused_or_reduced(real_data):
     directions_i3 /= np.linalg.norm(directions_i3, axis=1, keepdims=True)
     reduced = basis_pictures(np.ones((96, 5)), directions_i3)
     assert (reduced.degree, reduced.pictures_kp.shape) == (1, (4, 5))
-    with pytest.raises(InputError, match=r"9 pictures apart: the condition is \d{3}, at most 100; degree 1"):
+    assert reduced.condition_l[2] == pytest.approx(655, abs=1)
+    with pytest.raises(InputError, match="9 pictures apart: the condition is 655, at most 100; degree 1"):
         basis_pictures(np.ones((96, 5)), directions_i3, 2)
 
 

@@ -21,7 +21,7 @@ from clrelight.store.writing import IN_MEMORY_BYTES
 
 FOLDER = ".shards"
 """Behind the name of a stack: where its shards lie."""
-_NOT_OF_ROWS = ("store", "confidence", "measure")
+_NOT_OF_ROWS = ("store", "confidence", "basis", "measure")
 _AUTO_DEGREE = 9
 """Degree that shards are sized for where a fit chooses its own."""
 
@@ -62,7 +62,7 @@ def run_tiles(
     for task in tasks:
         if task.job != "fit":
             raise InputError(f"tiles are for the job fit, not for {task.job}")
-        if other := [name for name in _NOT_OF_ROWS[:2] if name in task.options]:
+        if other := [name for name in _NOT_OF_ROWS[:3] if name in task.options]:
             raise InputError(f"{other[0]} is no option of fits in tiles")
         try:
             joins.append(_join_of(task, rows, virtual))

@@ -144,7 +144,8 @@ def brdf_coefficients(
     """Return the coefficients of a reflectance in O(P S T^2) steps (frequency-space-environment-maps, appendix C).
 
     First the azimuth, ``rho_q = 2 pi integral rho cos(q phi) dphi``, then the view, ``rho_pq = integral rho_q f_pq``,
-    last the light, ``rho_lpq = integral rho_pq f_lq``. Lambert's and Phong's have a closed form.
+    last the light, ``rho_lpq = integral rho_pq f_lq``. Lambert's and Phong's have a closed form, and reflectances
+    that are known by coefficients (`expanded`) have these, no more than there are.
 
     Parameters
     ----------
@@ -160,6 +161,9 @@ def brdf_coefficients(
         raise InputError(f"the degree F must be 0 to {MAX_DEGREE}, got {degree}")
     if not 0 <= order <= MAX_ORDER:
         raise InputError(f"the order P must be 0 to {MAX_ORDER}, got {order}")
+    if hasattr(brdf, "expanded"):
+        known: BrdfCoefficients = brdf.expanded(degree, order)
+        return known
     if isinstance(brdf, Phong):
         rho_lpqc = np.zeros((degree + 1, order + 1, order + 1, 1))
         rho_lpqc[:, 0, 0, 0] = np.sqrt(2.0 * np.arange(degree + 1) + 1.0) * brdf.factors(degree)

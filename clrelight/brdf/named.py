@@ -7,6 +7,7 @@ from pathlib import Path
 
 from clrelight.brdf.analytic import KajiyaKay, Microfacet
 from clrelight.brdf.centred import CentredBrdf
+from clrelight.brdf.expanded import ExpandedBrdf, read_coefficients
 from clrelight.brdf.lafortune import SKIN
 from clrelight.brdf.measured import MeasuredBrdf, read_brdf
 from clrelight.brdf.radial import Lambert, Phong
@@ -21,11 +22,13 @@ _MAKERS: dict[str, tuple[Callable[..., CentredBrdf], str | None]] = {
 }
 
 BRDF_NAMES = tuple(_MAKERS)
-"""Names that `make_brdf` knows; beside them, a ``.brdf`` file."""
+"""Names that `make_brdf` knows; beside them, a ``.brdf`` file, or a ``.json`` file of estimated coefficients."""
 
 
 def make_brdf(name: str, *, sigma: float | None = None, exponent: float | None = None) -> CentredBrdf:
-    """Return the reflectance of a name of `BRDF_NAMES` or of a ``.brdf`` file, with its number where it has one.
+    """Return the reflectance of a name of `BRDF_NAMES` or of a file, with its number where it has one.
+
+    A ``.brdf`` file holds measurements, a ``.json`` file what `expanded.write_coefficients` wrote.
 
     Raises
     ------
@@ -34,10 +37,33 @@ def make_brdf(name: str, *, sigma: float | None = None, exponent: float | None =
     """
     numbers = {"sigma": sigma, "exponent": exponent}
     given = {key: value for key, value in numbers.items() if value is not None}
-    if name not in _MAKERS and Path(name).suffix.lower() != ".brdf":
-        raise InputError(f"a reflectance is {', '.join(BRDF_NAMES)} or a .brdf file, got {name!r}")
+    if name not in _MAKERS and Path(name).suffix.lower() not in (".brdf", ".json"):
+        raise InputError(f"a reflectance is {', '.join(BRDF_NAMES)}, or a .brdf or .json file, got {name!r}")
     maker, own = _MAKERS.get(name, (None, None))
     foreign = [key for key in given if key != own]
     if foreign:
         raise InputError(f"{name} takes {'no number' if own is None else own}, got {foreign[0]}")
-    return MeasuredBrdf(read_brdf(name)) if maker is None else maker(**given)
+    if maker is not None:
+        return maker(**given)
+    if Path(name).suffix.lower() == ".json":
+        return ExpandedBrdf(read_coefficients(name))
+    return MeasuredBrdf(read_brdf(name))
+
+
+def parse_brdf(text: str) -> CentredBrdf:
+    """Return the reflectance that a text such as ``microfacet:0.2``, ``skin`` or ``paint.brdf`` names.
+
+    What stands behind the colon is the name's own number. InputError as of `make_brdf`.
+    """
+    name, colon, number = text.partition(":")
+    if not colon or name not in _MAKERS:
+        return make_brdf(text)
+    own = _MAKERS[name][1]
+    if own is None:
+        raise InputError(f"{name} takes no number, got {text!r}")
+    try:
+        return make_brdf(name, **{own: float(number)})
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{name} takes a number behind the colon, got {text!r}") from None

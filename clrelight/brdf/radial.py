@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.brdf.centred import CentredBrdf, check_positive
+from clrelight.brdf.centred import CentredBrdf, check_positive, reflection_cosines
 
 
 def lobe_factors(exponent: float, degree: int) -> NDArray[np.float64]:
@@ -81,3 +81,29 @@ class Lambert(Phong):
     def to_config(self) -> dict[str, Any]:
         """See `CentredBrdf`."""
         return {"brdf": self.id}
+
+
+@dataclass(frozen=True)
+class Mirrored(CentredBrdf):
+    """A lobe about the normal in angles from the mirrored view, as a set of reflectances shares one central direction.
+
+    Attributes
+    ----------
+    lobe : Phong
+        About the normal.
+    """
+
+    lobe: Phong = field(default_factory=Lambert)
+
+    id: ClassVar[str] = "mirrored"
+
+    def evaluate(
+        self, theta_i: NDArray[np.float64], theta_o: NDArray[np.float64], phi: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """See `CentredBrdf`."""
+        angle = np.arccos(np.clip(reflection_cosines(theta_i, theta_o, phi).light_normal, -1.0, 1.0))
+        return self.lobe.evaluate(angle, np.zeros(1), np.zeros(1))
+
+    def to_config(self) -> dict[str, Any]:
+        """See `CentredBrdf`."""
+        return self.lobe.to_config()

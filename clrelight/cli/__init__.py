@@ -19,6 +19,8 @@ def main(arguments: list[str] | None = None) -> None:
             _signal.signal(number, lambda number, frame: os._exit(128 + number))
             # At the very end Python would give them back to the system, which has other exit codes.
             atexit.register(_signal.signal, number, _signal.SIG_IGN)
+    # Before NumPy is loaded: threads of its BLAS would wait for more work by spinning, on processors that kernels need.
+    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
     from clrelight.cli.app import run
     from clrelight.cli.standard import flush_streams, mend_streams
 

@@ -16,6 +16,7 @@ from clrelight.cli import (
     experiments,
     export,
     files,
+    find_lights,
     fit,
     irradiance,
     light,
@@ -31,6 +32,7 @@ from clrelight.cli import (
     render,
     sampled,
     shader,
+    to_sh,
     trade,
     transfer,
     variation,
@@ -63,7 +65,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, batch),
+    *(operators, transfer, normals, variation, find_lights, to_sh, batch),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

@@ -8,6 +8,7 @@ import click
 
 from clrelight.cli.options import (
     DegreeType,
+    basis_option,
     device_option,
     holdout_by_option,
     holdout_option,
@@ -35,6 +36,7 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "conf
     help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum or auto.",
 )
 @click.option("--degree", type=DegreeType(), default=6, show_default=True, help="Largest SH degree, or auto.")
+@basis_option
 @holdout_option("the fit")
 @holdout_by_option
 @click.option("--energy", type=float, help="Factor on the bound E_c of cls and ceb; 1 is the paper's.")
@@ -82,7 +84,7 @@ def fit(
     as_json: bool,
     **asked: Any,
 ) -> None:
-    """Fit SH coefficients to every pixel of a stack.
+    """Fit coefficients of spherical harmonics, or of another basis, to every pixel of a stack.
 
     \b
     Example:
@@ -90,6 +92,7 @@ def fit(
       clrelight fit stack.h5 fit.h5 --method auto --degree auto
       clrelight fit stack.h5 fit.h5 --config trade.toml
       clrelight fit stack.h5 fit.h5 --method ceb --store float16
+      clrelight fit stack.h5 fit.h5 --method spline --basis hsh
     """
     from clrelight.fit import method_class
     from clrelight.jobs.fit import fit as run_fit
@@ -115,6 +118,7 @@ def fit(
         {
             "fit": out,
             "method": f"{method_class(facts['method']).title}, degree {facts['degree']}, {facts['n_light']} lights",
+            **({"basis": facts["config"]["basis"]} if "basis" in facts["config"] else {}),
             "stored": f"{facts['dtype']}, {facts['bytes_on_disk']} bytes",
             "condition": f"{facts['condition']:.3g}",
             **_confidence_line(facts),

@@ -86,10 +86,11 @@ class Window(click.ParamType):
 @click.option("--degree", type=whole_number(0, 100), help="Largest degree; default 6, or that of --edit or --blend.")
 @click.option(
     "--method",
-    type=click.Choice(["auto", "direct", "separable"]),
+    type=click.Choice(["auto", "direct", "separable", "separable-device"]),
     default="auto",
     show_default=True,
-    help="How maps are projected: any layout on the device, or FFT and Legendre sums for latlong.",
+    help="How maps are projected: any layout on the device, or sums over azimuth and rows for latlong, in float64 or "
+    "with azimuths on the device.",
 )
 @click.option("--rotate", type=Turn(), help=f"Turn the light: {ROTATION_HELP}")
 @click.option(
@@ -226,7 +227,7 @@ def _project(environment: Environment, degree: int, method: str, device: str | N
             f"the map is fine enough for degree {environment.resolved_degree}; beyond it coefficients are aliased"
         )
     report.add("project", since)
-    report.device = (opened or open_device()).info.label if made.config["method"] == "direct" else None
+    report.device = None if made.config["method"] == "separable" else (opened or open_device()).info.label
     return made
 
 

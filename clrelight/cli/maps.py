@@ -69,9 +69,14 @@ def map_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def refuse_map_options(*others: str) -> None:
+def is_light_file(name: str) -> bool:
+    """Return whether a file of this name is one of ours, and no map."""
+    return name.lower().endswith((".h5", ".hdf5"))
+
+
+def refuse_map_options(*others: str, but: Sequence[str] = ()) -> None:
     """Refuse options of maps, and `others`, where there is no map: --axes would not turn a sky, for one."""
     context = click.get_current_context()
     for name in ("layout", "axes", "transfer", *others, "layer", "clip_negative"):
-        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
+        if name not in but and context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
             raise InputError(f"--{name.replace('_', '-')} is for maps (--env); --rotate turns any light")

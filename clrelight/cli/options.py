@@ -160,6 +160,13 @@ holdout_by_option = click.option(
     help="Which lights --holdout keeps out: every K-th as photographed (index, default), or blocks as large as the "
     "gaps between lights (place).",
 )
+basis_option = click.option(
+    "--basis",
+    default="sh",
+    show_default=True,
+    help="Functions of the light: sh, or of the hemisphere (methods uls and spline) hsh, gram-schmidt, zernike, "
+    "makhotkin or haar.",
+)
 within_option = click.option(
     "--within",
     type=float,

@@ -10,6 +10,7 @@ from clrelight.cli.files import reading_options
 from clrelight.cli.options import (
     ByteCount,
     DegreeType,
+    basis_option,
     device_option,
     holdout_by_option,
     holdout_option,
@@ -51,6 +52,7 @@ from clrelight.cli.psnr import psnr_lines
     "--method", default="auto", show_default=True, help="auto, or a method of fit: spectrum, spline, cls, ..."
 )
 @click.option("--degree", type=DegreeType(), default="auto", show_default=True, help="Largest SH degree, or auto.")
+@basis_option
 @within_option
 @holdout_option("the fit")
 @holdout_by_option
@@ -112,6 +114,7 @@ def pack(
         "packed": out,
         "images": f"{facts['n_light'] + facts['n_holdout']} of {width}×{height}, {channel} channel(s)",
         "fit": f"{facts['method']}, degree {facts['degree']}, {facts['n_light']} lights",
+        **({"basis": facts["fit_config"]["basis"]} if "basis" in facts["fit_config"] else {}),
         "size": f"{facts['bytes_on_disk']} bytes on disk, {facts['bits_per_coefficient']:.4g} bit per coefficient",
         **psnr_lines(report.psnr),
     }

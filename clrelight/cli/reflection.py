@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clrelight.cli.claims import claim_output
-from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
-from clrelight.cli.maps import MapReading, map_options, refuse_map_options
-from clrelight.cli.options import Exposure, Numbers, device_option, json_option, whole_number
+from clrelight.cli.maps import MapReading, is_light_file, map_options, refuse_map_options
+from clrelight.cli.options import device_option, json_option, whole_number
 from clrelight.cli.output import make_report, print_report
-from clrelight.cli.progress import progress_bar
 from clrelight.cli.reflection_bench import bench
+from clrelight.cli.reflection_render import render
+from clrelight.cli.reflection_turns import rotate
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
@@ -42,8 +42,9 @@ def brdf_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "name",
             default="microfacet",
             show_default=True,
-            metavar="NAME|FILE.brdf",
-            help="lambert, phong, microfacet, kajiya-kay (fibres along meridians), skin, or a measured file.",
+            metavar="NAME|FILE",
+            help="lambert, phong, microfacet, kajiya-kay (fibres along meridians), skin, a measured file, or what "
+            "brdf estimate wrote.",
         ),
     ):
         command = option(command)
@@ -67,17 +68,15 @@ def _make(name: str, sigma: float | None, exponent: float | None) -> CentredBrdf
 @click.option("--rows", type=whole_number(1, 4096), help="Rows of the map; default: ten for each degree.")
 @click.option(
     "--frame",
-    type=click.Choice(["global", "local"]),
-    default="global",
-    show_default=True,
-    help="Views in the axes of the world, or of each direction.",
+    type=click.Choice(["global", "local", "zonal"]),
+    help="Views in the axes of the world, of each direction, or by their angle from it alone (q = 0); default: zonal "
+    "for kajiya-kay, else global.",
 )
 @click.option(
     "--method",
-    type=click.Choice(["fft", "product", "device"]),
-    default="fft",
-    show_default=True,
-    help="How orders become columns: by FFT, as a product in float64, or on the device.",
+    type=click.Choice(["device", "fft", "product"]),
+    help="How columns become orders and orders columns: by kernels (device, the default but for zonal maps), by FFT on "
+    "the host, or as a product there.",
 )
 @device_option
 @json_option
@@ -92,8 +91,8 @@ def build(
     degree: int | None,
     order: int | None,
     rows: int | None,
-    frame: str,
-    method: str,
+    frame: str | None,
+    method: str | None,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -111,7 +110,7 @@ def build(
     check_output(out, sources)
     report = make_report(as_json)
     source: Any
-    if len(sources) == 1 and sources[0].lower().endswith((".h5", ".hdf5")):
+    if len(sources) == 1 and is_light_file(sources[0]):
         refuse_map_options()
         source = read_light(sources[0])
     else:
@@ -133,66 +132,9 @@ def build(
     lines = {
         "reflection map": out,
         "orders": f"F = {facts['degree']}, P = {facts['order']}, {facts['share']:.4f} of the reflectance's energy",
-        "maps": f"{(facts['order'] + 1) ** 2} of {facts['columns']}×{facts['rows']}, {facts['channels']} channel(s), "
-        f"{frame}",
+        "maps": f"{facts['maps']} of {facts['columns']}×{facts['rows']}, {facts['channels']} channel(s), "
+        f"{facts['frame']}",
         "size": f"{facts['bytes']} bytes in memory",
-    }
-    print_report(report, as_json, lines)
-
-
-@shrm.command()
-@click.argument("source", metavar="SHRM", type=click.Path())
-@click.argument("image", type=click.Path())
-@click.option(
-    "--view", type=Numbers(float, "0,-1,0.3", 3), default="0,-1,0.3", show_default=True, help="Towards the camera."
-)
-@click.option("--size", type=whole_number(1, 8192), default=256, show_default=True, help="Pixels of a side.")
-@click.option("--rotate", type=Turn(), help=f"Turn the light: {ROTATION_HELP}")
-@click.option("--turntable", type=whole_number(1, 10000), metavar="N", help="N pictures, the light going round once.")
-@click.option("--exposure", type=Exposure(), default="auto", show_default=True, help="Stops.")
-@click.option("--tonemap", type=click.Choice(["clip", "reinhard"]), help="Of 8-bit pictures.")
-@json_option
-def render(
-    source: str,
-    image: str,
-    view: tuple[float, float, float],
-    size: int,
-    rotate: Rotation | None,
-    turntable: int | None,
-    exposure: float | None,
-    tonemap: str | None,
-    as_json: bool,
-) -> None:
-    """Show a sphere under the light of a reflection map.
-
-    \b
-    Example:
-      clrelight shrm render glossy.h5 sphere.png
-      clrelight shrm render glossy.h5 around.gif --turntable 36 --size 128
-    """
-    from clrelight.jobs.reflection import render_reflection
-
-    report = make_report(as_json)
-    with progress_bar("rendering") as bar:
-        render_reflection(
-            source,
-            image,
-            view=view,
-            size=size,
-            rotate=rotate,
-            turntable=turntable,
-            exposure=exposure,
-            tonemap=tonemap,
-            progress=lambda done, total, what: bar(done, total or done),
-            report=report,
-        )
-    facts = report.facts
-    pictures = len(facts["files"]) if turntable is None or len(facts["files"]) > 1 else turntable
-    rate = pictures / max(report.seconds["render"], 1e-9)
-    lines = {
-        "picture": facts["files"][0],
-        "exposure": f"{facts['exposure']:+.2f} stops",
-        "rate": f"{rate:.1f} a second",
     }
     print_report(report, as_json, lines)
 
@@ -262,5 +204,6 @@ def _print_plan(report: Report, as_json: bool) -> None:
         print_table(["F", "reflected", "light", "reflectance", "bound"], rows)
 
 
-shrm.add_command(bench)
+for command in (render, rotate, bench):
+    shrm.add_command(command)
 COMMANDS = (shrm,)

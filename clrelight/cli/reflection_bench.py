@@ -98,7 +98,7 @@ def _measure(
     if table == "codecs":
         return _codecs(light, device)
     rates = {f"P = {order}": measure.frame_rates(order, device) for order in (2, 3, 5)}
-    shares = measure.prefilter_shares(environment.radiance_hwc) if environment.layout == "latlong" else {}
+    shares = measure.prefilter_shares(environment.radiance_hwc, device) if environment.layout == "latlong" else {}
     rows = [[f"maps of 64² × 6 a second, {name}", f"{each['device']:.0f}"] for name, each in rates.items()]
     rows += [[f"prefiltering: {name}, s", f"{value:.4f}"] for name, value in shares.items()]
     return ["", "measured"], rows, {"rates": rates, "prefilter": shares}

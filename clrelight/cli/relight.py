@@ -88,7 +88,7 @@ def relight(
     """Write the view under one light, under several, or under light from everywhere.
 
     The name decides the format: .exr, .hdr and .tif hold linear radiance as floats, .png, .jpg and others 8-bit
-    display values. For several images, IMAGE holds a number field such as %03d; a turntable may be a .gif.
+    display values. For several images, IMAGE holds a number field such as %03d; a turntable may be a .gif or .apng.
 
     \b
     Example:

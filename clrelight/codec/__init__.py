@@ -21,15 +21,14 @@ from clrelight.codec.registry import (
     codec_class,
     codec_ids,
     decode,
-    decode_regions,
     decode_stream,
-    decode_view,
     encode,
     encode_stream,
     predict_noise,
     predict_noise_of,
     register,
 )
+from clrelight.codec.viewing import decode_regions, decode_view
 
 __all__ = [
     "Bc6h",

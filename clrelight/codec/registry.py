@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH
 from clrelight.codec.bodies import Body, BodyWriter, MemoryBody
 from clrelight.codec.damage import Damage
 from clrelight.codec.encoded import Encoded, check_shape
@@ -38,6 +40,7 @@ class Codec(Configurable, ABC):
     """Times the bytes of a float32 map that the two take in any workspace; 0 for codecs that take parts."""
 
     hemisphere: ClassVar[bool] = False  # whether what functions are at z < 0 is left open
+    takes_bases: ClassVar[bool] = True  # whether coefficients may be of other bases than spherical harmonics
 
     def bytes_to_encode(self, shape: tuple[int, int, int, int]) -> int:
         """Return about how many bytes of memory encoding takes at least, beside those of a workspace."""
@@ -171,7 +174,7 @@ def check_coefficients(coeffs_khwc: NDArray[np.float32], device: Device, first_r
     )
 
 
-def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> Encoded:
+def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device, basis: str = SH) -> Encoded:
     """Encode a coefficient map.
 
     Parameters
@@ -182,6 +185,8 @@ def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> En
         With its options.
     device : Device
         Where to encode.
+    basis : str
+        What they are coefficients of (`clrelight.bases`).
 
     Returns
     -------
@@ -193,9 +198,9 @@ def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> En
     InputError
         If the shape is impossible, a coefficient is not finite, or the codec cannot hold one.
     """
-    coeffs = _checked(coeffs_khwc, device)
-    body, info = codec.encode_body(coeffs, device)
-    return Encoded(codec.id, codec.to_config(), tuple(coeffs.shape), body, info)
+    source, body = array_source(coeffs_khwc, device, basis), MemoryBody()
+    info = encode_stream(source, codec, body)
+    return Encoded(codec.id, codec.to_config(), source.shape, body.to_bytes(), info)
 
 
 def predict_noise(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device) -> Noise | None:
@@ -211,14 +216,15 @@ def predict_noise(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device
     return predict_noise_of(array_source(coeffs_khwc, device), codec)
 
 
-def array_source(coeffs_khwc: NDArray[np.float32], device: Device) -> ArraySource:
+def array_source(coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH) -> ArraySource:
     """Return coefficients in memory as `encode_stream` takes them; InputError as `encode` raises it."""
-    return ArraySource(_checked(coeffs_khwc, device), device)
+    return ArraySource(_checked(coeffs_khwc, device), device, basis)
 
 
 def predict_noise_of(source: Source, codec: Codec) -> Noise | None:
     """Return what `predict_noise` does of coefficients that may lie in a file."""
-    return codec.predict_noise(source) if degree_of(source.shape[0]) <= MAX_METRIC_DEGREE else None
+    noise = codec.predict_noise(source) if degree_of(source.shape[0]) <= MAX_METRIC_DEGREE else None
+    return noise if noise is None else replace(noise, basis=source.basis)
 
 
 def encode_stream(source: Source, codec: Codec, body: BodyWriter) -> dict[str, float]:
@@ -233,6 +239,11 @@ def encode_stream(source: Source, codec: Codec, body: BodyWriter) -> dict[str, f
         check_shape(source.shape)
     except ValueError as error:
         raise InputError(str(error)) from None
+    if not (source.basis == SH or codec.takes_bases):
+        raise InputError(
+            f"codec {codec.id} makes spherical harmonics orthonormal over the hemisphere, but this is of basis "
+            f"{source.basis}: take klt, or the codec inside {codec.id} by itself"
+        )
     return codec.encode_parts(source, body)
 
 
@@ -244,7 +255,7 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
     PayloadError
         If the bytes are damaged, cut short, not ours, or of a codec that is not known here.
     """
-    encoded, codec = _open(payload, summed=True)
+    encoded, codec = open_payload(payload, summed=True)
     coeffs = codec.decode_body(encoded.body[:], encoded.shape, device)
     if coeffs.shape != encoded.shape or coeffs.dtype != np.float32:
         raise PayloadError(f"codec {encoded.codec} gave {coeffs.dtype} {coeffs.shape} for {encoded.shape}")
@@ -254,13 +265,13 @@ def decode(payload: Encoded | bytes, device: Device) -> NDArray[np.float32]:
 
 def decode_stream(encoded: Encoded, target: Target, device: Device) -> None:
     """Decode to where the coefficients shall go; PayloadError as `decode` raises it."""
-    found, codec = _open(encoded, summed=True)
+    found, codec = open_payload(encoded, summed=True)
     codec.decode_parts(found.body, target, device)
 
 
 def bytes_to_decode(encoded: Encoded) -> int:
     """Return about how many bytes of memory decoding takes at least; PayloadError as `decode` raises it."""
-    found, codec = _open(encoded)
+    found, codec = open_payload(encoded)
     return codec.bytes_to_decode(found.body, found.shape)
 
 
@@ -270,26 +281,7 @@ def check_decoded(coeffs_khwc: NDArray[np.float32], codec_id: str, device: Devic
         raise PayloadError(f"the payload decodes to values that are not finite: codec {codec_id} did not write it")
 
 
-def decode_view(payload: Encoded | bytes, device: Device) -> View | None:
-    """Return what relights an encoded map in its own basis, at no cost per coefficient; None for the plain basis.
-
-    PayloadError as `decode` raises it.
-    """
-    encoded, codec = _open(payload, summed=True)
-    return codec.decode_view(encoded.body, encoded.shape, device)
-
-
-def decode_regions(payload: Encoded | bytes, damage: Damage | None = None) -> Regions | None:
-    """Return what decodes parts of an encoded map alone; None where there is no such thing.
-
-    Parts have their own checksums, so that of an encoding may be due still. With `damage`, what is damaged is filled
-    and told there; without, and where nothing is left, it is a PayloadError, as of `decode`.
-    """
-    encoded, codec = _open(payload)
-    return codec.decode_regions(encoded.body, encoded.shape, damage)
-
-
-def _open(payload: Encoded | bytes, *, summed: bool = False) -> tuple[Encoded, type[Codec]]:
+def open_payload(payload: Encoded | bytes, *, summed: bool = False) -> tuple[Encoded, type[Codec]]:
     """Return an encoding, whose checksum was compared where that is asked for, and its codec, or PayloadError."""
     encoded = payload if isinstance(payload, Encoded) else Encoded.from_bytes(payload)
     encoded = encoded.summed() if summed else encoded

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH
 from clrelight.codec.finite import check_sums
 from clrelight.codec.workspace import ArrayPlanes, Planes, Shape, Workspace
 from clrelight.device import Device
@@ -73,6 +74,8 @@ class Source(ABC):
     """How coefficients hang on samples, where there is no more to it and `read_samples` gives those."""
     sample_type: np.dtype = np.dtype(np.float32)
     """Of those."""
+    basis: str = SH
+    """What coefficients are of (`clrelight.bases`)."""
 
     def __init__(self, shape: Shape, device: Device, workspace: Workspace) -> None:
         self.shape, self.device, self.workspace = shape, device, workspace
@@ -85,6 +88,12 @@ class Source(ABC):
     def read_part(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
         """Return some columns of rows, each from the first to the one before the end; as of `read_rows`."""
         return self.read_rows(*rows)[:, :, slice(*columns)]
+
+    def read_some(self, row: int, columns: slice) -> NDArray[np.float32]:
+        """Return some pixels of a row, (n_coeff, 1, columns, channel), as `read_rows` does; checked."""
+        coeffs_khwc = self.read_rows(row, row + 1)
+        self.check(coeffs_khwc, row)
+        return coeffs_khwc[:, :, columns]
 
     def read_samples(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
         """Return what coefficients are `linear` in, (n_sample, rows, columns, channel), C-contiguous."""
@@ -145,9 +154,9 @@ class Source(ABC):
 class ArraySource(Source):
     """Coefficients in memory, C-contiguous."""
 
-    def __init__(self, coeffs_khwc: NDArray[np.float32], device: Device) -> None:
+    def __init__(self, coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH) -> None:
         super().__init__(coeffs_khwc.shape, device, Workspace())
-        self._coeffs = coeffs_khwc
+        self._coeffs, self.basis = coeffs_khwc, basis
 
     def read_rows(self, first: int, end: int) -> NDArray[np.float32]:
         """See `Source`."""

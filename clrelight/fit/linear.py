@@ -77,6 +77,7 @@ class UnconstrainedLeastSquares(_LeastSquares):
     id = "uls"
     title = "ULS"
     summary = "unconstrained least squares: least error, very large coefficients"
+    takes_bases = True
 
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the two matrices of the pseudo-inverse; InputError for fewer lights than coefficients."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,8 @@ def merge_photographs(lighting: Lighting, radiance_ip: NDArray[np.float64]) -> t
     places = find_places(lighting)
     angles_g = (places.mean_gi > 0.0) @ lighting.solid_angles_i
     once_g = np.ones(len(places), np.intp)
-    return Lighting(places.directions_g3, angles_g, once_g, lighting.sampling), places.mean_gi @ radiance_ip
+    merged = replace(lighting, directions_i3=places.directions_g3, solid_angles_i=angles_g, copies_i=once_g)
+    return merged, places.mean_gi @ radiance_ip
 
 
 def spread_points(count: int, sphere: bool) -> NDArray[np.float64]:

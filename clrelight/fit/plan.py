@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH, basis_of
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.decomposition import decompose
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import group_directions
@@ -44,12 +44,19 @@ class Lighting:
         Photographs of each light's direction.
     sampling : str
         ``"hemisphere"``, or ``"scattered"`` for samples on a part of it (section V-D of the paper).
+    basis : str
+        Id of the basis that is fitted.
     """
 
     directions_i3: NDArray[np.float64]
     solid_angles_i: NDArray[np.float64]
     copies_i: NDArray[np.intp]
     sampling: str = "hemisphere"
+    basis: str = SH
+
+    def functions(self, degree: int) -> NDArray[np.float64]:
+        """Return the basis at the lights, (n_light, n_coeff) float64."""
+        return basis_of(self.basis).evaluate(self.directions_i3, degree)
 
     @property
     def row_weights_i(self) -> NDArray[np.float64]:
@@ -90,20 +97,22 @@ def is_sphere(directions_i3: NDArray[np.float64]) -> bool:
     return bool((directions_i3[:, 2] < -HORIZON).any())
 
 
-def make_lighting(stack: LightStack, weights: str, sampling: str) -> Lighting:
-    """Return the lights of a stack with their weights; InputError for an unknown name."""
+def make_lighting(stack: LightStack, weights: str, sampling: str, basis: str = SH) -> Lighting:
+    """Return the lights of a stack with their weights; InputError for an unknown name, or a basis that lacks some."""
     if weights not in WEIGHTINGS:
         raise InputError(f"weights must be one of {', '.join(WEIGHTINGS)}, got {weights!r}")
     if sampling not in SAMPLINGS:
         raise InputError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")
     below = is_sphere(stack.directions_i3)
+    if below and basis_of(basis).hemispherical:
+        raise InputError(f"basis {basis} knows the upper hemisphere only and there are lights below: take --basis sh")
     _, group_i, count_g = np.unique(group_directions(stack.directions_i3), return_inverse=True, return_counts=True)
     copies_i = count_g[group_i]
     angles = (4.0 if below else 2.0) * np.pi / len(count_g) / copies_i
     if weights == "solid-angle":
         given = stack.weights_i
         angles = solid_angle_weights(stack.directions_i3, sphere=below) if given is None else given
-    return Lighting(stack.directions_i3, angles, copies_i, sampling)
+    return Lighting(stack.directions_i3, angles, copies_i, sampling, basis)
 
 
 def plan_least_squares(
@@ -128,7 +137,7 @@ def plan_least_squares(
         components ``(Y'Y + lambda P)^-1 Y'`` is diagonal; scattered sampling scales nothing, for the penalty settles
         what the samples do not see.
     """
-    basis_ik = evaluate_basis(lighting.directions_i3, degree)
+    basis_ik = lighting.functions(degree)
     weight_i = lighting.row_weights_i
     scale_k = np.ones(basis_ik.shape[1])
     # eq. 16: half the coefficients' energy is bounded by the function's over the hemisphere. Over the whole

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH, basis_of
 from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
@@ -86,6 +87,7 @@ def prepare_fit(
     options: Mapping[str, Any] | None = None,
     weights: str = "uniform",
     sampling: str = "hemisphere",
+    basis: str = SH,
     precision: str = MIXED,
     within: float = WITHIN,
     device: Device | None = None,
@@ -101,7 +103,8 @@ def prepare_fit(
     if not 0.0 <= within < math.inf:
         raise InputError(f"within must be 0 or more decibels, got {within!r}")
     methods, degrees = _check_model(method, degree, options or {})
-    lighting = make_lighting(stack, weights, sampling)
+    _check_basis(basis, method, methods[0], degree)
+    lighting = make_lighting(stack, weights, sampling, basis)
     samples = Samples(stack)
     report = FitReport(notes=list(stack.notes))
     start = time.perf_counter()
@@ -118,15 +121,31 @@ def prepare_fit(
     report.condition = plan.condition
     report.add("plan", start)
     config = {**method.to_config(), "weights": weights, "sampling": sampling, "precision": precision}
+    if basis != SH:
+        config["basis"] = basis
     return PreparedFit(stack, method, degree, config, plan, device, report, choice, precision)
 
 
-def check_lights(stack: LightStack, method: str | FitMethod, degree: int | str) -> None:
+def check_lights(stack: LightStack, method: str | FitMethod, degree: int | str, basis: str = SH) -> None:
     """Raise the InputError of `prepare_fit` for which there is reason without a look at the samples."""
     methods, degrees = _check_model(method, degree, {})
+    _check_basis(basis, method, methods[0], degree)
     learns = type(methods[0]).settle is not FitMethod.settle
     if AUTO not in (method, degree) and not learns:
-        methods[0].plan(make_lighting(stack, "uniform", "hemisphere"), degrees[0])
+        methods[0].plan(make_lighting(stack, "uniform", "hemisphere", basis), degrees[0])
+
+
+def _check_basis(basis: str, asked: str | FitMethod, method: FitMethod, degree: int | str) -> None:
+    """Raise InputError where a basis is not known, or does not go with a method or a degree."""
+    known = basis_of(basis)
+    if basis == SH:
+        return
+    if asked == AUTO or not method.takes_bases:
+        name = asked if asked == AUTO else method.id
+        raise InputError(f"method {name} fits spherical harmonics; --basis {basis} goes with uls and spline")
+    if not isinstance(degree, int):
+        raise InputError(f"--basis {basis} needs a degree by number: {degree} chooses among spherical harmonics")
+    known.check(degree)
 
 
 def _note_precision(method: FitMethod, plan: FitPlan, precision: str, device: Device) -> list[str]:

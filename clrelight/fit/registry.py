@@ -74,6 +74,8 @@ class FitMethod(Configurable, ABC):
     has_rank: ClassVar[bool] = False
     settled_from: ClassVar[int] = 0
     """`settle` finds the same at all degrees up to this one."""
+    takes_bases: ClassVar[bool] = False
+    """Whether it fits other bases than spherical harmonics too (`clrelight.bases`)."""
     is_regression: ClassVar[bool] = True
     """Whether leaving a light out changes nothing but that the others alone are fitted."""
 

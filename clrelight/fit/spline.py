@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import basis_of
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit.columns import launch_columns
@@ -15,10 +16,7 @@ from clrelight.fit.places import merge_photographs
 from clrelight.fit.plan import FitPlan, Lighting, plan_least_squares, scale_components
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 from clrelight.fit.samples import Samples
-from clrelight.harmonics.index import coefficient_count, degrees_of_coefficients
-
-EPSILON = 1e-2
-"""Penalty of the mean, which the Laplace-Beltrami operator does not see; at 1e-4 or 1 no figure changes."""
+from clrelight.harmonics.index import coefficient_count
 
 REFERENCE_DEGREE = 15
 """Lambda is found at this degree where a lower one is asked for.
@@ -37,8 +35,10 @@ _EXPONENT_TOLERANCE = 1e-4
 class SmoothingSpline(FitMethod):
     """``c = (Y'Y + lambda P)^-1 Y' beta`` with ``P = diag(EPSILON + (l (l + 1))^2)``.
 
-    The penalty is the energy of the function's Laplacian over the sphere (Wahba 1981, Spline interpolation and
-    smoothing on the sphere). One linear map for all pixels, so it costs what a projection costs.
+    P is the basis' `roughness`, and a hemispherical basis is fitted at degree `REFERENCE_DEGREE` or more and then cut.
+    Of spherical harmonics the penalty is the energy of the function's Laplacian over the
+    sphere (Wahba 1981, Spline interpolation and smoothing on the sphere). One linear map for all pixels, so it costs
+    what a projection costs.
 
     Attributes
     ----------
@@ -52,6 +52,7 @@ class SmoothingSpline(FitMethod):
     title = "Spline"
     summary = "smoothing spline: least squares with a penalty on roughness, lambda by cross-validation"
     settled_from = REFERENCE_DEGREE
+    takes_bases = True
     lam: float | tuple[float, ...] | None = None
     per: str = "stack"
 
@@ -89,7 +90,9 @@ class SmoothingSpline(FitMethod):
         """Return the matrices; fewer lights than coefficients is legal."""
         if self.lam is None:
             raise ValueError("lambda is not settled yet: settle the method, or give lam")
-        plan = self._components(lighting, degree)
+        # Of functions that are orthonormal on the hemisphere the first are the nearest to the whole: cut last.
+        wide = max(degree, REFERENCE_DEGREE) if basis_of(lighting.basis).hemispherical else degree
+        plan = _first_of(self._components(lighting, wide), coefficient_count(degree))
         freedom = [(plan.singular_r**2 / (plan.singular_r**2 + value)).sum() for value in np.atleast_1d(self.lam)]
         notes = (
             f"spline: lambda {_listing(np.atleast_1d(self.lam), '.3g')}, which leaves {_listing(freedom, '.1f')} "
@@ -129,17 +132,16 @@ class SmoothingSpline(FitMethod):
         return {"lam": list(self.lam) if isinstance(self.lam, tuple) else self.lam, "per": self.per}
 
     def _components(self, lighting: Lighting, degree: int) -> FitPlan:
-        return plan_least_squares(lighting, degree, penalty_k=roughness(degree))
+        return plan_least_squares(lighting, degree, penalty_k=basis_of(lighting.basis).roughness(degree))
 
     def _factors_rc(self, plan: FitPlan) -> NDArray[np.float64]:
         singular_r1 = plan.singular_r[:, None]
         return singular_r1 / (singular_r1**2 + np.atleast_1d(np.asarray(self.lam, np.float64)))
 
 
-def roughness(degree: int) -> NDArray[np.float64]:
-    """Return the penalty of each coefficient, ``EPSILON + (l (l + 1))^2``, shape (n_coeff,), float64."""
-    l_k = degrees_of_coefficients(degree)
-    return EPSILON + (l_k * (l_k + 1.0)) ** 2
+def _first_of(plan: FitPlan, n_coeff: int) -> FitPlan:
+    """Return the plan of the first coefficients alone, which are what they are among all."""
+    return plan if plan.synthesis_kr is None else replace(plan, synthesis_kr=plan.synthesis_kr[:n_coeff])
 
 
 def minimize_gcv(singular_r: NDArray[np.float64], energy_r: NDArray[np.float64], outside: float, n_light: int) -> float:

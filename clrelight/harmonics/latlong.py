@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import legendre_tables
-from clrelight.harmonics.index import coefficient_count, degree_of, indices_of
+from clrelight.harmonics.index import degree_of, degrees_of_coefficients, indices_of
 
 _FFT_THREADS = 2
 _FEW_ORDERS = 5
@@ -39,28 +39,51 @@ def project_latlong(
     -------
     ndarray, shape ((degree + 1)**2, channel), float64
     """
+    width = radiance_hwc.shape[1]
+    sums_hmc = _sum_azimuths(radiance_hwc, min(degree, width // 2) + 1)  # few columns have few orders
+    return project_rows(sums_hmc, width, degree, matrix, first=longitude_azimuths(width)[0], side=-1)
+
+
+def project_rows(
+    sums_hmc: NDArray[np.complexfloating],
+    width: int,
+    degree: int,
+    matrix: NDArray[np.float64] | None = None,
+    *,
+    first: float = 0.0,
+    side: int = 1,
+) -> NDArray[np.float64]:
+    """Return the coefficients ((degree + 1)**2, channel) of sums of rows, in float64; see `project_latlong`.
+
+    Parameters
+    ----------
+    sums_hmc : ndarray, shape (height, order m, channel), complex
+        ``sum_w L e^(-i m a)``, where ``beta = first + side a`` are the azimuths of `longitude_azimuths`. Of fewer than
+        degree + 1 orders the others are 0.
+    width : int
+        Columns that were summed.
+    degree, matrix
+        As of `project_latlong`.
+    first : float
+        Radians.
+    side : int
+        1 or -1.
+    """
     axes = np.eye(3) if matrix is None else matrix
-    height, width, channel = radiance_hwc.shape
+    height, n_order, channel = sums_hmc.shape
     plan = _latlong_plan(height, degree)
-    spectrum_hmc = _sum_azimuths(radiance_hwc, min(degree, width // 2) + 1)  # few columns have few orders
-    m = np.arange(spectrum_hmc.shape[1])
-    # The sum over columns of L e^(i m phi), phi = longitude_azimuths, in the view's axes ...
-    first, step = longitude_azimuths(width)[0], 2.0 * np.pi / width
-    turn_m = np.exp(1j * m * first) * step
-    # ... and in ours, which may be turned about z by quarters and mirrored: phi' = start + side phi.
+    parts_hmx = sums_hmc.view(sums_hmc.real.dtype)[:: 1 if axes[2, 2] > 0 else -1]
+    parts_mhx = parts_hmx.transpose(1, 0, 2).astype(np.float64, order="C")
+    made_mlx = np.zeros((degree + 1, degree + 1, 2 * channel))
+    for m in range(n_order):
+        np.matmul(plan.legendre_mlh[m], parts_mhx[m], out=made_mlx[m, m:])
+    made_mlc = made_mlx.view(np.complex128)
+    # Azimuths in our axes, which may be turned about z by quarters and mirrored: phi = start + turn beta.
     start = math.atan2(axes[1, 0], axes[0, 0])
-    side = axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0]
-    coeffs_kc = np.zeros((coefficient_count(degree), channel))
-    for order in m:
-        sums_hc = spectrum_hmc[:, order].astype(np.complex128) * turn_m[order]
-        sums_hc = np.exp(1j * order * start) * (sums_hc if side > 0 else sums_hc.conj())
-        if axes[2, 2] < 0:
-            sums_hc = sums_hc[::-1]
-        sums_lx = plan.legendre_mlh[order] @ np.concatenate([sums_hc.real, sums_hc.imag], axis=1)
-        coeffs_kc[plan.index_ml[order][0]] = sums_lx[:, :channel]
-        if order:
-            coeffs_kc[plan.index_ml[order][1]] = sums_lx[:, channel:]
-    return coeffs_kc
+    turn = 1.0 if axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0] > 0 else -1.0
+    phase_m11 = np.exp(1j * np.arange(degree + 1) * (start + turn * first))[:, None, None] * (2.0 * np.pi / width)
+    made_mlc = phase_m11 * (made_mlc.conj() if turn * side > 0 else made_mlc)
+    return made_mlc.view(np.float64).reshape(-1, channel, 2)[plan.place_k, :, plan.part_k]
 
 
 def _sum_azimuths(radiance_hwc: NDArray[np.floating], orders: int) -> NDArray[np.complexfloating]:
@@ -70,7 +93,7 @@ def _sum_azimuths(radiance_hwc: NDArray[np.floating], orders: int) -> NDArray[np
     height, width, channel = radiance_hwc.shape
     waves_xn = _waves(width, orders, channel, radiance_hwc.dtype)
     cosine, sine = np.moveaxis((radiance_hwc.reshape(height, -1) @ waves_xn).reshape(height, 2, orders, channel), 1, 0)
-    return cosine - 1j * sine
+    return np.ascontiguousarray(cosine - 1j * sine)
 
 
 @functools.lru_cache(maxsize=2)
@@ -83,19 +106,24 @@ def _waves(width: int, orders: int, channel: int, dtype: np.dtype) -> NDArray[np
 
 @dataclass(frozen=True)
 class _LatlongPlan:
-    """For each order m: its polynomials at the rows times the rows' weights, and where k(l, m) and k(l, -m) are."""
+    """For each order m its polynomials at the rows times the rows' weights, and where coefficients come from.
+
+    ``place_k`` are places of sums by m, then l; ``part_k`` is 0 for their real parts, 1 for imaginary ones.
+    """
 
     legendre_mlh: tuple[NDArray[np.float64], ...]
-    index_ml: tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]
+    place_k: NDArray[np.intp]
+    part_k: NDArray[np.intp]
 
 
 @functools.lru_cache(maxsize=2)
 def _latlong_plan(height: int, degree: int) -> _LatlongPlan:
     weight_h = latitude_weights(height)
     tables = legendre_tables(np.pi * (np.arange(height) + 0.5) / height, degree)
-    l = np.arange(degree + 1)
-    index = tuple((indices_of(l[m:], m), indices_of(l[m:], -m)) for m in range(degree + 1))
-    return _LatlongPlan(tuple(table * weight_h for table in tables), index)
+    l = degrees_of_coefficients(degree)
+    m = np.arange(len(l)) - l * (l + 1)
+    legendre = tuple(np.ascontiguousarray(table * weight_h) for table in tables)
+    return _LatlongPlan(legendre, np.abs(m) * (degree + 1) + l, (m < 0).astype(np.intp))
 
 
 def synthesize_latlong(coeffs_kc: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64]:
@@ -119,6 +147,25 @@ def synthesize_latlong(coeffs_kc: NDArray[np.float64], height: int, width: int) 
 def longitude_azimuths(width: int) -> NDArray[np.float64]:
     """Return the azimuth, from right towards forward, of each column of a lat-long map; its middle is forward."""
     return 1.5 * np.pi - 2.0 * np.pi * (np.arange(width) + 0.5) / width
+
+
+def fold_of(width: int) -> int:
+    """Return how many columns of a row have waves that differ by signs alone: 4, 2 or 1."""
+    return 4 if width % 4 == 0 else 2 if width % 2 == 0 else 1
+
+
+@functools.lru_cache(maxsize=4)
+def folded_waves(width: int, orders: int, multiple: int) -> NDArray[np.float32]:
+    """Return ``cos(m beta)`` and ``-sin(m beta)`` for kernels, (orders, 2, columns) float32.
+
+    At the first ``width / fold_of(width)`` columns: those at w, width - 1 - w, width / 2 - 1 - w and width / 2 + w
+    have the same but for signs. Padded with zeros to a multiple of columns.
+    """
+    columns = width // fold_of(width)
+    angle_mx = np.outer(np.arange(orders), longitude_azimuths(width)[:columns])
+    waves_mjx = np.zeros((orders, 2, -(-columns // multiple) * multiple), np.float32)
+    waves_mjx[:, 0, :columns], waves_mjx[:, 1, :columns] = np.cos(angle_mx), -np.sin(angle_mx)
+    return waves_mjx
 
 
 def latitude_weights(height: int) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ FORMS = {"euler": 3, "quaternion": 4, "axis": 4}
 # Where x, y and z stand among the orders -1, 0, 1 of degree 1: y, z, x.
 _ORDER_AXES = [1, 2, 0]
 _ORTHOGONAL = 1e-6
+NO_ROTATION = "a rotation is an orthogonal 3 by 3 matrix of determinant 1"
 _NODES_AT_ONCE = 1024
 
 
@@ -170,7 +171,18 @@ def _checked(matrix: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
 def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation (3, 3) nearest to a matrix that is one but for rounding; InputError if it is none."""
     turn = np.asarray(matrix, dtype=np.float64)
-    if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=_ORTHOGONAL) or np.linalg.det(turn) < 0:
-        raise InputError("a rotation is an orthogonal 3 by 3 matrix of determinant 1")
+    if turn.shape != (3, 3):
+        raise InputError(NO_ROTATION)
+    return nearest_rotations(turn[None])[0]
+
+
+def nearest_rotations(matrices_n33: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what `nearest_rotation` does of many matrices (n, 3, 3)."""
+    turn = np.asarray(matrices_n33, dtype=np.float64)
+    if turn.ndim != 3 or turn.shape[1:] != (3, 3) or not np.isfinite(turn).all():
+        raise InputError(NO_ROTATION)
+    off = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    if (off > 2.0 * _ORTHOGONAL).any() or (np.linalg.det(turn) < 0).any():
+        raise InputError(NO_ROTATION)
     left, _, right = np.linalg.svd(turn)
     return left @ right

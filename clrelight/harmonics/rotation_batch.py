@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.harmonics.index import band, degree_of
-from clrelight.harmonics.rotation import rotation_blocks
+from clrelight.harmonics.rotations import quarter_turns, zyz_angles
 from clrelight.threads import on_one_thread
 
 _CACHED_BYTES = 1 << 19
 """Of coefficients that go through all turns together: they stay in the processor's cache."""
-_QUARTER_ABOUT_X = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def rotate_many(coeffs_kc: NDArray[np.float64], matrices_n33: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -48,13 +45,7 @@ def rotate_each(coeffs_nkc: NDArray[np.floating], matrices_n33: NDArray[np.float
 
 def _rotate(coeffs_nkc: NDArray[np.floating], turn: NDArray[np.float64]) -> NDArray[np.float64]:
     degree = degree_of(coeffs_nkc.shape[1])
-    # Whatever alpha is where beta is 0 or 180 degrees, gamma makes good for it.
-    alpha_n = np.arctan2(turn[:, 1, 2], turn[:, 0, 2])
-    cosine_n, sine_n = np.cos(alpha_n), np.sin(alpha_n)
-    beta_n = np.arctan2(cosine_n * turn[:, 0, 2] + sine_n * turn[:, 1, 2], turn[:, 2, 2])
-    gamma_n = np.arctan2(
-        cosine_n * turn[:, 1, 0] - sine_n * turn[:, 0, 0], cosine_n * turn[:, 1, 1] - sine_n * turn[:, 0, 1]
-    )
+    alpha_n, beta_n, gamma_n = zyz_angles(turn)
     turned_kcn = _about_z(np.moveaxis(coeffs_nkc, 0, 2), gamma_n, degree)
     turned_kcn = _about_z(_about_x(turned_kcn, degree, back=False), beta_n, degree)
     return np.moveaxis(_about_z(_about_x(turned_kcn, degree, back=True), alpha_n, degree), 2, 0)
@@ -63,17 +54,11 @@ def _rotate(coeffs_nkc: NDArray[np.floating], turn: NDArray[np.float64]) -> NDAr
 def _about_x(coeffs_kcn: NDArray[np.float64], degree: int, *, back: bool) -> NDArray[np.float64]:
     """Return functions turned by 90 degrees about x, or back."""
     turned_kcn = np.empty_like(coeffs_kcn)
-    for l, block in enumerate(_quarter_turns(degree)):
+    for l, block in enumerate(quarter_turns(degree)):
         own = coeffs_kcn[band(l)]
         turn = block.T if back else block
         turned_kcn[band(l)] = (turn @ own.reshape(len(own), -1)).reshape(own.shape)
     return turned_kcn
-
-
-@functools.lru_cache(maxsize=4)
-def _quarter_turns(degree: int) -> list[NDArray[np.float64]]:
-    """Return the blocks of the turn by 90 degrees about x."""
-    return rotation_blocks(_QUARTER_ABOUT_X, degree)
 
 
 def _about_z(coeffs_kcn: NDArray[np.floating], angle_n: NDArray[np.float64], degree: int) -> NDArray[np.float64]:

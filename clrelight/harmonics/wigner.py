@@ -35,12 +35,7 @@ def turn_functions(alpha_h: NDArray[np.float64], degree: int, m: int, q: int) ->
     rows_lh = np.zeros((max(degree + 1 - first, 0), len(alpha_h)))
     if first > degree:
         return rows_lh
-    # Where |m| or |q| is l, d is one term: the root of a binomial times powers of the half angle's sine and cosine.
-    powers = abs(m - q), abs(m + q)
-    size = math.sqrt(math.comb(2 * first, powers[0]))
-    sign = -1.0 if (powers[0] % 2 and m > q) != bool((max(m, 0) + max(q, 0)) % 2) else 1.0
-    sine_h, cosine_h = np.sin(0.5 * alpha_h), np.cos(0.5 * alpha_h)
-    rows_lh[0] = sign * size * sine_h ** powers[0] * cosine_h ** powers[1]
+    rows_lh[0] = _first_turn(alpha_h, m, q)
     x_h, before_h = np.cos(alpha_h), np.zeros(len(alpha_h))
     for l in range(first, degree):
         here_h = rows_lh[l - first]
@@ -53,3 +48,46 @@ def turn_functions(alpha_h: NDArray[np.float64], degree: int, m: int, q: int) ->
             rows_lh[l + 1 - first] = (now_h - down * before_h) / up
         before_h = here_h
     return rows_lh
+
+
+def turn_tables(alpha_h: NDArray[np.float64], degree: int, orders_m: NDArray[np.intp], q: int) -> NDArray[np.float64]:
+    """Return ``d^l_mq(alpha)`` of many orders m >= 0 and of their opposites, (2, m, n, degree + 1) float64.
+
+    First those of m, then those of -m; 0 where l is below m or q. As `turn_functions`, all m in one recurrence.
+
+    Parameters
+    ----------
+    alpha_h : ndarray, shape (n,), float64
+        Radians.
+    degree : int
+    orders_m : ndarray, shape (m,), int
+        From 0 to `degree`, rising.
+    q : int
+        0 or more.
+    """
+    m_m = np.concatenate([orders_m, -orders_m])
+    table_mlh = np.zeros((len(m_m), degree + 1, len(alpha_h)))
+    first_m = np.maximum(np.abs(m_m), q)
+    for row, (m, first) in enumerate(zip(m_m.tolist(), first_m.tolist(), strict=True)):
+        if first <= degree:
+            table_mlh[row, first] = _first_turn(alpha_h, m, q)
+    x_h, m_m1 = np.cos(alpha_h), m_m[:, None].astype(np.float64)
+    for l in range(int(first_m.min()), degree):
+        begun = np.abs(m_m) <= l
+        if l == 0:  # where the recurrence reads 0 = 0
+            table_mlh[begun, 1] = x_h
+            continue
+        m = m_m1[begun]
+        down = (l + 1.0) * np.sqrt((l * l - m * m) * (l * l - q * q))
+        up = l * np.sqrt(((l + 1.0) ** 2 - m * m) * ((l + 1.0) ** 2 - q * q))
+        now = (2 * l + 1) * (l * (l + 1.0) * x_h - m * q) * table_mlh[begun, l]
+        table_mlh[begun, l + 1] = (now - down * table_mlh[begun, l - 1]) / up
+    return np.moveaxis(table_mlh.reshape(2, len(orders_m), degree + 1, -1), 2, 3)
+
+
+def _first_turn(alpha_h: NDArray[np.float64], m: int, q: int) -> NDArray[np.float64]:
+    """Return d of the least l that m and q have: one term, the root of a binomial times powers of the half angle's."""
+    powers = abs(m - q), abs(m + q)
+    size = math.sqrt(math.comb(2 * max(abs(m), abs(q)), powers[0]))
+    sign = -1.0 if (powers[0] % 2 and m > q) != bool((max(m, 0) + max(q, 0)) % 2) else 1.0
+    return np.asarray(sign * size * np.sin(0.5 * alpha_h) ** powers[0] * np.cos(0.5 * alpha_h) ** powers[1])

@@ -10,7 +10,9 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.arrays import part_reader
 from clrelight.dataset import LightStack
+from clrelight.recycling import empty
 from clrelight.streaming import Buffer, one_thread
 
 _BAND_BYTES = 1 << 25
@@ -42,7 +44,8 @@ class Bands:
         # What was returned last, which a device may still read; what was read ahead, wanted or not; what is returned
         # now; and what is read ahead then.
         self._buffers = itertools.cycle([Buffer() for _ in range(4)])
-        self._has_chunks, self._width = chunks is not None, width
+        self._has_chunks, self._width, self._channel = chunks is not None, width, channel
+        self._read_part = part_reader(stack.images_ihwc)
 
     def part(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
         """Return samples (n_light, rows, columns, channel), C-contiguous; those of floats are not looked at.
@@ -52,12 +55,17 @@ class Bands:
         first, end = rows
         if columns == (0, self._width) and not self._has_chunks:
             return self._whole_rows(first, end)
+        shape = (self._stack.n_light, end - first, columns[1] - columns[0], self._channel)
+        found = empty(shape, self._stack.images_ihwc.dtype)
+        if self._read_part is not None:
+            self._read_part(rows, columns, found)
+            return found
         pieces = []
         for number in range(first // self._rows, (end - 1) // self._rows + 1):
             top = number * self._rows
             within = slice(max(first - top, 0), end - top)
             pieces.append(self._band(number)[:, within, slice(*columns)])
-        return np.concatenate(pieces, axis=1)  # a copy in any case
+        return np.concatenate(pieces, axis=1, out=found)  # a copy in any case
 
     def _whole_rows(self, first: int, end: int) -> NDArray:
         if self._ahead is not None and self._ahead[0] == (first, end):
@@ -87,7 +95,10 @@ class Bands:
 
     def _read_band(self, number: int) -> NDArray:
         top = number * self._rows
-        return self._read(top, min(top + self._rows, self._height), Buffer())
+        bottom = min(top + self._rows, self._height)
+        images = self._stack.images_ihwc
+        shape = (images.shape[0], bottom - top, *images.shape[2:])
+        return self._stack.load_rows(top, bottom, empty(shape, images.dtype))
 
     def _read(self, first: int, end: int, buffer: Buffer) -> NDArray:
         images = self._stack.images_ihwc

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from clrelight.bases import SH
 from clrelight.codec.rate.noise import Noise, measure_image_error
 from clrelight.codec.transforms.metric import MAX_METRIC_DEGREE
 from clrelight.harmonics.index import degree_of
@@ -19,12 +20,12 @@ def predicted_psnr(noise: Noise | None) -> dict[str, float]:
     return {"coding_psnr_independent": float(psnr_of(independent)), "coding_psnr_predicted": float(psnr_of(predicted))}
 
 
-def coding_psnr(noise: Noise | None, coeffs_khwc: Any, decoded_khwc: Any) -> dict[str, float]:
+def coding_psnr(noise: Noise | None, coeffs_khwc: Any, decoded_khwc: Any, basis: str = SH) -> dict[str, float]:
     """Return how far the coding noise lies below the peak, in dB: as predicted, and ``coding_psnr`` as measured.
 
     Both are arrays in memory, or what is read some rows at a time. Infinite where nothing is lost, NaN beyond the
     degrees whose hemisphere can be computed.
     """
     known = degree_of(coeffs_khwc.shape[0]) <= MAX_METRIC_DEGREE
-    measured = measure_image_error(coeffs_khwc, decoded_khwc) if known else math.nan
+    measured = measure_image_error(coeffs_khwc, decoded_khwc, basis) if known else math.nan
     return {**predicted_psnr(noise), "coding_psnr": float(psnr_of(measured))}

@@ -144,7 +144,7 @@ def encode(
     with (
         claimed([out], paths_among(source, stack), kept),
         opened_on(device, kept) as opened,
-        lend_fit(source) as coefficients,
+        lend_fit(source, any_basis=True) as coefficients,
         scratch_workspace(tempfile.gettempdir() if out is None else Path(os.fsdecode(out)).parent, held) as workspace,
     ):
         if out is not None and wanted.byte_budget is not None:
@@ -295,6 +295,6 @@ class _Encode:
             with stage(self.progress, "decoding") as self.workspace.progress:
                 decoded = decode_again(encoded, held, self.device, self.workspace)
             since = report.add("decode", since)
-            report.facts["coding_noise"] = coding_psnr(noise, held.coeffs_khwc, decoded.coeffs_khwc)
+            report.facts["coding_noise"] = coding_psnr(noise, held.coeffs_khwc, decoded.coeffs_khwc, held.basis)
             report.psnr = measure_split(decoded, source, self.device, progress=self.progress)
             report.add("measure", since)

@@ -11,6 +11,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from clrelight.bases import SH
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.fit import FitMethod, FittedTile, PreparedFit, fit_tiles, prepare_fit
@@ -44,6 +45,7 @@ def fit(
     lights: int | None = None,
     weights: str = "uniform",
     sampling: str = "hemisphere",
+    basis: str = SH,
     precision: str = MIXED,
     within: float = WITHIN,
     store: str = "float32",
@@ -69,6 +71,7 @@ def fit(
     lights: int | None = None,
     weights: str = "uniform",
     sampling: str = "hemisphere",
+    basis: str = SH,
     precision: str = MIXED,
     within: float = WITHIN,
     store: str = "float32",
@@ -93,6 +96,7 @@ def fit(
     lights: int | None = None,
     weights: str = "uniform",
     sampling: str = "hemisphere",
+    basis: str = SH,
     precision: str = MIXED,
     within: float = WITHIN,
     store: str = "float32",
@@ -104,7 +108,7 @@ def fit(
     report: Report | None = None,
     **options: Any,
 ) -> CoefficientMap | Report:
-    """Fit spherical-harmonic coefficients to every pixel and channel of a stack.
+    """Fit coefficients of spherical harmonics, or of another basis, to every pixel and channel of a stack.
 
     Parameters
     ----------
@@ -127,6 +131,8 @@ def fit(
         ``"uniform"``, or ``"solid-angle"``: least squares and bound weighted by the lights' Voronoi cells.
     sampling : str
         ``"hemisphere"``, or ``"scattered"`` for samples that cover a part of it.
+    basis : str
+        ``"sh"``, or a hemispherical one of `clrelight.bases` (``uls`` and ``spline``): ``"hsh"``, ``"gram-schmidt"``...
     precision : str
         ``"mixed"``: float32, and float64 where lambda would be in doubt; ``"single"``; ``"double"``.
     within : float
@@ -164,8 +170,7 @@ def fit(
     kept, budget, dtype = report_for(report), count_bytes(memory), coefficient_dtype(store)
     model = method if isinstance(method, str | FitMethod) else str(method)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
-    every = None if holdout is None else whole(holdout, "holdout")
-    count = None if lights is None else whole(lights, "lights")
+    every, count = (None if n is None else whole(n, name) for n, name in ((holdout, "holdout"), (lights, "lights")))
     with (
         claimed([out, confidence], paths_among(source), kept),
         opened_on(device, kept) as opened,
@@ -182,6 +187,7 @@ def fit(
                 options={name: value for name, value in options.items() if value is not None},
                 weights=weights,
                 sampling=sampling,
+                basis=basis,
                 precision=precision,
                 within=within,
                 device=opened,

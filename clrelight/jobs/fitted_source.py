@@ -27,7 +27,7 @@ class FittedSource(Source):
     def __init__(self, prepared: PreparedFit, workspace: Workspace, bands: Bands) -> None:
         shape = (coefficient_count(prepared.degree), *prepared.stack.image_shape)
         super().__init__(shape, prepared.device, workspace)
-        self._report, self._bands = prepared.report, bands
+        self._report, self._bands, self.basis = prepared.report, bands, prepared.record.basis
         self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.precision))
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
         self.sample_type = np.dtype(prepared.stack.images_ihwc.dtype)
@@ -54,9 +54,24 @@ class FittedSource(Source):
     def read_part(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
         """See `Source`."""
         since = time.perf_counter()
-        scaled = self._scaling.scale(self._bands.part(rows, columns), rows[0], columns[0])
+        return self._fitted(self._bands.part(rows, columns), rows, slice(*columns), since)
+
+    def read_some(self, row: int, columns: slice) -> NDArray[np.float32]:
+        """See `Source`."""
+        since, rows = time.perf_counter(), (row, row + 1)
+        samples_ihwc = self._bands.part(rows, (0, self.shape[2]))
+        if samples_ihwc.dtype.kind == "f":  # of which those that are no radiance are named by their places
+            coeffs_khwc = self._fitted(samples_ihwc, rows, slice(None), since)
+            self.check(coeffs_khwc, row)
+            return coeffs_khwc[:, :, columns]
+        return self._fitted(np.ascontiguousarray(samples_ihwc[:, :, columns]), rows, columns, since)
+
+    def _fitted(
+        self, samples_ihwc: NDArray, rows: tuple[int, int], columns: slice, since: float
+    ) -> NDArray[np.float32]:
+        scaled = self._scaling.scale(samples_ihwc, rows[0], columns.start or 0)
         since = self._report.add("read", since)
-        return self._fit.run(*rows, scaled, since, slice(*columns)).coeffs_khwc
+        return self._fit.run(*rows, scaled, since, columns).coeffs_khwc
 
     @contextmanager
     def rows(self, multiple: int = 1) -> Iterator[Iterator[tuple[int, NDArray[np.float32]]]]:

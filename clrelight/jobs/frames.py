@@ -111,7 +111,7 @@ class LightFrames:
     def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
         """See `Frames`."""
         since, salvage = time.perf_counter(), self._salvage
-        with lend_fitted(source, report, parts=not self._part.is_all, salvage=salvage) as held:
+        with lend_fitted(source, report, parts=not self._part.is_all, salvage=salvage, any_basis=True) as held:
             report.add("read", since)
             _refuse_operators(held)
             coefficients = _part_of(held, source, self._part, salvage, device, report, progress)
@@ -158,7 +158,7 @@ def _lend_view(
     An encoding with a basis of its own relights there: only the light vector is transformed.
     """
     since = time.perf_counter()
-    with lend_fitted(source, report, parts=not part.is_all, salvage=salvage) as held:
+    with lend_fitted(source, report, parts=not part.is_all, salvage=salvage, any_basis=True) as held:
         since = report.add("read", since)
         _refuse_operators(held)
         if isinstance(held, Packed):

@@ -9,12 +9,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.arrays import read_rows_into
+from clrelight.bases import require_sh
 from clrelight.codec import Encoded, decode, decode_regions
 from clrelight.codec.damage import Damage
 from clrelight.codec.views import Regions
@@ -31,6 +32,7 @@ Path = str | os.PathLike[str]
 StackLike = Path | LightStack
 FitLike = Path | CoefficientMap
 FittedLike = Path | CoefficientMap | Encoded
+Held = TypeVar("Held", bound="CoefficientMap | Packed")
 
 
 @contextmanager
@@ -95,13 +97,20 @@ def lend_stack(source: StackLike, report: Report) -> Iterator[LightStack]:
 
 
 @contextmanager
-def lend_fit(source: FitLike) -> Iterator[CoefficientMap]:
-    """Lend a fit, read from its file as it is needed."""
+def lend_fit(source: FitLike, *, any_basis: bool = False) -> Iterator[CoefficientMap]:
+    """Lend a fit, read from its file as it is needed; InputError of what is not of spherical harmonics, as a rule."""
     if _is_path(source, CoefficientMap, "the path of a fit, or a CoefficientMap"):
         with open_fit(source) as coefficients:  # type: ignore[arg-type]
-            yield coefficients
+            yield _of_basis(coefficients, any_basis)
     else:
-        yield source  # type: ignore[misc]
+        yield _of_basis(source, any_basis)  # type: ignore[misc, type-var]
+
+
+def _of_basis(held: Held, any_basis: bool) -> Held:
+    """Return what is lent; InputError where it is of another basis than its borrower takes."""
+    if not any_basis:
+        require_sh((held.record if isinstance(held, Packed) else held).basis)
+    return held
 
 
 def record_of(encoded: Encoded) -> FitRecord:
@@ -149,6 +158,7 @@ def lend_fitted(
     parts: bool = False,
     salvage: bool = False,
     workspace: ScratchWorkspace | None = None,
+    any_basis: bool = False,
 ) -> Iterator[CoefficientMap | Packed]:
     """Lend a fit, or an encoding and its record.
 
@@ -165,23 +175,25 @@ def lend_fitted(
         Let parts be damaged.
     workspace : ScratchWorkspace, optional
         Where a payload goes that is large for its memory.
+    any_basis : bool
+        Lend coefficients of other bases than spherical harmonics too; an InputError without.
     """
     damage = Damage() if salvage else None
     if isinstance(source, Encoded):
-        yield Packed(source, record_of(source), damage)
+        yield _of_basis(Packed(source, record_of(source), damage), any_basis)
         _tell_damage(damage, report)
         return
     wanted = "the path of a fit or an encoded file, a CoefficientMap or an Encoded"
     if not _is_path(source, CoefficientMap, wanted):
-        yield source  # type: ignore[misc]
+        yield _of_basis(source, any_basis)  # type: ignore[misc, type-var]
         return
     with open_fitted(source, *kinds, salvage=salvage) as opened:  # type: ignore[arg-type]
         report.note(*opened.notes)
         if not opened.is_encoded:
-            yield opened.fit()
+            yield _of_basis(opened.fit(), any_basis)
         else:
             held = opened.parts(compared=not salvage) if parts or salvage else opened.whole(workspace)
-            yield Packed(*held, damage)
+            yield _of_basis(Packed(*held, damage), any_basis)
         _tell_damage(damage, report)
         if traffic := opened.traffic():
             report.facts["fetched"] = traffic
@@ -202,9 +214,10 @@ def lend_encoded(
     salvage: bool = False,
     workspace: ScratchWorkspace | None = None,
 ) -> Iterator[Packed]:
-    """Lend an encoding alone, as `lend_fitted` does."""
+    """Lend an encoding alone, of any basis, as `lend_fitted` does."""
     _is_path(source, Encoded, "the path of an encoded file, or an Encoded")
-    with lend_fitted(source, report, "encoded", parts=parts, salvage=salvage, workspace=workspace) as held:
+    kind = "encoded"
+    with lend_fitted(source, report, kind, parts=parts, salvage=salvage, workspace=workspace, any_basis=True) as held:
         yield held  # type: ignore[misc]
 
 

@@ -73,7 +73,7 @@ def measure(
         if perceptual:
             check_perception(source.image_shape[2])
         since = time.perf_counter()
-        with lend_fitted(fitted, kept) as held:
+        with lend_fitted(fitted, kept, any_basis=True) as held:
             since = kept.add("read", since)
             if isinstance(held, Packed) and 4 * math.prod(held.encoded.shape) > DEFAULT_MEMORY:
                 regions = held.regions()

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from clrelight.bases import SH
 from clrelight.codec.transforms.colour import METRICS, RADIANCE, check_metric
 from clrelight.dataset import LightStack
 from clrelight.device import Device
@@ -48,6 +49,7 @@ def pack(
     metric: str = RADIANCE,
     method: str = "auto",
     degree: int | str = "auto",
+    basis: str = SH,
     within: float = WITHIN,
     holdout: int | None = None,
     holdout_by: str = "index",
@@ -83,7 +85,7 @@ def pack(
         without error.
     metric : str
         What errors cost: ``"radiance"``, the same in every channel, or ``"perceptual"``, what they are in CIELAB.
-    method, degree, within
+    method, degree, basis, within
         As of `clrelight.jobs.fit.fit`.
     holdout, holdout_by
         Lights that are kept out of the fit and measured apart; as of `clrelight.jobs.fit.fit`.
@@ -121,7 +123,7 @@ def pack(
         raise InputError(f"the stack that is kept and the packed file have the same name, {os.fsdecode(out)}")
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
-    look = _looking(size, rule, metric, perceptual, method, wanted)
+    look = _looking(size, rule, metric, perceptual, (method, wanted, basis))
     with (
         claimed([out, keep_stack], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
@@ -132,7 +134,7 @@ def pack(
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         unseen = stack.directions_i3[split[1]] if len(split[1]) else None
         with stage(progress, "choosing a model"):
-            prepared = prepare_fit(chosen, method, wanted, within=within, device=opened, unseen_t3=unseen)
+            prepared = prepare_fit(chosen, method, wanted, basis=basis, within=within, device=opened, unseen_t3=unseen)
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
         job = Pack(stack, split, prepared, size, metric, workspace, kept, progress)
         job.tell_facts()
@@ -146,7 +148,7 @@ def pack(
 
 
 def _looking(
-    size: Size, rule: HoldoutRule, metric: str, perceptual: bool, method: str, degree: int | str
+    size: Size, rule: HoldoutRule, metric: str, perceptual: bool, model: tuple[str, int | str, str]
 ) -> Callable[[LightStack], None]:
     """Return what refuses, before a photograph is read, a stack of which that cannot be asked."""
 
@@ -155,8 +157,8 @@ def _looking(
         if perceptual:
             check_perception(stack.image_shape[2])
         fitted = rule.split(stack.directions_i3)[0]
-        check_lights(LightStack(np.zeros((len(fitted), 1, 1, 1)), stack.directions_i3[fitted], 1.0), method, degree)
-        size.check_least(stack, fitted, degree)
+        check_lights(LightStack(np.zeros((len(fitted), 1, 1, 1)), stack.directions_i3[fitted], 1.0), *model)
+        size.check_least(stack, fitted, model[1])
 
     return look
 

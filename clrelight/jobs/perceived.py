@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from clrelight.codec.views import Region, Regions
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
-from clrelight.harmonics.basis import evaluate_basis
 from clrelight.jobs.bands import bands_of
 from clrelight.jobs.measure_parts import sample_windows
 from clrelight.jobs.report import Progress, stage
@@ -40,7 +39,7 @@ def relit_map(coefficients: CoefficientMap, device: Device) -> Relit:
     row_bytes = 4 * coefficients.n_coeff * width * channel
 
     def relight(directions_i3: NDArray[np.float64], region: Region) -> NDArray[np.float32]:
-        factor_ik = evaluate_basis(directions_i3, coefficients.degree)
+        factor_ik = coefficients.functions_at(directions_i3)
         relit_ihwc = np.empty((len(factor_ik), *region.shape, channel), np.float32)
         step = max(1, _TILE_BYTES // row_bytes)
         for first in range(region.top, region.bottom, step):

@@ -19,6 +19,9 @@ from clrelight.relight import to_display
 FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
 """Images that hold linear radiance as floats."""
 
+ANIMATIONS = (".gif", ".apng")
+"""Files that hold several pictures: GIFs of 256 colours, animated PNGs of all."""
+
 CODES_PER_DECIBEL = 5
 """8-bit code values, in pictures of decibels."""
 
@@ -48,13 +51,13 @@ def holds_floats(name: str) -> bool:
 
 def is_animation(name: str) -> bool:
     """Return whether all images go to the one file of this name."""
-    return name.lower().endswith(".gif")
+    return name.lower().endswith(ANIMATIONS)
 
 
 def check_animation() -> None:
     """Raise InputError if animations cannot be written here."""
     if importlib.util.find_spec("PIL") is None:
-        raise InputError("a .gif needs Pillow: pip install 'clrelight[codecs]', or write .png files")
+        raise InputError("a .gif or .apng needs Pillow: pip install 'clrelight[codecs]', or write .png files")
 
 
 def show(image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> NDArray[np.uint8]:
@@ -75,11 +78,12 @@ def write_decibels(name: str, psnr_hw1: NDArray[np.float32]) -> None:
 
 
 def write_animation(name: str, frames: list[NDArray[np.uint8]]) -> None:
-    """Write a .gif that goes round for ever."""
+    """Write a .gif or an animated PNG that goes round for ever."""
     from PIL import Image
 
     pictures = [Image.fromarray(each[..., 0] if each.shape[2] == 1 else each) for each in frames]
     content = io.BytesIO()
-    pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:], duration=_FRAME_MILLISECONDS, loop=0)
+    kind = "GIF" if name.lower().endswith(".gif") else "PNG"
+    pictures[0].save(content, kind, save_all=True, append_images=pictures[1:], duration=_FRAME_MILLISECONDS, loop=0)
     with replacing(name) as part:
         part.write(content.getvalue())

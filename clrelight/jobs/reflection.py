@@ -1,44 +1,33 @@
-"""Reflection maps of an environment or a light and a reflectance, as files; and spheres as these show them."""
+"""Reflection maps of an environment or a light and a reflectance, as files."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clrelight.brdf.centred import CentredBrdf
 from clrelight.brdf.coefficients import BrdfCoefficients, brdf_coefficients
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.harmonics.rotation import rotation_matrix
-from clrelight.jobs.inputs import opened_on, path_text, paths_among
+from clrelight.jobs.inputs import opened_on, paths_among
 from clrelight.jobs.outputs import claimed
-from clrelight.jobs.pictures import (
-    check_animation,
-    holds_floats,
-    is_animation,
-    name_pictures,
-    show,
-    write_animation,
-    write_view,
-)
-from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.report import Report, report_for
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
-from clrelight.lighting.projection import project_environment
-from clrelight.lighting.relighting import TONEMAPS, automatic_exposure
-from clrelight.shrm.explicit import view_map
-from clrelight.shrm.lookup import look_up, view_sphere
+from clrelight.lighting.projection import is_separable, project_environment
 from clrelight.shrm.orders import sufficient_coefficients
-from clrelight.shrm.prefilter import build_shrm, to_global
+from clrelight.shrm.prefilter import build_shrm
 from clrelight.shrm.record import Shrm
-from clrelight.store import read_light, read_shrm, write_shrm
+from clrelight.shrm.zonal import build_zonal
+from clrelight.store import read_light, write_shrm
 
 SAMPLES_PER_DEGREE = 10
 """Rows of a map for each degree F (frequency-space-environment-maps, 5.2)."""
+
+METHOD = "device"
+"""How orders become columns, where nobody says otherwise."""
 
 _FEWEST_ROWS = 16
 
@@ -54,8 +43,8 @@ def build_reflection(
     degree: int | None = None,
     order: int | None = None,
     rows: int | None = None,
-    frame: str = "global",
-    method: str = "fft",
+    frame: str | None = None,
+    method: str | None = None,
     device: Device | str | None = None,
     report: Report | None = None,
 ) -> Shrm:
@@ -72,10 +61,13 @@ def build_reflection(
         F and P instead.
     rows : int, optional
         By default ten for each degree, 16 at least; columns are twice as many.
-    frame : str
-        ``"global"`` or ``"local"``, see `shrm.record.FRAMES`.
-    method : str
-        One of `shrm.prefilter.METHODS`.
+    frame : str, optional
+        One of `shrm.record.FRAMES`; by default ``"zonal"`` where the reflectance differs by the view's angle from the
+        central direction but not by its azimuth (Kajiya and Kay's fibres), else ``"global"``. Another's coefficients
+        of q > 0 are left out of zonal maps, which a note says.
+    method : str, optional
+        One of `shrm.expansion.METHODS`, of global and local maps, default `METHOD`: ``"device"`` also sums the azimuths
+        of a lat-long map there. Zonal maps are made by ``"fft"``.
     device : Device or str, optional
         Of the direct projection of maps, and of method ``"device"``.
     report : Report, optional
@@ -92,10 +84,16 @@ def build_reflection(
         since = time.perf_counter()
         chosen = _coefficients(brdf, epsilon, degree, order)
         since = kept.add("reflectance", since)
-        light = _light_of(source, chosen.degree, opened)
+        light = light_of(source, chosen.degree, opened, method or METHOD)
         since = kept.add("project", since)
         count = rows or max(_FEWEST_ROWS, SAMPLES_PER_DEGREE * chosen.degree)
-        made = build_shrm(light, chosen, count, frame=frame, method=method, dtype=np.float32, device=opened)
+        if frame is None:
+            frame = "global" if brdf.has_azimuth or brdf.is_radial else "zonal"
+        if frame == "zonal":
+            made = _zonal(light, chosen, count, method, kept)
+        else:
+            how = method or METHOD
+            made = build_shrm(light, chosen, count, frame=frame, method=how, dtype=np.float32, device=opened)
         since = kept.add("prefilter", since)
         if out is not None:
             write_shrm(out, made)
@@ -103,8 +101,17 @@ def build_reflection(
     share = float(chosen.shares()[-1, -1].min())
     kept.facts = {"file": out, "degree": made.degree, "order": made.order, "rows": count, "columns": 2 * count}
     kept.facts |= {"channels": made.channels, "frame": frame, "centre": made.centre, "config": dict(made.config)}
-    kept.facts |= {"share": share, "bytes": made.maps_khwc.nbytes}
+    kept.facts |= {"share": share, "maps": len(made.maps_khwc), "bytes": made.maps_khwc.nbytes}
     return made
+
+
+def _zonal(light: Light, chosen: BrdfCoefficients, rows: int, method: str | None, report: Report) -> Shrm:
+    if method not in (None, "fft"):
+        raise InputError(f"zonal reflection maps are made by fft, not {method}: ask for --frame global or local")
+    if chosen.has_azimuth:
+        alone = np.einsum("lpc->", chosen.rho_lpqc[:, :, 0] ** 2) / (chosen.shares()[-1, -1] @ chosen.energy_c)
+        report.note(f"zonal maps hold {alone:.1%} of the energy of these orders: the rest differs by azimuth")
+    return build_zonal(light, chosen, rows, dtype=np.float32)
 
 
 def _coefficients(brdf: CentredBrdf, epsilon: float | None, degree: int | None, order: int | None) -> BrdfCoefficients:
@@ -113,106 +120,17 @@ def _coefficients(brdf: CentredBrdf, epsilon: float | None, degree: int | None, 
     return brdf_coefficients(brdf, degree, order)
 
 
-def _light_of(source: LightLike, degree: int, device: Device) -> Light:
-    """Return the light to a degree; InputError where the source does not hold it."""
+def light_of(source: LightLike, degree: int, device: Device, method: str = METHOD) -> Light:
+    """Return the light of a map, light or light file to a degree; InputError where the source does not hold it."""
     if isinstance(source, Environment):
         if degree > source.resolved_degree:
             raise InputError(
                 f"the map is fine enough for degree {source.resolved_degree}, F = {degree} is asked for: "
                 "take a finer map, a smaller degree or a larger epsilon"
             )
-        return project_environment(source, degree, device=device)
+        how = "separable-device" if method == "device" and is_separable(source) else "auto"
+        return project_environment(source, degree, method=how, device=device)
     light = source if isinstance(source, Light) else read_light(source)
     if degree > light.degree:
         raise InputError(f"the light has degree {light.degree}, F = {degree} is asked for")
     return light
-
-
-def render_reflection(
-    source: Shrm | str | os.PathLike[str],
-    out: str | os.PathLike[str],
-    *,
-    view: Sequence[float] = (0.0, -1.0, 0.3),
-    size: int = 256,
-    rotate: tuple[str, Sequence[float]] | float | None = None,
-    turntable: int | None = None,
-    exposure: float | None = 0.0,
-    tonemap: str | None = None,
-    transfer: str = "srgb",
-    progress: Progress | None = None,
-    report: Report | None = None,
-) -> Report:
-    """Write a sphere as a reflection map shows it, or many while the light goes round once.
-
-    One dynamic map a picture (frequency-space-environment-maps, eq. 12), looked up at every pixel's direction.
-
-    Parameters
-    ----------
-    source : Shrm or path
-    out : path
-        Floats (.exr, .hdr, .tif), 8-bit pictures, or a .gif; several need a number field such as ``%03d``.
-    view : three numbers
-        Towards the camera.
-    size : int
-        Pixels of a side.
-    rotate : float or (str, numbers), optional
-        Turn the light: degrees about z, or a form and numbers of `harmonics.rotation.rotation_matrix`.
-    turntable : int, optional
-        So many pictures, the light going round about z once.
-    exposure : float, optional
-        Stops; None for automatic.
-    tonemap : str, optional
-        Of 8-bit pictures, see `lighting.relighting.TONEMAPS`.
-    transfer : str
-        Curve of 8-bit pictures.
-    """
-    kept = report_for(report)
-    target = path_text(out, "an image to write")
-    if tonemap is not None and tonemap not in TONEMAPS:
-        raise InputError(f"tone mapping must be one of {', '.join(TONEMAPS)}, got {tonemap!r}")
-    if turntable is not None and turntable < 1:
-        raise InputError(f"a turntable has 1 picture at least, got {turntable}")
-    if is_animation(target):
-        check_animation()
-    count = turntable or 1
-    names = [target] if is_animation(target) else name_pictures(target, count)
-    turned = _rotation(rotate)
-    with claimed(names, paths_among(source), kept):
-        since = time.perf_counter()
-        shrm = to_global(source if isinstance(source, Shrm) else read_shrm(source))
-        sphere = view_sphere(size, np.asarray(view, np.float64), shrm.centre)
-        since = kept.add("read", since)
-        frames, stops = [], exposure
-        with stage(progress, "rendering") as tell:
-            for i in range(count):
-                back = rotation_matrix("axis", (0.0, 0.0, 1.0, 360.0 * i / count)) @ turned
-                values_nc = look_up(view_map(shrm, sphere.view_3 @ back), sphere.central_n3 @ back)
-                frames.append(sphere.picture(values_nc).astype(np.float32))
-                tell(i + 1, count)
-        since = kept.add("render", since)
-        stops = automatic_exposure(frames[0]) if stops is None else stops
-        _write(names, frames, 2.0**stops, tonemap, transfer)
-        kept.add("write", since)
-    kept.facts = {"files": names, "size": size, "degree": shrm.degree, "order": shrm.order, "exposure": stops}
-    return kept
-
-
-def _rotation(rotate: tuple[str, Sequence[float]] | float | None) -> NDArray[np.float64]:
-    if rotate is None:
-        return np.eye(3)
-    if isinstance(rotate, int | float):
-        return rotation_matrix("axis", (0.0, 0.0, 1.0, float(rotate)))
-    return rotation_matrix(*rotate)
-
-
-def _write(
-    names: list[str], frames: list[NDArray[np.float32]], scale: float, tonemap: str | None, transfer: str
-) -> None:
-    scaled = [np.float32(scale) * frame for frame in frames]
-    if is_animation(names[0]):
-        write_animation(names[0], [show(frame, tonemap, transfer) for frame in scaled])
-        return
-    for name, frame in zip(names, scaled, strict=True):
-        if tonemap is not None and holds_floats(name):
-            raise InputError(f"--tonemap is for 8-bit files, but {name} holds linear radiance: leave it out")
-        write_view(name, frame, tonemap, transfer)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,15 @@ from clrelight.device import Device
 from clrelight.harmonics.index import coefficient_count
 from clrelight.harmonics.latlong import latitude_weights, project_latlong, synthesize_latlong
 from clrelight.lighting.light import Light
+from clrelight.lighting.projection_device import project_latlong_on_device
 from clrelight.matmul import apply_operator, pack_operator
 from clrelight.shrm.angular import integrate_on_device
+from clrelight.shrm.expansion import expand_product
 from clrelight.shrm.explicit import explicit_maps, view_grid
 from clrelight.shrm.orders import phong_width, sufficient_coefficients
-from clrelight.shrm.prefilter import build_shrm, expand_product, sum_degrees
+from clrelight.shrm.prefilter import build_shrm
 from clrelight.shrm.record import grid_directions
+from clrelight.shrm.spectrum import sum_degrees
 
 EXPONENTS = (8, 16, 32, 64, 128, 256, 512)
 SIGMAS = (0.1, 0.2, 0.3, 0.4, 0.5)
@@ -37,13 +41,19 @@ _VIEW = np.array([0.36, -0.8, 0.48])
 
 def best_seconds(work: Callable[[], object], repeats: int = _REPEATS) -> float:
     """Return the least time of some runs after one that warms caches."""
-    work()
-    seconds = []
-    for _ in range(repeats):
-        since = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - since)
-    return min(seconds)
+    return least_seconds({"": work}, repeats)[""]
+
+
+def least_seconds(works: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Return each way's least time of rounds that take all in turns: other programs only ever add to times."""
+    seconds: dict[str, list[float]] = {name: [] for name in works}
+    for turn in range(rounds + 1):  # the first one warms caches
+        for name, work in works.items():
+            since = time.perf_counter()
+            work()
+            if turn:
+                seconds[name].append(time.perf_counter() - since)
+    return {name: min(found) for name, found in seconds.items()}
 
 
 def square_light(light: Light, size: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -80,7 +90,7 @@ def time_phong(
             )
 
         angular_nc, angular = by_angles(), best_seconds(by_angles, 2)
-        frequency = best_seconds(by_orders)
+        frequency = best_seconds(by_orders, 8 * _REPEATS)
         found_nc = by_orders()[0].reshape(len(central_n3), -1) / math.sqrt(4.0 * math.pi)
         apart = float(np.linalg.norm(found_nc - angular_nc) / np.linalg.norm(found_nc))
         rows.append({"s": s, "degree": degree, "width": phong_width(s, ANGULAR_EPSILON), "angular": angular})
@@ -110,7 +120,7 @@ def time_microfacets(
 
         image = best_seconds(by_angles, 1)
         shrm, views = whole(), view_grid(10)
-        seconds, explicit = best_seconds(whole), best_seconds(lambda: explicit_maps(shrm, views), 1)  # noqa: B023
+        seconds, explicit = best_seconds(whole, 4 * _REPEATS), best_seconds(lambda: explicit_maps(shrm, views), 1)  # noqa: B023
         since = time.perf_counter()
         sufficient_coefficients(brdf, FREQUENCY_EPSILON)
         reflectance = time.perf_counter() - since
@@ -120,49 +130,43 @@ def time_microfacets(
     return rows
 
 
-def cost_slopes(size: int = SIZE) -> dict[str, dict[str, Any]]:
+def cost_slopes(size: int = SIZE, rounds: int = 4 * _REPEATS) -> dict[str, dict[str, Any]]:
     """Return table 3: by what power of F, P and S the sum over orders grows, beside the theory's ``F P^2 S^2``.
 
-    P counts as P + 1 and F as F + 1, as the paper says of small ones; slopes are least squares in logarithms.
+    P counts as P + 1 and F as F + 1, as the paper says of small ones; slopes are least squares in logarithms, of the
+    least times of rounds that take all sizes in turns.
     """
-    measured: dict[str, tuple[list[float], list[float]]] = {
-        "F": _grown((23, 35, 47, 71, 95), lambda f: _orders_seconds(f, 4, size)),
-        "P": _grown((2, 3, 4, 6, 8), lambda p: _orders_seconds(31, p, 96)),
-        "S": _grown((64, 96, 128, 160, 192), lambda s: _orders_seconds(31, 4, s), shift=0),
+    cases = {
+        "F": {f + 1: (f, 4, size) for f in (23, 35, 47, 71, 95)},
+        "P": {p + 1: (31, p, 96) for p in (2, 3, 4, 6, 8)},
+        "S": {s: (31, 4, s) for s in (64, 96, 128, 160, 192)},
     }
-    theory = {"F": 1.0, "P": 2.0, "S": 2.0}
-    return {
-        name: {"at": at, "seconds": seconds, "theory": theory[name], "slope": _slope(at, seconds)}
-        for name, (at, seconds) in measured.items()
-    }
-
-
-def _grown(values: Sequence[int], measure: Callable[[int], float], shift: int = 1) -> tuple[list[float], list[float]]:
-    return [float(value + shift) for value in values], [measure(value) for value in values]
-
-
-def _slope(at: Sequence[float], seconds: Sequence[float]) -> float:
-    return float(np.polyfit(np.log(at), np.log(seconds), 1)[0])
-
-
-def _orders_seconds(degree: int, order: int, size: int) -> float:
-    """Return the time of the sum over orders m, by a product in float64."""
-    rng = np.random.default_rng(0)
-    brdf = brdf_coefficients(Microfacet(0.3), degree, order)
-    light = Light(rng.standard_normal((coefficient_count(degree), 1)))
-    spectrum_khmc = sum_degrees(light.coeffs_kc, brdf, size)
-    seconds: list[float] = []
-
-    def multiply(waves_wn: NDArray, parts_nx: NDArray) -> NDArray:
-        since = time.perf_counter()
-        product = waves_wn @ parts_nx
-        seconds.append(time.perf_counter() - since)
-        return product
-
+    works = {f"{name}{at}": _orders_work(*case) for name, own in cases.items() for at, case in own.items()}
     with threadpool_limits(1):  # threads of a busy machine wait for each other
-        for _ in range(1 + _REPEATS):
-            expand_product(spectrum_khmc, size, multiply)
-    return min(seconds[1:])
+        found = least_seconds(works, rounds)
+    slopes = {}
+    for name, theory in {"F": 1.0, "P": 2.0, "S": 2.0}.items():
+        at = [float(value) for value in cases[name]]
+        seconds = [found[f"{name}{value}"] for value in cases[name]]
+        slope = float(np.polyfit(np.log(at), np.log(seconds), 1)[0])
+        slopes[name] = {"at": at, "seconds": seconds, "theory": theory, "slope": slope}
+    return slopes
+
+
+def _orders_work(degree: int, order: int, size: int) -> Callable[[], object]:
+    """Return the sum over orders m of a map of size × size texels, a product in float64, ready to be run."""
+    light = Light(np.random.default_rng(0).standard_normal((coefficient_count(degree), 1)))
+    sums_hkmc = sum_degrees(light.coeffs_kc, brdf_coefficients(Microfacet(0.3), degree, order), size)
+    factors: list[NDArray] = []
+
+    def keep(waves_wn: NDArray, parts_nx: NDArray) -> NDArray:
+        factors.extend((waves_wn, parts_nx))
+        return np.zeros((len(waves_wn), parts_nx.shape[1]))
+
+    expand_product(sums_hkmc, size, keep)
+    made_wx = np.empty((size, factors[1].shape[1]))
+    waves_wn, parts_nx = factors
+    return lambda: np.matmul(waves_wn, parts_nx, out=made_wx)
 
 
 def frame_rates(order: int, device: Device) -> dict[str, float]:
@@ -180,26 +184,36 @@ def frame_rates(order: int, device: Device) -> dict[str, float]:
     return {"host": 1.0 / best_seconds(lambda: weights_1k @ maps_kx), "device": 1.0 / best_seconds(on_device)}
 
 
-def prefilter_shares(map_hwc: NDArray[np.floating], sigma: float = 0.2, epsilon: float = 0.03) -> dict[str, float]:
-    """Return the seconds of a whole reflection map of a map, beside those of projecting and reconstructing the map.
+def prefilter_works(
+    map_hwc: NDArray[np.floating], device: Device, sigma: float = 0.2, epsilon: float = 0.03
+) -> dict[str, Callable[[], object]]:
+    """Return what makes a whole reflection map of a map, and what projects and reconstructs the map itself.
 
-    Float32, as files hold. ``whole`` is projection, sums over degrees and orders; ``with_reflectance`` finds the
-    reflectance's coefficients and orders too; ``transforms`` is projection to F and the map's own reconstruction from
-    it, at its own size.
+    Float32, as files hold. ``whole`` is projection and sums over degrees and orders with kernels, ``host`` the same
+    without; ``with_reflectance`` finds the reflectance's coefficients and orders too; ``transforms`` is projection to
+    F, of whichever way is the faster one, and the map's own reconstruction from it, at its own size.
     """
     brdf = Microfacet(sigma)
     orders = sufficient_coefficients(brdf, epsilon)
     height, width = map_hwc.shape[:2]
 
-    def whole(found: BrdfCoefficients) -> object:
-        projected = Light(project_latlong(map_hwc, found.degree))
-        return build_shrm(projected, found, 10 * found.degree, frame="global", dtype=np.float32)
+    def whole(found: BrdfCoefficients, method: str = "device") -> object:
+        project = project_latlong if method == "fft" else partial(project_latlong_on_device, device=device)
+        light = Light(project(map_hwc, found.degree))
+        rows = 10 * found.degree
+        return build_shrm(light, found, rows, frame="global", method=method, dtype=np.float32, device=device)
 
-    works = {
+    def transforms() -> object:
+        return synthesize_latlong(project_latlong_on_device(map_hwc, orders.degree, device), height, width)
+
+    return {
         "whole": lambda: whole(orders),
+        "host": lambda: whole(orders, "fft"),
         "with_reflectance": lambda: whole(sufficient_coefficients(brdf, epsilon)),
-        "transforms": lambda: synthesize_latlong(project_latlong(map_hwc, orders.degree), height, width),
+        "transforms": transforms,
     }
-    # In turns: a busy machine is then alike for all.
-    rounds = [{name: best_seconds(work, 1) for name, work in works.items()} for _ in range(2 * _REPEATS)]
-    return {name: min(each[name] for each in rounds) for name in works}
+
+
+def prefilter_shares(map_hwc: NDArray[np.floating], device: Device) -> dict[str, float]:
+    """Return the least seconds of each of `prefilter_works`."""
+    return least_seconds(prefilter_works(map_hwc, device), 4 * _REPEATS)

@@ -9,6 +9,7 @@ import numpy as np
 
 from clrelight.brdf.centred import CentredBrdf
 from clrelight.brdf.coefficients import brdf_coefficients
+from clrelight.brdf.expanded import read_coefficients
 from clrelight.brdf.measured import MeasuredBrdf, read_brdf
 from clrelight.brdf.radial import Phong
 from clrelight.device import Device
@@ -113,9 +114,19 @@ def accuracy_rows(found: Accuracy, degree: int) -> list[list[float]]:
 
 
 def describe_brdf(path: str, *, degree: int = _TOLD_DEGREE, report: Report | None = None) -> Report:
-    """Return a report of a ``.brdf`` file: its measurements, and the energy up to each order P."""
+    """Return a report of a ``.brdf`` file: its measurements, and the energy up to each order P.
+
+    Of a ``.json`` file that `reflection_estimate` wrote: its orders, and the energy up to each.
+    """
     kept = report_for(report)
     since = time.perf_counter()
+    if path.lower().endswith(".json"):
+        held = read_coefficients(path)
+        kept.add("read", since)
+        kept.facts = {"file": path, "degree": held.degree, "order": held.order, "centre": held.centre}
+        kept.facts |= {"channels": held.channels, "shares": held.shares()[-1], "energy": held.energy_c}
+        kept.facts |= {"config": dict(held.config)}
+        return kept
     samples = read_brdf(path)
     since = kept.add("read", since)
     found = brdf_coefficients(MeasuredBrdf(samples), degree, MOST_ORDER)

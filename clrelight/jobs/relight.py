@@ -111,7 +111,7 @@ def relight(
     out : path, optional
         Where to write. The name decides the format: ``.exr``, ``.hdr`` and ``.tif`` hold linear radiance as floats,
         ``.png``, ``.jpg`` and others 8-bit display values. For several images it holds a number field such as
-        ``%03d``; a turntable may be a ``.gif``.
+        ``%03d``; a turntable may be a ``.gif`` or ``.apng``.
     exposure : float or str
         Stops: values are scaled by ``2**exposure``. ``"auto"`` (light from everywhere): so that hardly anything is
         clipped.

@@ -16,7 +16,7 @@ from clrelight.jobs.frames import Rotation
 from clrelight.jobs.inputs import FittedLike, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for
-from clrelight.jobs.surface_frames import SurfaceFrames, colour_of, numbers_of, turn_background, turn_sources
+from clrelight.jobs.surface_frames import SurfaceFrames, colour_of, place_camera, turn_background, turn_sources
 from clrelight.jobs.surface_inputs import LightLike, background_of, lend_map, sources_of, surface_for
 from clrelight.jobs.surface_pictures import Showing, picture_names
 from clrelight.jobs.written import count_bytes, count_stops
@@ -140,7 +140,7 @@ def render(
         behind, has_alpha = background_of(background, light, unturned)
         behind = turn_background(behind, rotate)
         painter = Painter(coefficients, surface, picture_size(size), _checked(subsamples), shading, held, body)
-        placed = _place(camera, body or surface, picture_size(size), frames)
+        placed = place_camera(camera, body or surface, picture_size(size), frames)
         pictures = frames.paint(painter, sources, placed, behind, colour_of(recolour, coefficients), kept)
         images_ihwc = shown.show(pictures, names, frames.count, has_alpha, kept, progress)
     if target is not None:
@@ -174,17 +174,6 @@ def _prepare(given: CoefficientMap, surface: Surface, degree: int | None, shadin
     coefficients = replace(given, surface=surface)
     coefficients = coefficients if degree is None or given.method == OPERATOR else cut_degree(coefficients, degree)
     return coefficients.to_float32() if shading == "pixel" else coefficients
-
-
-def _place(
-    camera: Camera | Framing | Sequence[float] | None, surface: Surface, size: tuple[int, int], frames: SurfaceFrames
-) -> Camera:
-    if isinstance(camera, Camera):
-        return camera
-    if not isinstance(camera, Framing):
-        camera = Framing(direction_3=None if camera is None else tuple(numbers_of(camera, "a camera's direction")))
-    turning = frames.turns == "view" and frames.count > 1
-    return camera.place(surface, aspect=size[0] / size[1], turning=turning)
 
 
 def _checked(subsamples: int) -> int:

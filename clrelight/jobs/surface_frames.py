@@ -14,7 +14,8 @@ from clrelight.errors import InputError
 from clrelight.harmonics.rotation import rotation_matrix
 from clrelight.jobs.frames import MAX_STEPS, Rotation, turn_light
 from clrelight.jobs.report import Report
-from clrelight.transfer.cameras import UP, Camera, middle_of
+from clrelight.surface import Surface
+from clrelight.transfer.cameras import UP, Camera, Framing, middle_of
 from clrelight.transfer.painting import Background, Painter, Picture
 from clrelight.transfer.sources import DirectionalLight, DistantLight, Source
 
@@ -93,7 +94,7 @@ def turn_sources(sources: list[Source], rotation: Rotation | None) -> list[Sourc
         if isinstance(source, DistantLight):
             turned.append(DistantLight(turn_light(source.light, rotation)))
         elif isinstance(source, DirectionalLight):
-            direction_3 = _matrix(rotation) @ np.asarray(source.direction_3)
+            direction_3 = rotation_of(rotation) @ np.asarray(source.direction_3)
             turned.append(replace(source, direction_3=tuple(direction_3)))
         else:
             raise InputError("--rotate turns distant light; lights near the surface have positions of their own")
@@ -104,13 +105,26 @@ def turn_background(behind: Background | None, rotation: Rotation | None) -> Bac
     """Return what lies behind the surface, turned as the light is."""
     if behind is None or rotation is None:
         return behind
-    matrix = _matrix(rotation)
+    matrix = rotation_of(rotation)
     return lambda directions_n3: behind(directions_n3 @ matrix)  # what comes from d after the turn came from R^T d
 
 
-def _matrix(rotation: Rotation) -> NDArray[np.float64]:
+def rotation_of(rotation: Rotation) -> NDArray[np.float64]:
+    """Return the matrix (3, 3) of a turn as people write it."""
     form, numbers = rotation if isinstance(rotation, tuple) else ("axis", (0.0, 0.0, 1.0, rotation))
     return rotation_matrix(form, numbers)
+
+
+def place_camera(
+    camera: Camera | Framing | Sequence[float] | None, surface: Surface, size: tuple[int, int], frames: SurfaceFrames
+) -> Camera:
+    """Return the camera of a first picture; where the view goes round, one that sees the whole surface all the time."""
+    if isinstance(camera, Camera):
+        return camera
+    if not isinstance(camera, Framing):
+        camera = Framing(direction_3=None if camera is None else tuple(numbers_of(camera, "a camera's direction")))
+    turning = frames.turns == "view" and frames.count > 1
+    return camera.place(surface, aspect=size[0] / size[1], turning=turning)
 
 
 def colour_of(recolour: ArrayLike | None, coefficients: CoefficientMap) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from clrelight.arrays import check_transfer
 from clrelight.errors import InputError
 from clrelight.jobs.pictures import (
+    ANIMATIONS,
     FLOAT_FORMATS,
     check_animation,
     holds_floats,
@@ -94,7 +95,7 @@ def _automatic(picture: Picture) -> float:
     return automatic_exposure(picture.radiance_hwc[chosen_hw][None])
 
 
-PICTURE_FORMATS = (*FLOAT_FORMATS, ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".ppm", ".pgm", ".gif")
+PICTURE_FORMATS = (*FLOAT_FORMATS, ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".ppm", ".pgm", *ANIMATIONS)
 
 
 def picture_names(target: str | None, count: int, has_alpha: bool) -> list[str]:

@@ -13,6 +13,13 @@ from numpy.typing import NDArray
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.images import IMAGE_EXTENSIONS, read_image
+from clrelight.jobs.component_pictures import (
+    check_folder,
+    pictures_of_mesh,
+    pictures_of_normals,
+    pictures_of_stack,
+    write_pictures,
+)
 from clrelight.jobs.inputs import StackLike, lend_stack, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
@@ -43,6 +50,7 @@ def principal_components(
     degree: int = DEGREE,
     green: str = "up",
     up: str | None = None,
+    pictures: Path | None = None,
     memory: int | str = DEFAULT_MEMORY,
     progress: Progress | None = None,
     report: Report | None = None,
@@ -62,6 +70,8 @@ def principal_components(
         Which way the second channel of a picture of normals grows.
     up : str, optional
         The axis of a mesh's file that points up: ``"y"`` or ``"z"``; default: z, of GLB y.
+    pictures : path, optional
+        A new folder for pictures of the components, and of the harmonics (mesh, normals): grey is 0.
     memory : int or str
         Bytes that a stack's samples may take on their way.
     progress : callable, optional
@@ -70,28 +80,36 @@ def principal_components(
         Filled; without one, notes become warnings (`Note`).
     """
     kept, budget = report_for(report), count_bytes(memory)
-    since = time.perf_counter()
+    since, shown = time.perf_counter(), {}
+    if pictures is not None:
+        check_folder(path_text(pictures, "a folder of pictures"))
     suffix = pathlib.Path(os.fsdecode(source)).suffix.lower() if isinstance(source, str | os.PathLike) else ""
     if isinstance(source, Surface) or suffix in MESHES:
         surface = source if isinstance(source, Surface) else read_mesh(source, up=up)  # type: ignore[arg-type]
         kept.note(*surface.notes)
-        weights_v = vertex_areas(surface) * np.maximum(surface.normals_v3[:, 2], 0.0)
-        if surface.albedo_vc is not None:
-            weights_v *= np.mean(surface.albedo_vc.astype(np.float64) ** 2, axis=1)
-        seen_v = weights_v > 0.0
-        found = analytic_subspace(
-            surface.normals_v3[seen_v], weights_v[seen_v], degree=whole(degree, "degree"), centred=centred
-        )
-        kind, count = "mesh", int(seen_v.sum())
+        normals_v3, weights_v = visible_vertices(surface)
+        found = analytic_subspace(normals_v3, weights_v, degree=whole(degree, "degree"), centred=centred)
+        kind, count = "mesh", len(normals_v3)
+        if pictures is not None:
+            shown = pictures_of_mesh(found, surface, degree)
     elif suffix in IMAGE_EXTENSIONS:
-        normals_p3 = read_normals(source, green)[0]  # type: ignore[arg-type]
+        normals_p3, inside_hw = read_normals(source, green)  # type: ignore[arg-type]
         found = analytic_subspace(normals_p3, degree=whole(degree, "degree"), centred=centred)
         kind, count = "normals", len(normals_p3)
+        if pictures is not None:
+            normals_hw3 = np.zeros((*inside_hw.shape, 3), np.float32)
+            normals_hw3[inside_hw] = normals_p3
+            shown = pictures_of_normals(found, normals_hw3, degree)
     else:
         with lend_stack(source, kept) as stack, stage(progress, "adding up") as tell:  # type: ignore[arg-type]
             found = empirical_subspace(_blocks(stack, budget, tell), centred=centred)
             kind, count = "stack", stack.n_light
-    kept.add("components", since)
+            if pictures is not None:
+                shown = pictures_of_stack(found, stack, centred, budget, tell)
+    since = kept.add("components", since)
+    if pictures is not None:
+        kept.facts |= {"folder": os.fsdecode(pictures), "files": write_pictures(pictures, shown)}
+        kept.add("pictures", since)
     kept.facts |= {
         "kind": kind,
         "count": count,
@@ -100,6 +118,20 @@ def principal_components(
         "cumulative": {str(each): found.cumulative(each) for each in _TOLD},
     }
     return found
+
+
+def visible_vertices(surface: Surface) -> tuple[NDArray[np.floating], NDArray[np.float64]]:
+    """Return normals of the vertices that face +z, and the areas that they show, times their squared albedo.
+
+    InputError if none does.
+    """
+    weights_v = vertex_areas(surface) * np.maximum(surface.normals_v3[:, 2], 0.0)
+    if surface.albedo_vc is not None:
+        weights_v *= np.mean(surface.albedo_vc.astype(np.float64) ** 2, axis=1)
+    seen_v = weights_v > 0.0
+    if not seen_v.any():
+        raise InputError("no vertex of the mesh faces +z: which axis points up? (--up)")
+    return surface.normals_v3[seen_v], weights_v[seen_v]
 
 
 def _blocks(stack: LightStack, budget: int, tell: object) -> Iterator[NDArray[np.float32]]:

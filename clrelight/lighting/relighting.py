@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases.products import seen_light
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
-from clrelight.harmonics.hemisphere import project_onto_hemisphere
 from clrelight.lighting.light import Light
 from clrelight.relight import combine_maps
 from clrelight.surface import surface_facts
@@ -37,7 +37,7 @@ def relight_under(coefficients: CoefficientMap, light: Light, *, device: Device 
     device = device or open_device()
     facts = surface_facts(coefficients.surface, coefficients.config)
     if facts is None:
-        seen_kc = project_onto_hemisphere(light.coeffs_kc, coefficients.degree)
+        seen_kc = seen_light(coefficients.basis, coefficients.degree, light.coeffs_kc)
     else:
         seen_kc = _seen_by(facts, light, coefficients.n_coeff)
     channel = coefficients.image_shape[2]

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.device import Device, open_device
+from clrelight.errors import InputError
 from clrelight.harmonics.index import band, coefficient_count, degree_of
 from clrelight.harmonics.rotation import rotation_blocks
+from clrelight.harmonics.rotations import Rotations
 from clrelight.lighting.light import Light
 from clrelight.matmul import multiply_columns
 
@@ -26,7 +29,7 @@ def rotate_light(light: Light, matrix: NDArray[np.float64]) -> Light:
 
 
 def rotate_maps(
-    coeffs_khwc: NDArray[np.float32], matrix: NDArray[np.float64], *, device: Device | None = None
+    coeffs_khwc: NDArray[np.float32], turn: NDArray[np.float64] | Rotations, *, device: Device | None = None
 ) -> NDArray[np.float32]:
     """Return coefficient maps rotated on the device: one product per degree, whose rounding is float32's.
 
@@ -34,20 +37,33 @@ def rotate_maps(
     ----------
     coeffs_khwc : ndarray, shape (n_coeff, ...), float32
         Maps of a fit, or any batch of functions.
-    matrix : ndarray, shape (3, 3), float64
+    turn : ndarray, shape (3, 3), float64, or Rotations
+        One rotation; its matrices are made here, or were before (`harmonics.rotations.make_rotations`).
     device : Device, optional
 
     Returns
     -------
     ndarray of the same shape, float32
-        Functions of directions: what they said of direction d they say of ``matrix @ d``.
+        Functions of directions: what they said of direction d they say of ``R d``.
     """
     opened = device or open_device()
     degree = degree_of(len(coeffs_khwc))
+    blocks = _blocks_of(turn, degree)
     coeffs_kp = np.ascontiguousarray(coeffs_khwc, dtype=np.float32).reshape(coefficient_count(degree), -1)
     turned_kp = np.empty_like(coeffs_kp)
     turned_kp[0] = coeffs_kp[0]
-    for l, block in enumerate(rotation_blocks(matrix, degree)[1:], start=1):
+    for l, block in enumerate(blocks[1 : degree + 1], start=1):
         own = band(l)
         turned_kp[own] = multiply_columns(opened, block, coeffs_kp[own])
     return turned_kp.reshape(coeffs_khwc.shape)
+
+
+def _blocks_of(turn: NDArray[np.float64] | Rotations, degree: int) -> Sequence[NDArray[np.floating]]:
+    """Return the blocks of one rotation up to a degree."""
+    if not isinstance(turn, Rotations):
+        return rotation_blocks(turn, degree)
+    if len(turn) != 1 or turn.degree < degree:
+        raise InputError(
+            f"maps of degree {degree} take one rotation of that degree, got {len(turn)} of degree {turn.degree}"
+        )
+    return [block_nij[0] for block_nij in turn.blocks_lnij]

@@ -13,6 +13,7 @@ from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count
 from clrelight.shrm.record import Shrm
+from clrelight.shrm.zonal import to_zonal, zonal_indices, zonal_view
 
 _WORST_CONDITION = 1e8
 
@@ -33,12 +34,16 @@ def explicit_maps(shrm: Shrm, views_t3: NDArray[np.float64]) -> NDArray[np.float
     Views are unit vectors in the frame of `shrm`: local ones differ from texel to texel in the world's.
     """
     basis_tk = evaluate_basis(views_t3, shrm.order).astype(shrm.maps_khwc.dtype)
+    if shrm.frame == "zonal":
+        basis_tk = basis_tk[:, zonal_indices(shrm.order)]
     flat_kx = shrm.maps_khwc.reshape(len(shrm.maps_khwc), -1)
     return (basis_tk @ flat_kx).reshape(len(views_t3), *shrm.maps_khwc.shape[1:])
 
 
 def view_map(shrm: Shrm, view_3: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the one dynamic map (height, width, channel) of a distant view (eq. 12); of a global map."""
+    """Return the one dynamic map (height, width, channel) of a distant view (eq. 12); of a global or zonal map."""
+    if shrm.frame == "zonal":
+        return zonal_view(shrm, view_3)
     if shrm.frame != "global":
         raise InputError("one map for a distant view needs a global reflection map, this one is local")
     return explicit_maps(shrm, np.asarray(view_3, np.float64)[None])[0]
@@ -72,8 +77,10 @@ def fit_maps(maps_thwc: NDArray[np.floating], views_t3: NDArray[np.float64], ord
 def without_azimuth(shrm: Shrm) -> Shrm:
     """Return a local reflection map with the coefficients of q = 0 alone: no view differs by its azimuth."""
     _want_local(shrm)
+    if shrm.frame == "zonal":
+        return shrm
     maps_khwc = np.zeros_like(shrm.maps_khwc)
-    zonal = _zonal(shrm.order)
+    zonal = zonal_indices(shrm.order)
     maps_khwc[zonal] = shrm.maps_khwc[zonal]
     return replace(shrm, maps_khwc=maps_khwc)
 
@@ -85,7 +92,7 @@ def view_texture(shrm: Shrm, theta_o: NDArray[np.float64]) -> NDArray[np.floatin
     """
     _want_local(shrm)
     table_pt = theta_tables(np.asarray(theta_o, np.float64), shrm.order)[0].astype(shrm.maps_khwc.dtype)
-    return np.einsum("pt,phwc->thwc", table_pt, shrm.maps_khwc[_zonal(shrm.order)], optimize=True)
+    return np.einsum("pt,phwc->thwc", table_pt, to_zonal(shrm).maps_khwc, optimize=True)
 
 
 def interpolate_texture(
@@ -128,10 +135,5 @@ def interpolate_icosahedron(maps_thwc: NDArray[np.floating], view_3: NDArray[np.
 
 
 def _want_local(shrm: Shrm) -> None:
-    if shrm.frame != "local":
+    if shrm.frame == "global":
         raise InputError("views without an azimuth are those of a local reflection map, this one is global")
-
-
-def _zonal(order: int) -> NDArray[np.intp]:
-    p = np.arange(order + 1)
-    return p * (p + 1)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
-from clrelight.shrm.explicit import explicit_maps, view_map
+from clrelight.shrm.explicit import view_map
 from clrelight.shrm.record import Shrm
 
 
@@ -114,7 +114,7 @@ def render_sphere(shrm: Shrm, sphere: SphereView, turn: NDArray[np.float64] | No
     Parameters
     ----------
     shrm : Shrm
-        Global.
+        Global or zonal.
     sphere : SphereView
         Of the map's own central direction.
     turn : ndarray, shape (3, 3), optional
@@ -127,8 +127,8 @@ def render_sphere(shrm: Shrm, sphere: SphereView, turn: NDArray[np.float64] | No
 
 def local_view(shrm: Shrm, view_3: NDArray[np.float64]) -> NDArray[np.floating]:
     """Return the map (height, width, channel) of a distant view of a local map (eq. 3 and 6)."""
-    if shrm.frame == "global":
-        return explicit_maps(shrm, np.asarray(view_3, np.float64)[None])[0]
+    if shrm.frame != "local":
+        return view_map(shrm, view_3)
     height, width, channel = shrm.maps_khwc.shape[1:]
     basis_nk = evaluate_basis(local_views(shrm, view_3).reshape(-1, 3), shrm.order)
     flat_knc = shrm.maps_khwc.reshape(len(shrm.maps_khwc), -1, channel)

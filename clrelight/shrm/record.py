@@ -13,8 +13,9 @@ from clrelight.brdf.centred import CENTRES
 from clrelight.errors import InputError
 from clrelight.harmonics.index import degree_of
 
-FRAMES = ("local", "global")
-"""Where views are measured: in the frame ``Rz(beta) Ry(alpha)`` of each central direction, or in that of the world."""
+FRAMES = ("local", "global", "zonal")
+"""Where views are measured: in the frame ``Rz(beta) Ry(alpha)`` of each central direction, in that of the world, or by
+their angle from the central direction alone, where no azimuth counts: coefficients of q = 0 only."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +24,11 @@ class Shrm:
 
     ``B(alpha, beta, view) = sum_k maps_k(alpha, beta) y_k(view)`` (frequency-space-environment-maps, eq. 6 and 7), with
     our real harmonics: where B_pq is the paper's for q >= 0, but for Condon and Shortley's sign, the maps of q and -q
-    hold ``sqrt(2) Re B_pq`` and ``-sqrt(2) Im B_pq``.
+    hold ``sqrt(2) Re B_pq`` and ``-sqrt(2) Im B_pq``. A zonal map holds q = 0 alone, ``sum_p maps_p f_p0(theta_o)``.
 
     Attributes
     ----------
-    maps_khwc : ndarray, shape ((P + 1)**2, height, width, channel), float32 or float64
+    maps_khwc : ndarray, shape ((P + 1)**2, height, width, channel), zonal (P + 1, ...), float32 or float64
         Linear radiance. Row h has ``alpha = pi (h + 1/2) / height``, columns the azimuths ``beta`` of
         `harmonics.latlong.longitude_azimuths`: no row lies at a pole.
     frame : str
@@ -56,12 +57,13 @@ class Shrm:
             raise InputError(
                 f"a reflection map is float32 or float64 (coefficient, height, width, 1 or 3), got {dtype} {shape}"
             )
-        try:
-            degree_of(shape[0])
-        except ValueError as error:
-            raise InputError(f"reflection map: {error}") from None
         if self.frame not in FRAMES:
             raise InputError(f"frame must be one of {', '.join(FRAMES)}, got {self.frame!r}")
+        try:
+            if self.frame != "zonal":
+                degree_of(shape[0])
+        except ValueError as error:
+            raise InputError(f"reflection map: {error}") from None
         if self.centre not in CENTRES:
             raise InputError(f"centre must be one of {', '.join(CENTRES)}, got {self.centre!r}")
         if self.degree < 0:
@@ -72,7 +74,7 @@ class Shrm:
     @property
     def order(self) -> int:
         """P, the largest p."""
-        return degree_of(len(self.maps_khwc))
+        return len(self.maps_khwc) - 1 if self.frame == "zonal" else degree_of(len(self.maps_khwc))
 
     @property
     def channels(self) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.arrays import read_rows_into
+from clrelight.bases import SH
 from clrelight.codec.registry import check_coefficients, check_decoded
 from clrelight.codec.streams import Source, Target, buffers
 from clrelight.codec.workspace import Workspace
@@ -19,8 +20,9 @@ from clrelight.store.stored import StoredArray
 class StoredSource(Source):
     """The coefficients of an open fit, read as they are needed and looked at before they are used."""
 
-    def __init__(self, stored_khwc: StoredArray, device: Device, workspace: Workspace) -> None:
+    def __init__(self, stored_khwc: StoredArray, device: Device, workspace: Workspace, basis: str = SH) -> None:
         super().__init__(stored_khwc.shape, device, workspace)
+        self.basis = basis
         self._stored, self._buffers = stored_khwc, buffers()
         if stored_khwc.chunks:
             self.row_step = stored_khwc.chunks[1]

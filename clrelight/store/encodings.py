@@ -1,4 +1,4 @@
-"""``encoded/2``, and ``encoded/1`` of before: a codec's bytes, with what they need to become a fit again."""
+"""``encoded/2``, ``encoded/3`` of other bases than harmonics, and ``encoded/1`` of before: a codec's bytes as a fit."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH
 from clrelight.codec.bodies import Body
 from clrelight.codec.encoded import MAX_HEADER_BYTES, Encoded, header_size
 from clrelight.codec.workspace import Shape
@@ -21,10 +22,10 @@ from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.directions import MOST_PACKED, pack_directions, unpack_directions
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store.attributes import MAX_TEXT_BYTES
-from clrelight.store.fits import read_record
+from clrelight.store.fits import check_version, read_record
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.places import Place
-from clrelight.store.schemas import ENCODED
+from clrelight.store.schemas import ENCODED, ENCODED_1, ENCODED_OF_BASIS
 from clrelight.store.scratch import ScratchBody, ScratchWorkspace
 from clrelight.store.stored import StoredArray
 from clrelight.store.writing import (
@@ -78,7 +79,8 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
     record = FitRecord.of(source) if source is not None else encoded.record
     if record is None:
         raise InputError("these encoded bytes come without the record of their fit: say which fit was encoded")
-    with drafting(path, ENCODED, encoded.encoded_bytes + CHUNK_BYTES) as draft:
+    schema = ENCODED if record.basis == SH else ENCODED_OF_BASIS
+    with drafting(path, schema, encoded.encoded_bytes + CHUNK_BYTES) as draft:
         _fill(draft, encoded, record.without_surface())
 
 
@@ -206,7 +208,7 @@ def parts_of(opened: Opened, *, compared: bool = True) -> tuple[bytes, StoredBod
     which only what is sliced is fetched.
     """
     payload = _payload_of(opened, compared)
-    if opened.schema is not ENCODED:
+    if opened.schema is ENCODED_1:
         return opened.arrays["header"][...].tobytes(), payload
     start = payload[:MAX_HEADER_BYTES]
     size = header_size(start)
@@ -228,7 +230,7 @@ def encoded_of(opened: Opened, header: bytes, body: Body, *, summed: bool = True
     """
     held = opened.attributes()
     encoded = Encoded.from_parts(header, body, summed=summed)
-    if opened.schema is ENCODED:
+    if opened.schema is not ENCODED_1:
         facts, directions_i3 = _parse_record(held["record"], opened)
         about = {name: facts[name] for name in ("degree", "method", "peak", "transfer", "name")}
         record = FitRecord(**about, directions_i3=directions_i3, config=facts["fit_config"])
@@ -236,6 +238,7 @@ def encoded_of(opened: Opened, header: bytes, body: Body, *, summed: bool = True
     else:
         record = _record_of_1(opened, held, encoded)
         config, info = parse_config(held["config"], "config"), opened.floats("payload")
+    check_version(opened, record, ENCODED)
     record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # checks the record, takes no memory
     return replace(encoded, config=config, info=info, record=record), record
 

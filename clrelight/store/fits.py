@@ -1,4 +1,4 @@
-"""``fit/1``: spherical-harmonic coefficients."""
+"""``fit/1``: spherical-harmonic coefficients; ``fit/2``: those of other bases."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clrelight.arrays import COEFFICIENT_DTYPES
+from clrelight.bases import SH
 from clrelight.codec.rounding import rounding_rows
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device, open_device
-from clrelight.errors import InputError
+from clrelight.errors import InputError, StoreFormatError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.store.opening import Opened, parse_config, refusing
-from clrelight.store.schemas import FIT
+from clrelight.store.schemas import FIT, FIT_OF_BASIS, Schema
 from clrelight.store.shards import opening_fit
 from clrelight.store.surfaces import surface_bytes, surface_of, write_surface
 from clrelight.store.writing import Draft, Sink, chunk_shape, config_text, drafting, padded_bytes
@@ -105,7 +106,7 @@ def create_fit(
     map_chunks = chunks[1:]  # written and read together
     n_bytes = padded_bytes(shape, chunks, stored.itemsize)
     n_bytes += (has_lambda + has_rank) * padded_bytes(image_shape, map_chunks, 4) + surface_bytes(record.surface)
-    with drafting(path, FIT, n_bytes) as draft:
+    with drafting(path, FIT if record.basis == SH else FIT_OF_BASIS, n_bytes) as draft:
         write_record(draft, record, "config")
         write_surface(draft, record.surface)
         yield FitSink(
@@ -209,7 +210,14 @@ def fit_of(opened: Opened, array: Callable[[str], Any]) -> CoefficientMap:
     Raises StoreFormatError or InputError if it is not sound.
     """
     record = replace(read_record(opened, opened.attributes(), "config"), surface=surface_of(opened))
+    check_version(opened, record, FIT)
     return record.to_map(array("coefficients"), array("lambda"), array("rank"))
+
+
+def check_version(opened: Opened, record: FitRecord, of_harmonics: Schema) -> None:
+    """Raise StoreFormatError where a file's version says that it is of spherical harmonics and its record does not."""
+    if (record.basis == SH) != (opened.schema.version <= of_harmonics.version):
+        raise StoreFormatError(f"{opened.schema.name} holds no coefficients of basis {record.basis}")
 
 
 def write_record(draft: Draft, record: FitRecord, config: str) -> None:

@@ -18,7 +18,7 @@ from clrelight.errors import InputError, RemoteError, StoreFormatError
 from clrelight.store.attributes import read_bytes, read_scalar
 from clrelight.store.blocks import SUM_DTYPE, Blocks
 from clrelight.store.places import Place, placed
-from clrelight.store.schemas import OLDER, SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, STACK, Field, Schema
+from clrelight.store.schemas import OTHERS, SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, STACK, Field, Schema
 from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, parse_sums, seal_of, type_text
 from clrelight.store.stored import StoredArray
 from clrelight.store.walk import walk
@@ -158,9 +158,10 @@ class Opened:
         if kinds and schema.kind not in kinds:
             article = "an" if text[0] in "aeiou" else "a"
             raise StoreFormatError(f"it is {article} {text} file, expected {wanted}")
-        if int(match[2]) > schema.version:
-            raise StoreFormatError(f"{text} is newer than this program reads ({schema.name}): upgrade clrelight")
-        return OLDER.get(text, schema)
+        newest = max((each for each in (schema, *OTHERS.values()) if each.kind == schema.kind), key=lambda s: s.version)
+        if int(match[2]) > newest.version:
+            raise StoreFormatError(f"{text} is newer than this program reads ({newest.name}): upgrade clrelight")
+        return OTHERS.get(text, schema)
 
     def _check_arrays(self) -> None:
         lengths: dict[str, int] = {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -120,6 +120,8 @@ FIT = Schema(
     },
     {**_FIT_ATTRIBUTES, "config": str},
 )
+FIT_OF_BASIS = replace(FIT, version=2)
+"""Fits of other bases than spherical harmonics, which ``config`` names: who reads `FIT` alone must not take them."""
 TILES = Schema(
     "tiles",
     1,
@@ -156,6 +158,8 @@ ENCODED = Schema(
     is_scaled=False,
     has_table=False,
 )
+ENCODED_OF_BASIS = replace(ENCODED, version=3)
+"""Encodings of such fits."""
 RESULTS = Schema(
     "results",
     1,
@@ -182,5 +186,5 @@ SHRM = Schema(
 
 SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, TILES, ENCODED, RESULTS, LIGHT, SHRM)}
 
-OLDER = {schema.name: schema for schema in (ENCODED_1,)}
-"""Kinds of files in versions that are read and no longer written."""
+OTHERS = {schema.name: schema for schema in (ENCODED_1, FIT_OF_BASIS, ENCODED_OF_BASIS)}
+"""Kinds of files in other versions that are read: older ones, and those of other bases."""

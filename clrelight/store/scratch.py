@@ -55,6 +55,14 @@ class Scratch:
                 raise OSError(errno.EIO, f"{self._what} ends at byte {at}")
             rest, at = rest[done:], at + done
 
+    def read_strided_into(self, at: int, stride: int, out_rb: NDArray) -> None:
+        """Fill the rows of a C-contiguous array with bytes that begin so far from each other."""
+        size, descriptor = out_rb[0].nbytes if len(out_rb) else 0, self._file.fileno()
+        content = b"".join([os.pread(descriptor, size, at + row * stride) for row in range(len(out_rb))])
+        if len(content) != out_rb.nbytes:
+            raise OSError(errno.EIO, f"{self._what} ends before byte {at + len(out_rb) * stride}")
+        out_rb.reshape(-1).view(np.uint8)[...] = np.frombuffer(content, np.uint8)
+
     def close(self) -> None:
         """Give the disk its room back."""
         self._file.close()

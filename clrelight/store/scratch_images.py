@@ -64,6 +64,23 @@ class ScratchImages:
         for light, rows_hwc in zip(picked_n.tolist(), out, strict=True):
             self._scratch.read_into(light * self._image_bytes + first * self._row_bytes, rows_hwc)
 
+    def read_part_into(self, rows: tuple[int, int], columns: tuple[int, int], out: NDArray) -> None:
+        """Read some columns of rows of all images, each from the first to the one before the end."""
+        self.read_some_part_into(np.arange(len(self)), rows, columns, out)
+
+    def read_some_part_into(
+        self, picked_n: NDArray[np.intp], rows: tuple[int, int], columns: tuple[int, int], out: NDArray
+    ) -> None:
+        """Read some columns of rows of some images; the disk's other columns are not touched."""
+        expected = (len(picked_n), rows[1] - rows[0], columns[1] - columns[0], *self.shape[3:])
+        within = 0 <= rows[0] <= rows[1] <= self.shape[1] and 0 <= columns[0] <= columns[1] <= self.shape[2]
+        if out.shape != expected or out.dtype != self.dtype or not within:
+            raise TypeError(f"expected {self.dtype} {expected}, got {out.dtype} {out.shape}")
+        left = columns[0] * (self._row_bytes // self.shape[2])
+        for light, part_hwc in zip(picked_n.tolist(), out, strict=True):
+            at = light * self._image_bytes + rows[0] * self._row_bytes + left
+            self._scratch.read_strided_into(at, self._row_bytes, part_hwc.reshape(len(part_hwc), -1))
+
     def __getitem__(self, key: Any) -> NDArray:
         """Read a selection: integers, slices, and lists of integers."""
         (lights, rows, *others), rest = box_of(key, self.shape)

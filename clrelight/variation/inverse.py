@@ -144,7 +144,7 @@ class BasisPictures:
     pictures_kp : ndarray, shape (n_coeff, P), float64
     degree : int
     condition_l : ndarray, shape (asked degree + 1,), float64
-        Condition of the lights' harmonics up to each degree.
+        Condition of the lights' harmonics up to each degree, times the half-cosine's coefficients.
     """
 
     pictures_kp: NDArray[np.float64]
@@ -172,7 +172,10 @@ def basis_pictures(
     """
     most = 2 if degree is None else degree
     basis_ik = evaluate_basis(directions_i3, most)
-    condition_l = np.array([_condition(basis_ik[:, : coefficient_count(l)]) for l in range(most + 1)])
+    # As matte surfaces see lamps: pictures of degree 2 count for less (eq. 28), as all of higher ones do.
+    factor_k = half_cosine_factors(most)
+    factor_k[coefficient_count(2) :] = half_cosine_factors(2)[-1]
+    condition_l = np.array([_condition((basis_ik * factor_k)[:, : coefficient_count(l)]) for l in range(most + 1)])
     fitting = np.flatnonzero(condition_l <= MOST_CONDITION)
     chosen = int(fitting[-1])
     if degree is not None and condition_l[degree] > MOST_CONDITION:

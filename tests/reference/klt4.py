@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.reference.bases import FUNCTIONS, cell_centres, gram, hemisphere_quadrature
 from tests.reference.entropy import RangeDecoder, class_of, join_plane, list_bands
 from tests.reference.klt import Decoded, decode_vectors, hemisphere_axes, radiance_of
 from tests.reference.payload import require, without_minimum_padding
 
+BASES = ("sh", "hsh", "gram-schmidt", "zernike", "makhotkin", "haar")
 START = Path(__file__).resolve().parents[2] / "clrelight" / "codec" / "entropy" / "units.tables"
 CONTEXTS, SYMBOLS, FLAGS, ONE = 592, 16, 144, 1 << 14
 NAMES = ("HL", "LH", "HH")
@@ -302,11 +304,12 @@ def decode_klt4(body, shape):
     body = without_minimum_padding(body, shape)
     require(len(body) >= 15 and degree <= 40, "head")
     version, levels, exponent, step, n, transfer, size = struct.unpack_from("<BBhfHBI", body)
-    require((version, levels) == (4, 5) and abs(exponent) <= 150 and transfer in (0, 1), "head")
+    basis, transfer = BASES[transfer >> 4] if transfer >> 4 < len(BASES) else "", transfer & 15
+    require((version, levels) == (4, 5) and abs(exponent) <= 150 and transfer in (0, 1) and basis, "head")
     require(2.0**-22 <= step <= 8 and size >= channels**2 + n and len(body) >= 15 + size, "head")
     rotation = np.frombuffer(body, "i1", channels**2, 15).reshape(channels, channels) / 127
     scales = np.frombuffer(body, "u1", n, 15 + channels**2).astype(int)
-    inverse = hemisphere_axes(degree, "damped")[1]
+    inverse = hemisphere_axes(degree, "damped")[1] if basis == "sh" else inverse_metric(basis, degree)
     components = inverse.shape[1]
     require(n <= channels * components, "planes")
     decoder = RangeDecoder(body[15 + channels**2 + n : 15 + size])
@@ -325,4 +328,27 @@ def decode_klt4(body, shape):
     require(np.abs(operator).max() <= np.finfo(np.float32).max, "range")
     planes = np.array([*(join_plane(index, 5) for index in indices), np.ones((height, width))])
     coeffs = np.einsum("kci,ihw->khwc", operator, planes)
-    return Decoded(mean, axes, indices, radiance_of(coeffs, degree) if transfer else coeffs)
+    if transfer:
+        coeffs = radiance_of(coeffs, degree) if basis == "sh" else bent_back(coeffs, basis, degree)
+    return Decoded(mean, axes, indices, coeffs)
+
+
+def inverse_metric(basis, degree):
+    """Return what makes coefficients of coordinates: the inverse of L', G = L L' the Gram matrix."""
+    return np.linalg.inv(np.linalg.cholesky(gram(basis, degree)).T)
+
+
+def bent_back(values, basis, degree):
+    """Return coefficients of radiance from those of sRGB code values, by the basis' own nodes."""
+    if basis == "haar":
+        nodes, weights = cell_centres(degree + 1)
+    else:
+        nodes, weights = hemisphere_quadrature(degree)
+    y = FUNCTIONS[basis](nodes, degree)
+    shown = np.tensordot(y, values, 1)
+    size = np.abs(shown)
+    curved = np.sign(shown) * np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
+    inverse = inverse_metric(basis, degree)
+    seen = np.linalg.norm(np.linalg.inv(inverse), axis=1)
+    inverse = inverse[:, seen > 1e-3 * seen.max()]
+    return np.tensordot(inverse @ inverse.T @ (y * weights[:, None]).T, curved, 1)

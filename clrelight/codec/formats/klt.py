@@ -33,7 +33,7 @@ _CODED = 4.0
 """Times the squared error of the way through a curve and back at which that way is not what to save at."""
 _WHOLE_BYTES = 1 << 29
 """Bytes of a map that is coded behind a curve and without it; of a larger one, pieces are."""
-_PIECE, _PIECE_VALUES = 256, 1 << 23
+_PIECE, _PIECE_VALUES = 128, 1 << 23
 
 
 @register
@@ -118,7 +118,7 @@ class Klt(PartsCodec):
         if self.transfer != "srgb":
             content, info = self._encode_as(Pixels(source), source.workspace)
         elif 4 * math.prod(shape) <= _WHOLE_BYTES:
-            content, info = self._encode_either(source.whole(), device, source.workspace)
+            content, info = self._encode_either(source.whole(), device, source.workspace, source.basis)
         else:
             transfer = self._choose_transfer(source)
             content, info = self._encode_as(Pixels(source, transfer), source.workspace)
@@ -126,21 +126,21 @@ class Klt(PartsCodec):
         return info
 
     def _encode_either(
-        self, coeffs_khwc: NDArray[np.float32], device: Device, workspace: Workspace
+        self, coeffs_khwc: NDArray[np.float32], device: Device, workspace: Workspace, basis: str
     ) -> tuple[bytes, dict[str, float]]:
         """Return a map behind the curve, or without it, whichever leaves less error of code values."""
-        shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device)
-        there_and_back = code_value_error(radiance_of(values_khwc, device), coeffs_khwc, device)
+        shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device, basis)
+        there_and_back = code_value_error(radiance_of(values_khwc, device, basis), coeffs_khwc, device, basis)
         # The coefficients of code values are there already.
-        bent = self._encode_as(Pixels(ArraySource(values_khwc, device)), workspace, "srgb")
-        lost = code_value_error(self.decode_body(bent[0], shape, device), coeffs_khwc, device)
+        bent = self._encode_as(Pixels(ArraySource(values_khwc, device, basis)), workspace, "srgb")
+        lost = code_value_error(self.decode_body(bent[0], shape, device), coeffs_khwc, device, basis)
         if lost > _CODED * there_and_back:
             return bent
         try:
-            plain = self._encode_as(Pixels(ArraySource(coeffs_khwc, device)), workspace)
+            plain = self._encode_as(Pixels(ArraySource(coeffs_khwc, device, basis)), workspace)
         except InputError:  # the step or budget is none for this way
             return bent
-        left = code_value_error(self.decode_body(plain[0], shape, device), coeffs_khwc, device)
+        left = code_value_error(self.decode_body(plain[0], shape, device), coeffs_khwc, device, basis)
         return bent if lost < left else plain
 
     def _choose_transfer(self, source: Source) -> str:
@@ -155,7 +155,7 @@ class Klt(PartsCodec):
         mosaic_khwc = np.concatenate(pieces, axis=1)
         share = mosaic_khwc.size / math.prod(source.shape)
         codec = self if self.byte_budget is None else replace(self, byte_budget=max(int(self.byte_budget * share), 1))
-        content, _ = codec._encode_either(mosaic_khwc, source.device, Workspace())
+        content, _ = codec._encode_either(mosaic_khwc, source.device, Workspace(), source.basis)
         return parse_body(drop_padding(content, mosaic_khwc.shape), mosaic_khwc.shape).head.transfer
 
     def _encode_as(

@@ -9,6 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight import recycling
+from clrelight.bases import SH, basis_of
 from clrelight.codec.bodies import Body
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.unit_index import Stored
@@ -25,7 +27,7 @@ from clrelight.codec.transforms.whitening import reshaped
 from clrelight.codec.views import Region
 from clrelight.codec.workspace import Shape
 from clrelight.device import Device
-from clrelight.harmonics.basis import evaluate_basis
+from clrelight.errors import PayloadError
 from clrelight.harmonics.index import degree_of
 from clrelight.matmul import apply_operator, multiply_columns, pack_operator
 
@@ -41,7 +43,7 @@ class _Maker:
     """See `Maker`."""
 
     def __init__(self, parsed: Parsed, shape: Shape, device: Device) -> None:
-        self._device, self._transfer = device, parsed.head.transfer
+        self._device, self._transfer, self._basis = device, parsed.head.transfer, parsed.head.basis
         self._n_coeff, self._channel = shape[0], shape[3]
         n_value = self._n_coeff * self._channel
         self._packed = pack_operator(device, parsed.operator_kcj.reshape(n_value, -1))
@@ -49,13 +51,14 @@ class _Maker:
     def coefficients(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
         """See `Maker`."""
         count, height, width = planes_jyx.shape
-        coeffs_khwc = np.empty((self._n_coeff, height, width, self._channel), np.float32)
+        coeffs_khwc = recycling.empty((self._n_coeff, height, width, self._channel), np.float32)
         n_value, pitch = self._n_coeff * self._channel, padded_width(width)
         step = max(SLAB_BYTES // (4 * pitch * (2 * n_value + count)), 1)
         for first in range(0, height, step):
             rows = slice(first, min(first + step, height))
             size = rows.stop - first
-            source = np.ones((count + 1, size, pitch), np.float32)
+            source = recycling.empty((count + 1, size, pitch), np.float32)
+            source[count], source[:count, :, width:] = 1.0, 1.0
             source[:count, :, :width] = planes_jyx[:, rows]
             made = self._device.empty((n_value, size * pitch), np.float32)
             apply_operator(self._device, self._packed, self._device.upload(source.reshape(count + 1, -1)), made)
@@ -64,7 +67,7 @@ class _Maker:
                 reshaped(made, (n_value, size, pitch)), part_shape, np.ones(self._n_coeff, np.float32), self._device
             )
             if self._transfer == "srgb":
-                part = radiance_of(part, self._device)
+                part = radiance_of(part, self._device, self._basis)
             coeffs_khwc[:, rows] = part
         return coeffs_khwc
 
@@ -125,8 +128,15 @@ class UnitsView(ABC):
     """
 
     def __init__(self, body: Body, stored: Stored, shape: Shape, damage: Damage | None) -> None:
-        self._stored, self._shape = stored, shape
+        self._stored, self._shape, self._basis = stored, shape, SH
         self._planes = UnitPlanes(body, stored, shape, damage)
+
+    def take_basis(self, basis: str) -> None:
+        """Take the coefficients to be of a basis, which bodies need not say; PayloadError of those that say another."""
+        self._basis = basis
+
+    def _functions_at(self, directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
+        return basis_of(self._basis).evaluate(directions_i3, degree_of(self._shape[0]))
 
     @abstractmethod
     def _maker(self, device: Device) -> Maker:
@@ -180,15 +190,20 @@ class UnitView(UnitsView):
 
     def __init__(self, body: Body, parsed: Parsed, shape: Shape, damage: Damage | None = None) -> None:
         super().__init__(body, parsed.stored, shape, damage)
-        self._parsed = parsed
+        self._parsed, self._basis = parsed, parsed.head.basis
+
+    def take_basis(self, basis: str) -> None:
+        """See `UnitsView`."""
+        if basis != self._basis:
+            raise PayloadError(f"the klt body is of basis {self._basis}, what it comes with says {basis}")
 
     def _maker(self, device: Device) -> Maker:
         return _Maker(self._parsed, self._shape, device)
 
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
         """Return a part of the images at a level."""
-        n_coeff, channel, _ = self._parsed.operator_kcj.shape
-        basis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))
+        channel = self._shape[3]
+        basis_ik = self._functions_at(directions_i3)
         operator_mj = np.einsum("ik,kcj->icj", basis_ik, self._parsed.operator_kcj).reshape(len(basis_ik) * channel, -1)
         count = self._parsed.head.n_plane
 

@@ -74,7 +74,7 @@ class Encoder:
         shape, self._transfer = pixels.shape, transfer
         self._shape, self._pixels, self._device, self._memory = shape, pixels, pixels.device, memory
         self._n_pixel = shape[1] * shape[2]
-        self._whitening = whitening_of(shape, pixels.coefficients, colour_axes(metric, transfer))
+        self._whitening = whitening_of(shape, pixels.of_row, colour_axes(metric, transfer), pixels.basis)
         largest = float(np.abs(self._whitening.mean_d).max())
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
@@ -112,7 +112,7 @@ class Encoder:
         whitening = self._whitening
         if not len(axes.scales_j):
             streams = []
-        head = Head(whitening.exponent, step, len(axes.scales_j), self._transfer, 0)
+        head = Head(whitening.exponent, step, len(axes.scales_j), self._transfer, 0, self._pixels.basis)
         return pack_body(head, whitening.rotation_cc, axes, self._mean(step), streams)
 
     def _mean(self, step: float) -> NDArray[np.int64]:

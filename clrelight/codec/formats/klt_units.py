@@ -9,35 +9,39 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.range_coding import Decoder, Encoder
 from clrelight.codec.entropy.unit_index import Stored, read_index, seal_front
 from clrelight.codec.entropy.units import LEVELS, count_units
-from clrelight.codec.transforms.metric import hemisphere_metric
+from clrelight.codec.transforms.metric import Metric, hemisphere_metric, metric_degree
 from clrelight.codec.transforms.principal import MEAN_STEPS, STEP_RANGE, Axes, code_vectors, make_operator
 from clrelight.codec.transforms.whitening import AXES
 from clrelight.codec.workspace import Shape
 from clrelight.conventions import TRANSFERS
-from clrelight.errors import PayloadError
+from clrelight.errors import InputError, PayloadError
 
 VERSION = 4
+BASES = ("sh", "hsh", "gram-schmidt", "zernike", "makhotkin", "haar")
+"""What coefficients may be of, in the order of their numbers in bodies."""
 _TOGETHER = 1 << 18
 """Pixels up to which all units are one stream: they learn from each other, one after another."""
 _HEAD = struct.Struct("<BBhfHBI")
 
 
 class Head(NamedTuple):
-    """What a body starts with: the power of two, the step, the number of planes, the curve, and bytes of axes."""
+    """What a body starts with: the power of two, the step, the number of planes, the curve, bytes of axes, basis."""
 
     exponent: int
     step: float
     n_plane: int
     transfer: str
     axes_bytes: int
+    basis: str = SH
 
     def pack(self) -> bytes:
         """Return the bytes that `parse_head` takes."""
-        curve = TRANSFERS.index(self.transfer)
+        curve = TRANSFERS.index(self.transfer) + 16 * BASES.index(self.basis)
         return _HEAD.pack(VERSION, LEVELS, self.exponent, self.step, self.n_plane, curve, self.axes_bytes)
 
 
@@ -92,17 +96,26 @@ def pack_axes(rotation_cc: NDArray[np.int8], axes: Axes, mean: NDArray[np.int64]
 
 def parse_head(body: bytes, shape: Shape) -> Head:
     """Return the head of a body; PayloadError unless its tables can follow."""
-    component = len(hemisphere_metric(shape[0], AXES).forward_jk)
+    metric_degree(shape[0])
     if len(body) < HEAD_SIZE:
         raise PayloadError(f"a klt body has at least {HEAD_SIZE} bytes, this one {len(body)}")
     _, levels, exponent, step, count, curve, size = _HEAD.unpack_from(body)
     if levels != LEVELS or abs(exponent) > 150 or not STEP_RANGE[0] <= step <= STEP_RANGE[1]:
         raise PayloadError(f"a klt body cannot have {levels} levels, exponent {exponent} and step {step}")
-    if curve >= len(TRANSFERS):
-        raise PayloadError(f"a klt body cannot have transfer curve {curve}")
+    number, curve = divmod(curve, 16)
+    if curve >= len(TRANSFERS) or number >= len(BASES):
+        raise PayloadError(f"a klt body cannot have transfer curve {curve} and basis {number}")
+    component = len(_metric(shape[0], BASES[number]).forward_jk)
     if count > shape[3] * component or size < shape[3] ** 2 + count:
         raise PayloadError(f"a klt body with {size} bytes of tables cannot have {count} planes")
-    return Head(exponent, step, count, TRANSFERS[curve], size)
+    return Head(exponent, step, count, TRANSFERS[curve], size, BASES[number])
+
+
+def _metric(n_coeff: int, basis: str) -> Metric:
+    try:
+        return hemisphere_metric(n_coeff, AXES, basis)
+    except InputError as error:
+        raise PayloadError(f"a klt body cannot be of that basis: {error}") from None
 
 
 def parse_body(body: Body, shape: Shape) -> Parsed:
@@ -120,7 +133,7 @@ def parse_body(body: Body, shape: Shape) -> Parsed:
 
 
 def _read_tables(tables: bytes, head: Head, n_coeff: int, channel: int) -> NDArray[np.float64]:
-    metric, count = hemisphere_metric(n_coeff, AXES), head.n_plane
+    metric, count = _metric(n_coeff, head.basis), head.n_plane
     component = len(metric.forward_jk)
     rotation_cc = np.frombuffer(tables, "<i1", channel * channel).reshape(channel, channel)
     scales = np.frombuffer(tables, "<u1", count, channel * channel)

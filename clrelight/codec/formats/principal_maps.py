@@ -55,6 +55,7 @@ class PrincipalMaps(PartsCodec):
 
     id: ClassVar[str] = "principal"
     hemisphere: ClassVar[bool] = True
+    takes_bases: ClassVar[bool] = False
     summary: ClassVar[str] = "another codec on the scene's principal axes: maps that are not needed are not coded"
 
     codec: str = "s3tc"

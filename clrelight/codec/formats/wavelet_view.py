@@ -14,8 +14,6 @@ from clrelight.codec.formats.wavelet_units import ABSENT, Tables, step_of
 from clrelight.codec.views import Region
 from clrelight.codec.workspace import Shape
 from clrelight.device import Device
-from clrelight.harmonics.basis import evaluate_basis
-from clrelight.harmonics.index import degree_of
 
 
 class _Maker:
@@ -57,7 +55,7 @@ class WaveletView(UnitsView):
 
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
         """Return a part of the images at a level."""
-        basis_ik = evaluate_basis(directions_i3, degree_of(self._shape[0]))
+        basis_ik = self._functions_at(directions_i3)
         count, channel = self._stored.n_plane, self._shape[3]
         operator_mj = self._maker(device).operator(basis_ik, count) if count else np.zeros((len(basis_ik) * channel, 0))
         return self._relit(region, operator_mj, device, lambda images: images)

@@ -41,6 +41,7 @@ class Whitened(PartsCodec):
 
     id: ClassVar[str] = "whitened"
     hemisphere: ClassVar[bool] = True
+    takes_bases: ClassVar[bool] = False
     summary: ClassVar[str] = "another codec on whitened coefficients: errors cost the same everywhere in the image"
 
     codec: str = "s3tc"

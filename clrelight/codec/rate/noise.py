@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH
 from clrelight.codec.streams import Source
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.vectors import golden_indices
@@ -28,6 +29,8 @@ class Noise:
         Second moments in the coordinates that the codec quantises, in squared units of the coefficients.
     basis_kj : ndarray, shape (n_coeff, n_component), float64
         From those coordinates to coefficients.
+    basis : str
+        What these are of (`clrelight.bases`).
 
     Notes
     -----
@@ -37,6 +40,7 @@ class Noise:
 
     covariance_jj: NDArray[np.float64]
     basis_kj: NDArray[np.float64]
+    basis: str = SH
 
     @classmethod
     def of_coefficients(cls, covariance_kk: NDArray[np.float64]) -> Self:
@@ -59,17 +63,17 @@ class Noise:
         return float(integral_j @ np.diag(self.covariance_jj)) / (2.0 * np.pi)
 
     def _image_basis(self) -> NDArray[np.float64]:
-        return hemisphere_metric(len(self.basis_kj), "singular").forward_jk @ self.basis_kj
+        return hemisphere_metric(len(self.basis_kj), "singular", self.basis).forward_jk @ self.basis_kj
 
 
-def measure_image_error(coeffs_khwc: Any, decoded_khwc: Any) -> float:
+def measure_image_error(coeffs_khwc: Any, decoded_khwc: Any, basis: str = SH) -> float:
     """Return the mean over columns and hemisphere of the squared image error that decoded coefficients make.
 
     In units of the peak squared, nothing clipped: 0 where nothing is lost. Computed in float64. Both are arrays in
     memory, or what is read some rows at a time.
     """
     n_coeff, height, width, channel = coeffs_khwc.shape
-    forward_jk = hemisphere_metric(n_coeff, "singular").forward_jk
+    forward_jk = hemisphere_metric(n_coeff, "singular", basis).forward_jk
     step = max(1, PIECE_BYTES // (8 * n_coeff * width * channel))
     total = 0.0
     for first in range(0, height, step):

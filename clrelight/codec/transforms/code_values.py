@@ -13,13 +13,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight import recycling
+from clrelight.bases import SH, basis_of
 from clrelight.codec.finite import check_sums
 from clrelight.codec.slabs import slabs
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.whitening import reshaped
 from clrelight.conventions import linear_to_srgb
 from clrelight.device import Device
-from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degree_of
 from clrelight.harmonics.quadrature import product_rule
 from clrelight.matmul import apply_operator, multiply_columns, pack_operator
@@ -34,7 +35,7 @@ _STRETCH = 1 << 14
 """Values that a work-item bends."""
 
 
-def code_values_of(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
+def code_values_of(coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH) -> NDArray[np.float32]:
     """Return the coefficients of sRGB code values of radiance given by its coefficients, (n_coeff, h, w, channel).
 
     Radiance is evaluated at the nodes of a quadrature over the hemisphere that is exact for products of two functions
@@ -45,18 +46,20 @@ def code_values_of(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[
 
     InputError if a sum passes what float32 holds.
     """
-    return check_sums(_through(coeffs_khwc, device, decode=False), device)
+    return check_sums(_through(coeffs_khwc, device, basis, decode=False), device)
 
 
-def radiance_of(values_khwc: NDArray[np.float32], device: Device) -> NDArray[np.float32]:
+def radiance_of(values_khwc: NDArray[np.float32], device: Device, basis: str = SH) -> NDArray[np.float32]:
     """Return the coefficients of linear radiance of sRGB code values given by theirs; see `code_values_of`.
 
     What passes float32 comes out as infinities or NaN.
     """
-    return _through(values_khwc, device, decode=True)
+    return _through(values_khwc, device, basis, decode=True)
 
 
-def code_value_error(found_khwc: NDArray[np.float32], coeffs_khwc: NDArray[np.float32], device: Device) -> float:
+def code_value_error(
+    found_khwc: NDArray[np.float32], coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH
+) -> float:
     """Return the mean squared error over the hemisphere of sRGB code values clipped to [0, 1].
 
     NaN where something is. Of some of the pixels where there are many, and at other directions than the nodes of
@@ -65,7 +68,7 @@ def code_value_error(found_khwc: NDArray[np.float32], coeffs_khwc: NDArray[np.fl
     n_coeff, channel = len(coeffs_khwc), coeffs_khwc.shape[-1]
     degree = degree_of(n_coeff)
     directions_i3, weight_i = product_rule(degree + 1)
-    synthesis_ik = evaluate_basis(directions_i3, degree)
+    synthesis_ik = basis_of(basis).evaluate(directions_i3, degree)
     n_pixel = coeffs_khwc[0, ..., 0].size
     some = slice(0, None, -(-n_pixel // _LOOKED_AT) | 1)  # odd, to leave no column of an image out
 
@@ -102,10 +105,10 @@ def bent(images: NDArray[np.float32], device: Device, *, decode: bool) -> NDArra
     return device.download(held)
 
 
-def _through(coeffs_khwc: NDArray[np.float32], device: Device, *, decode: bool) -> NDArray[np.float32]:
-    synthesis, analysis = (pack_operator(device, matrix) for matrix in node_matrices(len(coeffs_khwc)))
+def _through(coeffs_khwc: NDArray[np.float32], device: Device, basis: str, *, decode: bool) -> NDArray[np.float32]:
+    synthesis, analysis = (pack_operator(device, matrix) for matrix in node_matrices(len(coeffs_khwc), basis))
     source_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
-    result_kp = np.empty_like(source_kp)
+    result_kp = recycling.empty(source_kp.shape, np.float32)
     for columns in slabs(source_kp.shape[1], 4 * synthesis.shape[0]):
         held = device.hold(np.array(source_kp[:, columns]))
         shown = device.empty((synthesis.shape[0], held.shape[1]), np.float32)
@@ -117,11 +120,12 @@ def _through(coeffs_khwc: NDArray[np.float32], device: Device, *, decode: bool) 
 
 
 @functools.lru_cache(maxsize=4)
-def node_matrices(n_coeff: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def node_matrices(n_coeff: int, basis: str = SH) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what evaluates coefficients at the nodes (n_node, n_coeff), and what projects values there back."""
-    directions_i3, weight_i = product_rule(degree_of(n_coeff))
-    synthesis_ik = evaluate_basis(directions_i3, degree_of(n_coeff))
-    metric = hemisphere_metric(n_coeff, "singular")
+    degree, known = degree_of(n_coeff), basis_of(basis)
+    directions_i3, weight_i = known.nodes(degree)
+    synthesis_ik = known.evaluate(directions_i3, degree)
+    metric = hemisphere_metric(n_coeff, "singular", basis)
     shown_j = np.linalg.norm(metric.forward_jk, axis=1)
     inverse_kj = metric.inverse_kj[:, shown_j > _KEPT * shown_j.max()]
     # The columns of synthesis inverse are orthonormal functions on the hemisphere.

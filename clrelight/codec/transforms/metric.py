@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH, gram_matrix
 from clrelight.errors import PayloadError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degree_of, indices_of
@@ -34,8 +35,16 @@ class Metric:
     inverse_kj: NDArray[np.float64]
 
 
+def metric_degree(n_coeff: int) -> int:
+    """Return the degree of so many coefficients; PayloadError beyond `MAX_METRIC_DEGREE`."""
+    degree = degree_of(n_coeff)
+    if degree > MAX_METRIC_DEGREE:
+        raise PayloadError(f"klt and whitened hold degrees up to {MAX_METRIC_DEGREE}, got {degree}")
+    return degree
+
+
 @functools.lru_cache(maxsize=16)
-def hemisphere_metric(n_coeff: int, axes: str = "smooth") -> Metric:
+def hemisphere_metric(n_coeff: int, axes: str = "smooth", basis: str = SH) -> Metric:
     """Return the metric of the whole hemisphere, ``G = integral y y' = V S^2 V'``, in coordinates orthonormal in it.
 
     ``axes="damped"`` rotates the whitened coordinates ``S V' c`` to the principal axes of ``(1 + l (l + 1))^-1`` in
@@ -46,20 +55,24 @@ def hemisphere_metric(n_coeff: int, axes: str = "smooth") -> Metric:
     needs no table.
 
     Components are listed like basis functions: the j-th of order m stands where ``l = |m| + j`` would.
+
+    Another `basis` has the metric of its Gram matrix G = L L': z = L' c, which is c itself where it is orthonormal over
+    the hemisphere, whatever the axes.
     """
-    degree = degree_of(n_coeff)
-    if degree > MAX_METRIC_DEGREE:
-        raise PayloadError(f"klt and whitened hold degrees up to {MAX_METRIC_DEGREE}, got {degree}")
+    degree = metric_degree(n_coeff)
+    if basis != SH:
+        root_jk = np.asarray(np.linalg.cholesky(gram_matrix(basis, degree)).T, np.float64)
+        return Metric(root_jk, np.asarray(np.linalg.inv(root_jk), np.float64))
     nodes, weights = np.polynomial.legendre.leggauss(degree + 2)
     z = (nodes + 1.0) / 2.0
     meridian = np.stack([np.sqrt(1.0 - z * z), np.zeros_like(z), z], axis=-1)
-    basis = evaluate_basis(meridian, degree) * np.sqrt(weights / 2.0 * np.pi)[:, None]
+    values = evaluate_basis(meridian, degree) * np.sqrt(weights / 2.0 * np.pi)[:, None]
     forward, inverse = np.zeros((n_coeff, n_coeff)), np.zeros((n_coeff, n_coeff))
     kept = np.zeros(n_coeff, bool)
     for m in range(degree + 1):
         degrees = np.arange(m, degree + 1)
         scale = np.sqrt(2.0) if m == 0 else 1.0  # the integral of 1, or of cos^2, over the azimuth
-        into, out_of = _axes(scale * basis[:, indices_of(degrees, m)], degrees, axes)
+        into, out_of = _axes(scale * values[:, indices_of(degrees, m)], degrees, axes)
         for order in {m, -m}:
             rows = degrees * (degrees + 1) + order
             forward[np.ix_(rows[: len(into)], rows)] = into

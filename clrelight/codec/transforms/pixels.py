@@ -37,15 +37,21 @@ class Pixels:
     """
 
     def __init__(self, source: Source, transfer: str = "linear") -> None:
-        self.shape, self.device, self.transfer = source.shape, source.device, transfer
+        self.shape, self.device, self.transfer, self.basis = source.shape, source.device, transfer, source.basis
         self._source = source
         self._buffers: dict[str, Buffer] = defaultdict(Buffer)
 
     def coefficients(self, rows: Span, columns: Span) -> NDArray[np.float32]:
         """Return what is coded, (n_coeff, rows, columns, channel); the next call may overwrite it."""
-        coeffs_khwc = self._read(rows, columns)
+        return self._coded(self._read(rows, columns))
+
+    def of_row(self, row: int, columns: slice) -> NDArray[np.float32]:
+        """Return the same of some pixels of a row, (n_coeff, columns, channel)."""
+        return self._coded(self._source.read_some(row, columns))[:, 0]
+
+    def _coded(self, coeffs_khwc: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.transfer == "srgb":
-            return code_values_of(np.ascontiguousarray(coeffs_khwc), self.device)
+            return code_values_of(np.ascontiguousarray(coeffs_khwc), self.device, self.basis)
         return coeffs_khwc
 
     def planes(self, rows: Span, columns: Span, planes: Planes, *, lent: bool = False) -> DeviceArray:
@@ -56,7 +62,7 @@ class Pixels:
         operator_jq, offset_j = planes
         n_coeff, channel, device = self.shape[0], self.shape[3], self.device
         linear = self._source.linear
-        chain = _Chain(linear, n_coeff, self.transfer, operator_jq.reshape(-1, n_coeff, channel))
+        chain = _Chain(linear, self.basis, self.transfer, operator_jq.reshape(-1, n_coeff, channel))
         width = columns[1] - columns[0]
         shape = (len(offset_j), rows[1] - rows[0], padded_width(width))
         made = self._lend("planes", shape) if lent else device.empty(shape, np.float32)
@@ -135,11 +141,11 @@ class _Chain:
         Whether the curve lies between the two.
     """
 
-    def __init__(self, linear: Linear | None, n_coeff: int, transfer: str, operator_jkc: NDArray[np.float64]) -> None:
+    def __init__(self, linear: Linear | None, basis: str, transfer: str, operator_jkc: NDArray[np.float64]) -> None:
         fitted = None if linear is None else (linear.synthesis_kr, linear.analysis_ri)
         self.bends = transfer == "srgb"
         if self.bends:
-            synthesis_nk, analysis_kn = node_matrices(n_coeff)
+            synthesis_nk, analysis_kn = node_matrices(operator_jkc.shape[1], basis)
             self.first: NDArray[np.float64] | None = synthesis_nk
             if fitted is not None:
                 self.first = (synthesis_nk @ fitted[0]) @ fitted[1]

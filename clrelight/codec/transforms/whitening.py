@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.bases import SH
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes
 from clrelight.opencl.arguments import DeviceArray
@@ -24,8 +25,8 @@ Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
 Span = tuple[int, int]
 """The first of some rows or columns, and the one behind the last."""
-ReadPart = Callable[[Span, Span], NDArray[np.float32]]
-"""Returns rows and columns of all maps, (n_coeff, rows, columns, channel)."""
+ReadRow = Callable[[int, slice], NDArray[np.float32]]
+"""Returns some pixels of a row of all maps, (n_coeff, columns, channel)."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Whitening:
 
 
 def whitening_of(
-    shape: tuple[int, int, int, int], read: ReadPart, turn_dc: NDArray[np.float64] | None = None
+    shape: tuple[int, int, int, int], read: ReadRow, turn_dc: NDArray[np.float64] | None = None, basis: str = SH
 ) -> Whitening:
     """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does.
 
@@ -76,15 +77,18 @@ def whitening_of(
     """
     pixels_pkc = _sample(shape, read)
     with on_one_thread():
-        return _whiten(pixels_pkc, shape[0], shape[3], turn_dc)
+        return _whiten(pixels_pkc, hemisphere_metric(shape[0], AXES, basis).forward_jk, shape[3], turn_dc)
 
 
 def _whiten(
-    pixels_pkc: NDArray[np.float64], n_coeff: int, channel: int, wanted_dc: NDArray[np.float64] | None
+    pixels_pkc: NDArray[np.float64],
+    metric_jk: NDArray[np.float64],
+    channel: int,
+    wanted_dc: NDArray[np.float64] | None,
 ) -> Whitening:
     largest = float(np.abs(pixels_pkc).max())
     exponent = int(np.clip(np.frexp(largest)[1], -126, 126)) if largest else 0
-    forward_jk = np.ldexp(hemisphere_metric(n_coeff, AXES).forward_jk, -exponent)
+    n_coeff, forward_jk = metric_jk.shape[1], np.ldexp(metric_jk, -exponent)
     turned_pjc = np.einsum("jk,pkc->pjc", forward_jk, pixels_pkc, optimize=True)
     if wanted_dc is None:
         flat = turned_pjc.reshape(-1, channel)
@@ -100,7 +104,7 @@ def _whiten(
     return Whitening(exponent, rotation_cc, forward_dq, mean_d, vectors[:, ::-1].T, deviation)
 
 
-def _sample(shape: tuple[int, int, int, int], read: ReadPart) -> NDArray[np.float64]:
+def _sample(shape: tuple[int, int, int, int], read: ReadRow) -> NDArray[np.float64]:
     """Return the coefficients of pixels that lie all over the image, (n_pixel, n_coeff, channel)."""
     n_coeff, height, width, channel = shape
     most = min(_SAMPLED_PIXELS, _SAMPLED_VALUES // (n_coeff * channel))
@@ -108,8 +112,7 @@ def _sample(shape: tuple[int, int, int, int], read: ReadPart) -> NDArray[np.floa
     rows = range(step // 2, height, step)
     column_step = -(-width * len(rows) // most)
     # Copies: rows that are read may be overwritten.
-    every = (0, width)
-    chosen = [read((y, y + 1), every)[:, 0, (7 * i) % column_step :: column_step].copy() for i, y in enumerate(rows)]
+    chosen = [read(y, slice((7 * i) % column_step, width, column_step)).copy() for i, y in enumerate(rows)]
     return np.concatenate(chosen, axis=1).transpose(1, 0, 2).astype(np.float64)
 
 

@@ -1,0 +1,45 @@
+"""Encoded maps that are relit, or decoded in parts, without becoming whole maps of coefficients."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from clrelight.bases import SH
+from clrelight.codec.damage import Damage
+from clrelight.codec.encoded import Encoded
+from clrelight.codec.registry import open_payload
+from clrelight.codec.views import Regions, View
+from clrelight.device import Device
+from clrelight.errors import PayloadError
+
+Viewed = TypeVar("Viewed", bound="View | None")
+
+
+def decode_view(payload: Encoded | bytes, device: Device) -> View | None:
+    """Return what relights an encoded map in its own basis, at no cost per coefficient; None for the plain basis.
+
+    PayloadError as `decode` raises it.
+    """
+    encoded, codec = open_payload(payload, summed=True)
+    return _of_basis(codec.decode_view(encoded.body, encoded.shape, device), encoded)
+
+
+def decode_regions(payload: Encoded | bytes, damage: Damage | None = None) -> Regions | None:
+    """Return what decodes parts of an encoded map alone; None where there is no such thing.
+
+    Parts have their own checksums, so that of an encoding may be due still. With `damage`, what is damaged is filled
+    and told there; without, and where nothing is left, it is a PayloadError, as of `decode`.
+    """
+    encoded, codec = open_payload(payload)
+    return _of_basis(codec.decode_regions(encoded.body, encoded.shape, damage), encoded)
+
+
+def _of_basis(view: Viewed, encoded: Encoded) -> Viewed:
+    """Tell a view what the record says its coefficients are of; PayloadError where that cannot be."""
+    basis = SH if encoded.record is None else encoded.record.basis
+    take_basis = getattr(view, "take_basis", None)
+    if take_basis is not None and encoded.record is not None:
+        take_basis(basis)
+    elif take_basis is None and view is not None and basis != SH:
+        raise PayloadError(f"codec {encoded.codec} holds spherical harmonics, the record says basis {basis}")
+    return view

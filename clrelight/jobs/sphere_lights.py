@@ -1,0 +1,218 @@
+"""Lamps by spheres whose places are known: their outlines, and the highlight on each, or its shading."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from clrelight.errors import InputError
+from clrelight.jobs.light_frames import Frames
+from clrelight.jobs.report import Progress, Report, stage
+from clrelight.variation.circles import Circle, refine_circle
+from clrelight.variation.highlights import Highlight, find_highlights
+from clrelight.variation.shading import ShadingLights, lights_from_normals
+from clrelight.variation.spheres import SphereView, view_sphere
+
+_AROUND = 1.35
+"""What is read around a sphere, of its radius."""
+_SHARP_RADIUS = 250.0
+"""Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
+LEAST_OUTLINE, _MEAN_SHARE, _WHOLE = 0.5, 0.75, 0.95
+_INSIDE = 0.97
+"""Share of a matte sphere's radius within which its shading counts."""
+_STRAY = 6.0
+"""Degrees off what other spheres say beyond which one of several is left out."""
+
+
+@dataclass(frozen=True)
+class SphereLights:
+    """What one sphere tells.
+
+    Attributes
+    ----------
+    circle : Circle
+        In pixels of the photographs.
+    lights_i3 : ndarray, shape (n_light, 3), float64
+        Unit vectors to the lamps; 0 where it does not tell.
+    highlights : tuple of Highlight or None
+        Of a glossy sphere.
+    residual_i : ndarray, shape (n_light,), float64
+        Of a glossy sphere degrees that its highlight is wide, of a matte one what it is off the law.
+    degrees_a_pixel_i : ndarray, shape (n_light,), float64
+    """
+
+    circle: Circle
+    lights_i3: NDArray[np.float64]
+    highlights: tuple[Highlight | None, ...]
+    residual_i: NDArray[np.float64]
+    degrees_a_pixel_i: NDArray[np.float64]
+
+
+def pictures_of(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.floating]]:
+    """Return the mean, what is odd of each pixel, how odd that is, the spread and the brightest of some photographs.
+
+    Odd is what goes with the lamp otherwise than most pixels do: a table's texture, however strong, is not, a sphere
+    is. It is what is left of a pixel's samples off the median of all, each of length 1; how odd, the angle to that.
+    """
+    energy_hw = np.einsum("ihw,ihw->hw", samples_ihw, samples_ihw)
+    length_hw = np.sqrt(energy_hw) + 1e-6
+    usual_i = np.median((samples_ihw / length_hw).reshape(len(samples_ihw), -1), axis=1)
+    usual_i /= max(float(np.linalg.norm(usual_i)), 1e-12)
+    along_hw = np.einsum("i,ihw->hw", usual_i, samples_ihw)
+    odd_hw = np.sqrt(np.maximum(energy_hw - along_hw**2, 0.0))
+    angle_hw = np.arccos(np.clip(along_hw / length_hw, -1.0, 1.0))
+    return [samples_ihw.mean(axis=0), odd_hw, angle_hw, samples_ihw.std(axis=0), samples_ihw.max(axis=0)]
+
+
+def outlined(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
+    """Return the circle by the picture that shows it best without moving it.
+
+    The mean over the photographs keeps an edge of the sphere where it is, and so does what is odd of pixels: where the
+    edge runs through a pixel, both are mixtures. The others, which are none, find what these do not.
+    """
+    tried = [refine_circle([picture_hw], start) for picture_hw in pictures]
+    best = max(tried, key=lambda each: each[0].outline)
+    mean, odd = refine_circle(pictures[:1], best[0]), refine_circle(pictures[1:2], best[0])
+    if odd[0].outline >= _WHOLE and mean[0].outline < _WHOLE * odd[0].outline:
+        return odd
+    return mean if mean[0].outline >= _MEAN_SHARE * best[0].outline else best
+
+
+def window_of(circle: Circle, shape_hw: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Return column, row, width and height of what is read around a sphere."""
+    reach = _AROUND * circle.radius + 2.0
+    left, top = max(0, int(circle.x - reach)), max(0, int(circle.y - reach))
+    right, bottom = min(shape_hw[1], int(circle.x + reach) + 2), min(shape_hw[0], int(circle.y + reach) + 2)
+    return left, top, right - left, bottom - top
+
+
+def lights_of_sphere(
+    frames: Frames,
+    start: Circle,
+    is_given: bool,
+    is_matte: bool,
+    focal: float | None,
+    budget: int,
+    progress: Progress | None,
+    report: Report,
+) -> SphereLights:
+    """Return the lamps that one sphere tells of, at the resolution that the memory and the sphere ask for.
+
+    A circle that is given is moved onto the outline, if there is one within a tenth of the radius; else taken as it is.
+    """
+    since = time.perf_counter()
+    height, width = frames.shape_hw
+    window = window_of(start, (height, width))
+    if window[2] < 8 or window[3] < 8:
+        raise InputError(
+            f"sphere {start.x:g},{start.y:g},{start.radius:g} lies outside the photographs, {width}×{height}"
+        )
+    bytes_all = 3.0 * len(frames.names) * window[2] * window[3] * 4
+    factor = max(1, int(start.radius // _SHARP_RADIUS), int(np.ceil(np.sqrt(bytes_all / budget))))
+    with stage(progress, "reading spheres") as tell:
+        part_ihw = frames.take(window, factor, None, tell)
+    since = report.add("read", since)
+    corner = window[0], window[1]
+    inside = Circle(
+        (start.x - window[0] + 0.5) / factor - 0.5, (start.y - window[1] + 0.5) / factor - 0.5, start.radius / factor
+    )
+    refined, outline_n2 = outlined(pictures_of(part_ihw), inside)
+    away = np.hypot(refined.x - inside.x, refined.y - inside.y) + abs(refined.radius - inside.radius)
+    if refined.outline < LEAST_OUTLINE or (is_given and away > 0.1 * inside.radius):
+        if is_given:
+            report.note(f"no outline is seen at sphere {start.x:g},{start.y:g},{start.radius:g}: it is taken as it is")
+        refined, outline_n2 = inside, np.zeros((0, 2))
+    circle = refined.scaled(factor, *corner)
+    outline_n2 = (outline_n2 + 0.5) * factor - 0.5 + np.array(corner)
+    sphere = view_sphere(circle, (height, width), focal, outline_n2)
+    if is_matte:
+        refined = _settle(part_ihw, refined)
+        circle = refined.scaled(factor, *corner)
+        sphere = view_sphere(circle, (height, width), focal, None)
+        shaded = shaded_lights(part_ihw, refined, sphere, factor, corner)
+        length_i = np.linalg.norm(shaded.lights_i3, axis=1, keepdims=True)
+        lights_i3 = np.where(length_i > 0.0, shaded.lights_i3 / np.maximum(length_i, 1e-12), 0.0)
+        highlights: tuple[Highlight | None, ...] = ()
+        residual_i = shaded.residual_i
+    else:
+        found = find_highlights(part_ihw, refined, sphere, factor, corner, frames.most())
+        lights_i3 = np.array([np.zeros(3) if each is None else each.light_3 for each in found])
+        highlights = tuple(found)
+        residual_i = np.array([np.nan if each is None else each.spread for each in found])
+    report.add("highlights" if not is_matte else "shading", since)
+    worth_i = np.array([sphere.degrees_a_pixel(light_3) for light_3 in lights_i3])
+    return SphereLights(circle, lights_i3, highlights, residual_i, worth_i)
+
+
+def shaded_lights(
+    part_ihw: NDArray[np.float32], inner: Circle, sphere: SphereView, factor: float, corner: tuple[int, int]
+) -> ShadingLights:
+    """Return the lamps of a matte sphere of one albedo in a part of the photographs."""
+    y_p, x_p = np.nonzero(_disc(part_ihw.shape[1:], inner))
+    step = max(1, len(y_p) // 20_000)
+    y_p, x_p = y_p[::step], x_p[::step]
+    normals_p3 = sphere.normals((x_p + 0.5) * factor - 0.5 + corner[0], (y_p + 0.5) * factor - 0.5 + corner[1])
+    seen_p = normals_p3.any(axis=1)
+    samples_ip = part_ihw[:, y_p[seen_p], x_p[seen_p]]
+    # One albedo all over: what a ball is painted with.
+    return lights_from_normals(samples_ip, normals_p3[seen_p], np.ones(int(seen_p.sum())))
+
+
+def _settle(part_ihw: NDArray[np.float32], start: Circle) -> Circle:
+    """Return the circle whose sphere explains the shading best: that of a matte one fades towards its outline."""
+    y_p, x_p = np.nonzero(_disc(part_ihw.shape[1:], replace(start, radius=0.92 * start.radius)))
+    step, stride = max(1, len(y_p) // 1500), max(1, len(part_ihw) // 16)
+    y_p, x_p = y_p[::step], x_p[::step]
+    samples_ip = part_ihw[::stride, y_p, x_p].astype(np.float64)
+    lit_ip = samples_ip > 0.1 * np.quantile(samples_ip, 0.95, axis=1, keepdims=True)
+    energy = float(np.sum(samples_ip[lit_ip] ** 2))
+
+    def off(parameters: NDArray[np.float64]) -> float:
+        x, y, radius = parameters
+        u_p, v_p = (x_p - x) / radius, (y - y_p) / radius
+        normals_p3 = np.stack([u_p, v_p, np.sqrt(np.maximum(1.0 - u_p**2 - v_p**2, 0.0))], axis=1)
+        left = 0.0
+        for each_p, lit_p in zip(samples_ip, lit_ip, strict=True):
+            found = np.linalg.lstsq(normals_p3[lit_p], each_p[lit_p], rcond=None)[0]
+            left += float(np.sum((normals_p3[lit_p] @ found - each_p[lit_p]) ** 2))
+        return left / energy
+
+    begin = np.array([start.x, start.y, start.radius])
+    simplex = begin + 0.04 * start.radius * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    found = optimize.minimize(off, begin, method="Nelder-Mead", options={"initial_simplex": simplex, "maxiter": 80})
+    x, y, radius = (float(each) for each in found.x)
+    near = np.hypot(x - start.x, y - start.y) + abs(radius - start.radius) < 0.15 * start.radius
+    return replace(start, x=x, y=y, radius=radius) if near else start
+
+
+def _disc(shape_hw: tuple[int, int], circle: Circle) -> NDArray[np.bool_]:
+    y_hw, x_hw = np.ogrid[: shape_hw[0], : shape_hw[1]]
+    inside_hw: NDArray[np.bool_] = np.hypot(x_hw - circle.x, y_hw - circle.y) < _INSIDE * circle.radius
+    return inside_hw
+
+
+def agree(spheres: Sequence[SphereLights]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return each lamp's mean over the spheres that tell of it, and how far these are apart in degrees (NaN of one).
+
+    Of three and more, those far off the one in the middle are left out.
+    """
+    lights_si3 = np.stack([each.lights_i3 for each in spheres])
+    mean_i3, apart_i = np.zeros(lights_si3.shape[1:]), np.full(lights_si3.shape[1], np.nan)
+    for i in range(lights_si3.shape[1]):
+        told_s3 = lights_si3[np.any(lights_si3[:, i] != 0.0, axis=1), i]
+        if not len(told_s3):
+            continue
+        off_ss = np.degrees(np.arccos(np.clip(told_s3 @ told_s3.T, -1.0, 1.0)))
+        if len(told_s3) > 2:
+            middle = int(np.median(off_ss, axis=1).argmin())
+            told_s3 = told_s3[off_ss[middle] < max(_STRAY, 3.0 * float(np.median(off_ss[middle])))]
+        mean_3 = told_s3.sum(axis=0)
+        mean_i3[i] = mean_3 / np.linalg.norm(mean_3)
+        if len(told_s3) > 1:
+            apart_i[i] = float(np.degrees(np.arccos(np.clip(told_s3 @ mean_i3[i], -1.0, 1.0))).max())
+    return mean_i3, apart_i

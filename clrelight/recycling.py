@@ -1,0 +1,59 @@
+"""Arrays in the memory of others that are gone: new memory costs the system a fault, and zeros, for every page."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import weakref
+from collections import deque
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+_LEAST = 1 << 18
+"""Bytes below which the C library recycles by itself."""
+_KEPT = 1 << 27
+"""Bytes that lie unused at most; what was given back first goes first."""
+
+_unused: deque[NDArray[np.uint8]] = deque()
+
+
+def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
+    """Return an array whose values are undefined, as `numpy.empty` does.
+
+    Once nothing refers to it or to a view of it, its memory is kept for the next array of about its size; any thread
+    may ask, and any may be the last to refer.
+    """
+    dtype = np.dtype(dtype)
+    size = math.prod(shape) * dtype.itemsize
+    if not _LEAST <= size <= _KEPT:
+        return np.empty(shape, dtype)
+    block = _take(_class_of(size))
+    lease = (ctypes.c_ubyte * size).from_buffer(block.data)
+    weakref.finalize(lease, _give_back, block).atexit = False
+    return np.frombuffer(memoryview(lease), dtype).reshape(shape)
+
+
+def _class_of(size: int) -> int:
+    """Return the next size of three leading bits: what differs by less than that shares memory."""
+    step = 1 << max(size.bit_length() - 3, 0)
+    return -(-size // step) * step
+
+
+def _take(size: int) -> NDArray[np.uint8]:
+    # Each step is whole under the interpreter's lock: no thread waits for another, not even for its own garbage.
+    for _ in range(len(_unused)):
+        try:
+            block = _unused.pop()  # the last is the likeliest to be in a cache
+        except IndexError:
+            break
+        if block.size == size:
+            return block
+        _unused.appendleft(block)
+    return np.empty(size, np.uint8)
+
+
+def _give_back(block: NDArray[np.uint8]) -> None:
+    _unused.append(block)
+    while sum(each.size for each in list(_unused)) > _KEPT:
+        _unused.popleft()

@@ -1,0 +1,80 @@
+"""Memory of arrays that are gone is used again, and never that of arrays that are not."""
+
+import gc
+import threading
+
+import numpy as np
+import pytest
+
+from clrelight import recycling
+
+
+@pytest.fixture(autouse=True)
+def nothing_kept():
+    gc.collect()
+    recycling._unused.clear()
+    yield
+    recycling._unused.clear()
+
+
+def address(array):
+    return array.__array_interface__["data"][0]
+
+
+def test_an_array_is_as_numpys_own():
+    array = recycling.empty((3, 70, 501), np.float32)
+    assert array.shape == (3, 70, 501)
+    assert array.dtype == np.float32
+    assert array.flags.c_contiguous
+    assert array.flags.writeable
+    array[...] = 7.0
+    assert (array == 7.0).all()
+
+
+def test_memory_is_used_again():
+    first = recycling.empty((1 << 20,), np.uint8)
+    place = address(first)
+    del first
+    assert address(recycling.empty((1 << 18,), np.float32)) == place
+
+
+def test_a_view_keeps_its_memory():
+    first = recycling.empty((1 << 20,), np.float32)
+    first[...] = 3.0
+    view = first.reshape(1024, 1024)[5:, ::2].view(np.int32)
+    place = address(first)
+    del first
+    other = recycling.empty((1 << 20,), np.float32)
+    other[...] = 4.0
+    assert address(other) != place
+    assert (view.view(np.float32) == 3.0).all()
+
+
+def test_no_more_than_a_bound_is_kept():
+    arrays = [recycling.empty((1 << 24,), np.uint8) for _ in range(20)]
+    del arrays
+    assert 0 < sum(block.size for block in recycling._unused) <= recycling._KEPT
+
+
+@pytest.mark.parametrize("size", [0, 1, recycling._LEAST - 1, recycling._KEPT + 1])
+def test_small_and_huge_arrays_are_not_kept(size):
+    recycling.empty((size,), np.uint8)
+    assert not recycling._unused
+
+
+def test_many_threads_share_no_memory():
+    faults = []
+
+    def work(number):
+        for _ in range(200):
+            array = recycling.empty((1 << 18,), np.uint8)
+            array[...] = number
+            if not (array == number).all():
+                faults.append(number)
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not faults
