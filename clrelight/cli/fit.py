@@ -32,12 +32,12 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "conf
     "--method",
     default="cls",
     show_default=True,
-    help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum or auto.",
+    help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum, constrained or auto.",
 )
 @click.option("--degree", type=DegreeType(), default=6, show_default=True, help="Largest SH degree, or auto.")
 @holdout_option("the fit")
 @holdout_by_option
-@click.option("--energy", type=float, help="Factor on the bound E_c of cls and ceb; 1 is the paper's.")
+@click.option("--energy", type=float, help="Factor on the bound E_c of cls, ceb and constrained; 1 is the paper's.")
 @click.option("--iterations", type=int, help="Steps of the search for lambda (cls); default 32.")
 @click.option("--solver", help="Search for lambda (cls): newton (default), bisection of its logarithm, or the paper's.")
 @click.option("--fill", help="Lower hemisphere (project): zero or mirror.")
@@ -45,6 +45,19 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "conf
 @click.option("--per", help="What shares one lambda (spline): stack or channel.")
 @click.option("--slope", type=float, help="Of the energy over degrees (spectrum); default: learnt.")
 @click.option("--noise", type=float, help="Its variance in units of the samples' (spectrum); default: learnt.")
+@click.option(
+    "--lower", type=float, help="Least value at the directions of --bound-at (constrained), in units of the peak."
+)
+@click.option("--upper", type=float, help="Largest value there (constrained).")
+@click.option(
+    "--nonnegative", is_flag=True, default=None, help="The same as --lower 0, which is what constrained does by itself."
+)
+@click.option(
+    "--bound-at",
+    "at",
+    metavar="WHERE",
+    help="Where bounds on values stand (constrained): grid (default), ring, lights, or a light file.",
+)
 @within_option
 @click.option("--weights", default="uniform", show_default=True, help="uniform or solid-angle.")
 @click.option("--sampling", default="hemisphere", show_default=True, help="hemisphere or scattered (section V-D).")
@@ -90,14 +103,20 @@ def fit(
       clrelight fit stack.h5 fit.h5 --method auto --degree auto
       clrelight fit stack.h5 fit.h5 --config trade.toml
       clrelight fit stack.h5 fit.h5 --method ceb --store float16
+      clrelight fit stack.h5 fit.h5 --method constrained --bound-at ring
     """
     from clrelight.fit import method_class
+    from clrelight.fit.value_bounds import PLACES, read_directions
     from clrelight.jobs.fit import fit as run_fit
     from clrelight.jobs.report import Report
     from clrelight.store import check_output
 
+    read_too = [config] if config else []
+    if asked["at"] is not None and asked["at"] not in PLACES:
+        read_too.append(asked["at"])
+        asked["at"] = read_directions(asked["at"])
     for target in [out, *([confidence] if confidence else [])]:
-        check_output(target, [stack, *([config] if config else [])])
+        check_output(target, [stack, *read_too])
     asked["holdout_by"] = holdout_by or "index"
     if config is not None:
         asked.update(_read_config(context, config))
