@@ -192,7 +192,7 @@ def test_bounds_that_exclude_each_other_are_refused(device, monkeypatch):
     limits = iter([np.array([1.0, -1e30]), np.array([1e30, -1.0])])
     monkeypatch.setattr(constrained, "limits_of", lambda *_, **__: next(limits))
     at = [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
-    with pytest.raises(InputError, match="no function of degree 2 is within .* at all 2 directions"):
+    with pytest.raises(InputError, match=r"no function of degree 2 is within .* at all 2 directions"):
         fit(make_stack(shape_hwc=(1, 3, 3)), "constrained", 2, at=at, lower=1.0)
 
 

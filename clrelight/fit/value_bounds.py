@@ -44,9 +44,8 @@ def as_places(at: Any) -> str | tuple[Direction, ...]:
 def read_directions(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """Return the directions of a light file, shape (n, 3), float64; InputError for a name that is no file."""
     if not Path(path).is_file():
-        raise InputError(
-            f"bounds stand at {', '.join(PLACES)}, or at the lights of a file; {os.fspath(path)} is neither"
-        )
+        known = f"{', '.join(PLACES)}, or at the lights of a file"
+        raise InputError(f"bounds stand at {known}; {os.fspath(path)} is neither")
     return read_light_file(Path(path)).directions_i3
 
 
@@ -96,9 +95,8 @@ def least_energy(
 
     # Bounds that t = 0 meets far off need not be there, nor would they do the arithmetic good.
     stated_l, stated_h = low_j > -_NONE, high_j < _NONE
-    system = np.vstack(
-        [np.vstack([values_jr[stated_l], -values_jr[stated_h]]).T, [*low_j[stated_l], *-high_j[stated_h]]]
-    )
+    rows_sr = np.vstack([values_jr[stated_l], -values_jr[stated_h]])
+    system = np.vstack([rows_sr.T, np.concatenate([low_j[stated_l], -high_j[stated_h]])])
     target = np.zeros(len(system))
     target[-1] = 1.0
     used, _ = nnls(system, target, maxiter=100 * system.shape[1])

@@ -111,7 +111,7 @@ def fit(
     source : path or LightStack
     method : str or FitMethod
         ``"project"``, ``"uls"``, ``"sloan"``, ``"cls"``, ``"ceb"``, ``"ceb-crossing"``, ``"spline"``,
-        ``"spectrum"``, ``"constrained"``, or ``"auto"``: the best at unseen lights, as far as the lights to fit can tell.
+        ``"spectrum"``, ``"constrained"``, or ``"auto"``: the best at unseen lights, as far as those to fit can tell.
     degree : int or str
         Largest degree, or ``"auto"``.
     out : path, optional
