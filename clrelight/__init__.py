@@ -42,6 +42,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
     from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
+    from clrelight.jobs.update import update_fit as update_fit
     from clrelight.jobs.variation import inverse_lighting as inverse_lighting
     from clrelight.jobs.variation import principal_components as principal_components
     from clrelight.lighting.environment import Environment as Environment
@@ -107,6 +108,7 @@ _MODULES = {
     "jobs.target": "encode_to_quality",
     "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
+    "jobs.update": "update_fit",
     "jobs.variation": "inverse_lighting principal_components",
     "lighting.environment": "Environment read_environment",
     "lighting.expressions": "parse_expression",

@@ -23,6 +23,8 @@ from clrelight.errors import InputError
 
 _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "confidence", "memory", "device", "as_json")
 """What a file that says what to fit leaves open."""
+_BESIDE_UPDATE = ("stack", "out", "update", "measured", "memory", "device", "as_json")
+"""What a fit that is to grow leaves open."""
 
 
 @click.command()
@@ -66,6 +68,12 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "conf
 )
 @click.option("--config", type=click.Path(), metavar="FILE.toml", help="All of this from a file, as trade writes it.")
 @click.option(
+    "--update",
+    type=click.Path(),
+    metavar="FIT.h5",
+    help="Add the photographs of STACK to this fit (uls, sloan, spline), whose own are not needed.",
+)
+@click.option(
     "--store",
     type=click.Choice(["float32", "float16"]),
     default="float32",
@@ -88,6 +96,7 @@ def fit(
     stack: str,
     out: str,
     config: str | None,
+    update: str | None,
     holdout_by: str | None,
     measured: bool,
     confidence: str | None,
@@ -104,27 +113,34 @@ def fit(
       clrelight fit stack.h5 fit.h5 --config trade.toml
       clrelight fit stack.h5 fit.h5 --method ceb --store float16
       clrelight fit stack.h5 fit.h5 --method constrained --bound-at ring
+      clrelight fit more.h5 grown.h5 --update fit.h5
     """
     from clrelight.fit import method_class
-    from clrelight.fit.value_bounds import PLACES, read_directions
+    from clrelight.fit.value_bounds import check_places
     from clrelight.jobs.fit import fit as run_fit
+    from clrelight.jobs.inputs import read_directions
     from clrelight.jobs.report import Report
+    from clrelight.jobs.update import update_fit
     from clrelight.store import check_output
 
-    read_too = [config] if config else []
-    if asked["at"] is not None and asked["at"] not in PLACES:
+    read_too = [name for name in (config, update) if name]
+    report = Report()
+    if asked["at"] is not None and not check_places(asked["at"]):
         read_too.append(asked["at"])
-        asked["at"] = read_directions(asked["at"])
+        asked["at"] = read_directions(asked["at"], report)
     for target in [out, *([confidence] if confidence else [])]:
         check_output(target, [stack, *read_too])
     asked["holdout_by"] = holdout_by or "index"
     if config is not None:
         asked.update(_read_config(context, config))
-    report = Report()
     with progress_bar("preparing") as bar:
-        run_fit(
-            stack, out=out, measure=measured, confidence=confidence, device=device, progress=bar, report=report, **asked
-        )
+        if update is not None:
+            _refuse_beside(context, update, _BESIDE_UPDATE)
+            shared = {"memory": asked["memory"], "measure": measured, "device": device}
+            update_fit(update, stack, out=out, progress=bar, report=report, **shared)
+        else:
+            alike = {"measure": measured, "confidence": confidence, "device": device}
+            run_fit(stack, out=out, progress=bar, report=report, **alike, **asked)
     if as_json:
         print_json(report.to_json())
         return
@@ -152,13 +168,18 @@ def _confidence_line(facts: dict[str, Any]) -> dict[str, str]:
     return {"confidence": f"{told['file']}, {least} to {most} expected, {median} in the median"}
 
 
+def _refuse_beside(context: click.Context, file: str, open_names: tuple[str, ...]) -> None:
+    """Raise InputError where the command line says what a file says itself."""
+    for name in context.params:
+        if name not in open_names and is_given(context, name):
+            raise InputError(f"--{name.replace('_', '-')}: {file} says itself what to fit")
+
+
 def _read_config(context: click.Context, config: str) -> dict[str, Any]:
     """Return the one fit that a TOML file asks for; InputError if it asks for several, or the command line does too."""
     from clrelight.experiment import load_experiment
 
-    for name in context.params:
-        if name not in _BESIDE_CONFIG and is_given(context, name):
-            raise InputError(f"--{name.replace('_', '-')}: {config} says itself what to fit")
+    _refuse_beside(context, config, _BESIDE_CONFIG)
     asked = load_experiment(config)
     for what, values in (("method", asked.methods), ("degree", asked.degrees)):
         if len(values) != 1:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from clrelight.arrays import as_float64
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
-from clrelight.light_files import read_light_file
 from clrelight.sampling import from_height, make_pattern
 
 PLACES = ("grid", "ring", "lights")
@@ -41,12 +39,11 @@ def as_places(at: Any) -> str | tuple[Direction, ...]:
     return tuple((float(x), float(y), float(z)) for x, y, z in at_j3 / length_j[:, None])
 
 
-def read_directions(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Return the directions of a light file, shape (n, 3), float64; InputError for a name that is no file."""
-    if not Path(path).is_file():
-        known = f"{', '.join(PLACES)}, or at the lights of a file"
-        raise InputError(f"bounds stand at {known}; {os.fspath(path)} is neither")
-    return read_light_file(Path(path)).directions_i3
+def check_places(where: str) -> bool:
+    """Return whether `where` is one of `PLACES`; InputError if it is no file either."""
+    if where not in PLACES and not Path(where).is_file():
+        raise InputError(f"bounds stand at {', '.join(PLACES)}, or at the lights of a file; {where} is neither")
+    return where in PLACES
 
 
 def bound_directions(

@@ -1,7 +1,7 @@
 """Several constraints at once, column by column, in float64: the interior-point solver Clarabel, and Newton from there.
 
 Clarabel alone finds coefficients to some 1e-4 of their norm: what lights hardly see changes the objective by less than
-its tolerance. It tells, though, which constraints bind; with those, Newton's iteration solves the optimality conditions.
+its tolerance. It tells, though, which constraints bind; with those, Newton's iteration meets the optimality conditions.
 """
 
 import clarabel
