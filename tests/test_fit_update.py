@@ -13,7 +13,7 @@ from clrelight.jobs.update import update_fit
 from clrelight.store import read_fit, write_stack
 from tests.commands import attributes, call, succeed
 from tests.reference import basis
-from tests.stacks import columns_of, make_stack, samples_of
+from tests.stacks import columns_of, make_stack
 
 OLD, NEW = np.arange(0, 60), np.arange(60, 90)
 

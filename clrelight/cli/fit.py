@@ -136,11 +136,13 @@ def fit(
     with progress_bar("preparing") as bar:
         if update is not None:
             _refuse_beside(context, update, _BESIDE_UPDATE)
-            shared = {"memory": asked["memory"], "measure": measured, "device": device}
-            update_fit(update, stack, out=out, progress=bar, report=report, **shared)
+            memory = asked["memory"]
+            update_fit(
+                update, stack, out=out, measure=measured, memory=memory, device=device, progress=bar, report=report
+            )
         else:
-            alike = {"measure": measured, "confidence": confidence, "device": device}
-            run_fit(stack, out=out, progress=bar, report=report, **alike, **asked)
+            asked.update(measure=measured, confidence=confidence, device=device)
+            run_fit(stack, out=out, progress=bar, report=report, **asked)
     if as_json:
         print_json(report.to_json())
         return

@@ -99,8 +99,8 @@ def _check_same_view(old: CoefficientMap, stack: LightStack) -> None:
         raise InputError("the new photographs are {}, the fit is {}: expected the same pixels".format(*shapes))
     if (old.peak, old.transfer) != (stack.peak, stack.transfer):
         raise InputError(
-            f"the new photographs have peak {stack.peak:g} and transfer {stack.transfer}, the fit peak {old.peak:g} and "
-            f"{old.transfer}: coefficients are in units of the peak, so they must be the same"
+            f"the new photographs have peak {stack.peak:g} and transfer {stack.transfer}, the fit peak {old.peak:g} "
+            f"and {old.transfer}: coefficients are in units of the peak, so they must be the same"
         )
     if (old.surface is None) != (stack.surface is None) or (
         old.surface is not None
