@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,11 +28,11 @@ ALIKE_LIGHTS, ALIKE_DEGREE = 1024, 7
 _CEB_COLUMNS = 256
 
 
+@dataclass
 class ProcessorTime(FitReport):
     """A report whose stages are the time of all processors, which others on a shared machine disturb less."""
 
-    def __post_init__(self) -> None:
-        self.last = time.process_time()
+    last: float = field(default_factory=time.process_time)
 
     def add(self, stage: str, since: float) -> float:
         """Add the processors' time since the last stage."""

@@ -167,6 +167,8 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     values[:, :rank] = plan.values_jr
     across = np.zeros((rank, wide_j), real)
     across[:, : len(plan.low_j)] = plan.values_jr.T
+    spare = (0, wide_j - len(plan.low_j))
+    low_t, high_t = np.pad(plan.low_j, spare, constant_values=-1e30), np.pad(plan.high_j, spare, constant_values=1e30)
     unit_q = np.ones(padded, real)
     if columns.exponent_p is not None:
         unit_q[:count] = np.ldexp(1.0, -columns.exponent_p)
@@ -180,7 +182,7 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
         unmet_q,
         columns.energy_q,
         *(device.upload(array) for array in (unit_q, plan.singular_r.astype(real), values, across)),
-        *(device.upload(array.astype(real)) for array in (plan.low_j, plan.high_j)),
+        *(device.upload(array.astype(real)) for array in (low_t, high_t)),
         device.empty((items, scratch), real),
         float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2),
         plan.least_energy,

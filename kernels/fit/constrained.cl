@@ -9,7 +9,7 @@
  *   singular_r   (R) REAL        sigma; 0 for what no light sees
  *   rows_js         (J, S) REAL      values at the directions of the eigenbasis, zeros beyond R
  *   across_rt         (R, T) REAL      the same, zeros beyond J
- *   low_j, high_j  (J) REAL      in units of radiance; +-1e30 for none
+ *   low_t, high_t  (T) REAL      in units of radiance; +-1e30 for none, and beyond J
  *   scratch_wn   (work-items, SCRATCH) REAL
  *   least        REAL            what lambda is at least: it takes the least energy of what is equally near
  *   least_energy REAL            of any t that meets the bounds, in units of radiance^2
@@ -75,8 +75,8 @@ INLINE lanes search_lambda(const lanes *b, __global const REAL *singular_r, cons
 }
 
 /* By how much each column misses its bounds at most. */
-INLINE lanes worst_miss(const lanes *t, __global const REAL *rows_js, __global const REAL *low_j,
-                        __global const REAL *high_j, const lanes unit, const int size_j, const int size_r)
+INLINE lanes worst_miss(const lanes *t, __global const REAL *rows_js, __global const REAL *low_t,
+                        __global const REAL *high_t, const lanes unit, const int size_j, const int size_r)
 {
     lanes worst = 0.0f;
     for (int j = 0; j < size_j; j += 2) {
@@ -87,13 +87,13 @@ INLINE lanes worst_miss(const lanes *t, __global const REAL *rows_js, __global c
             x = row[r] * t[r] + x;
             y = next[r] * t[r] + y;
         }
-        lanes miss = unit * low_j[j] - x;
+        lanes miss = unit * low_t[j] - x;
         worst = GREATER(miss, worst);
-        miss = x - unit * high_j[j];
+        miss = x - unit * high_t[j];
         worst = GREATER(miss, worst);
-        miss = unit * low_j[other] - y;
+        miss = unit * low_t[other] - y;
         worst = GREATER(miss, worst);
-        miss = y - unit * high_j[other];
+        miss = y - unit * high_t[other];
         worst = GREATER(miss, worst);
     }
     return worst;
@@ -103,7 +103,7 @@ __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict
                              __global int *restrict unmet_q, __global const Z *restrict energy_q,
                              __global const REAL *restrict unit_q, __global const REAL *restrict singular_r,
                              __global const REAL *restrict rows_js, __global const REAL *restrict across_rt,
-                             __global const REAL *restrict low_j, __global const REAL *restrict high_j,
+                             __global const REAL *restrict low_t, __global const REAL *restrict high_t,
                              __global REAL *restrict scratch_wn, const REAL least, const REAL least_energy,
                              const int groups, const int size_j, const int size_r, const int size_q)
 {
@@ -113,7 +113,7 @@ __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict
                       scratch + COLUMN_PLACE + 3 * WIDTH_R,
                       scratch + SMALL_PLACE, scratch + SMALL_PLACE + MAX_ACTIVE, scratch + SMALL_PLACE + 2 * MAX_ACTIVE,
                       scratch + SMALL_PLACE + 3 * MAX_ACTIVE, scratch + SMALL_PLACE + 4 * MAX_ACTIVE,
-                      rows_js, across_rt, low_j, high_j, 1.0f, 0, size_j, size_r};
+                      rows_js, across_rt, low_t, high_t, 1.0f, 0, size_j, size_r};
     for (int n = 0; n < 3 * WIDTH_R + WIDTH_J; n++) scratch[COLUMN_PLACE + n] = 0.0f;
     for (int group = get_global_id(0); group < groups; group += get_global_size(0)) {
         const int q = group * LANES;
@@ -125,7 +125,7 @@ __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict
         const lanes unit = AT(__global const, real8, unit_q + q);
         lanes lambda = search_lambda(b, singular_r, size_r, energy, least);
         for (int r = 0; r < size_r; r++) t[r] = b[r] / (singular_r[r] * singular_r[r] + lambda);
-        const lanes worst = worst_miss(t, rows_js, low_j, high_j, unit, size_j, size_r);
+        const lanes worst = worst_miss(t, rows_js, low_t, high_t, unit, size_j, size_r);
         int unmet[LANES];
         for (int lane = 0; lane < LANES; lane++) {
             unmet[lane] = ((const REAL *)&given)[lane] < least_energy * unit_q[q + lane] * unit_q[q + lane];

@@ -4,11 +4,14 @@ Clarabel alone finds coefficients to some 1e-4 of their norm: what lights hardly
 its tolerance. It tells, though, which constraints bind; with those, Newton's iteration meets the optimality conditions.
 """
 
+import itertools
+
 import clarabel
 import numpy as np
 from scipy import sparse
 
 _NEWTON_STEPS = 30
+_CERTAIN = 1e-12
 _SHARES = (1.0, 1e-2, 1e2, 1e-3, 1e3)
 """Where a constraint hardly binds, its multiplier and its slack are alike: which it is shows afterwards."""
 
@@ -25,22 +28,39 @@ def solve_column(basis_ik, sample_i, weight_i, energy, rows_jk, limit_j):
     solved = _by_interior_points(system, target, rows_jk, limit_j)
     if "Infeasible" in str(solved.status):
         return None
-    tries = [_polish(system, target, rows_jk, limit_j, solved, share) for share in _SHARES]
-    c, missed = min(tries, key=lambda each: each[1])
-    return unit * c, missed
+    found = None
+    for solver, share in itertools.product((_solve, _least_squares), _SHARES):
+        c, missed = _polish(system, target, rows_jk, limit_j, solved, share, solver)
+        if found is None or missed < found[1]:
+            found = c, missed
+        if missed < _CERTAIN:
+            break
+    return unit * found[0], found[1]
 
 
-def _polish(system, target, rows_jk, limit_j, solved, share):
+def _solve(matrix, right):
+    try:
+        return np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError:
+        return np.full(len(right), np.inf)
+
+
+def _least_squares(matrix, right):
+    """Return the least solution where constraints depend on each other."""
+    return np.linalg.lstsq(matrix, right, rcond=1e-15)[0] if np.isfinite(matrix).all() else np.full(len(right), np.inf)
+
+
+def _polish(system, target, rows_jk, limit_j, solved, share, solver):
     """Return c and by how much it misses; constraints bind whose multiplier is above their slack times `share`."""
     count = len(limit_j)
     slack, dual = np.array(solved.s), np.array(solved.z)
     binds_j = dual[:count] > share * slack[:count]
     norm_binds = dual[count] > share * (slack[count] - np.linalg.norm(slack[count + 1 :]))
     start = np.array(solved.x), 0.5 * dual[count] * norm_binds, 0.5 * dual[:count][binds_j]
-    c, multiplier, mu_a = _newton(system, target, rows_jk[binds_j], limit_j[binds_j], norm_binds, *start)
+    c, multiplier, mu_a = _newton(system, target, rows_jk[binds_j], limit_j[binds_j], norm_binds, *start, solver)
     gradient = system.T @ (system @ c - target) + multiplier * c + rows_jk[binds_j].T @ mu_a
     missed = [np.abs(gradient).max(), (rows_jk @ c - limit_j).max(), c @ c - 1.0, -multiplier, *-mu_a]
-    return c, max(missed)
+    return c, max(missed) if np.isfinite(missed).all() else np.inf
 
 
 def _by_interior_points(system, target, rows_jk, limit_j):
@@ -58,7 +78,7 @@ def _by_interior_points(system, target, rows_jk, limit_j):
     ).solve()
 
 
-def _newton(system, target, rows_ak, limit_a, norm_binds, c, multiplier, mu_a):
+def _newton(system, target, rows_ak, limit_a, norm_binds, c, multiplier, mu_a, solver):
     """Solve ``A'(A c - t) + lambda c + rows' mu = 0``, ``rows c = limit``, and ``|c|^2 = 1`` where that binds."""
     n, count = len(c), len(limit_a)
     square, projected = system.T @ system, system.T @ target
@@ -74,7 +94,9 @@ def _newton(system, target, rows_ak, limit_a, norm_binds, c, multiplier, mu_a):
         else:
             matrix[-1, -1] = 1.0
             right.append([0.0])
-        step = np.linalg.lstsq(matrix, np.concatenate(right), rcond=1e-15)[0]
+        step = solver(matrix, np.concatenate(right))
+        if not np.isfinite(step).all():
+            break
         c, mu_a, multiplier = c + step[:n], mu_a + step[n : n + count], multiplier + step[-1]
         if np.abs(step[:n]).max() < 1e-14:
             break
