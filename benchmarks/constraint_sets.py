@@ -1,6 +1,6 @@
 """Several constraints at once: compared with a solver of cone programmes in float64, and timed beside CLS.
 
-    python -m benchmarks.constraint_sets --columns 1000
+    python -m benchmarks.constraint_sets --columns 1000 --markdown docs/fitting.md
 
 Needs Clarabel (extra ``dev``), and the checkout's tests. Ends with exit code 1 where a limit is not kept.
 """
@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import click
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clrelight as cr
+from benchmarks.pages import check_markdown, replace_block
 from benchmarks.paper_parts import table
 from clrelight.dataset import LightStack
 from clrelight.fit import collect_fit, prepare_fit
@@ -27,6 +29,7 @@ from clrelight.harmonics.basis import evaluate_basis
 from clrelight.threads import on_one_thread
 from datasets_synth.ring import render_ring
 
+BEGIN, END = "<!-- constraint sets -->", "<!-- /constraint sets -->"
 DEGREE, LIGHTS = 6, 256
 CERTAIN = 1e-9
 """The solver's answer counts where it meets the optimality conditions to this, in units of sqrt(E_c)."""
@@ -59,17 +62,22 @@ class Compared:
 )
 @click.option("--rounds", type=int, default=5, show_default=True, help="Interleaved rounds of timing.")
 @click.option("--size", type=int, default=128, show_default=True, help="Side of the ring scene that is timed.")
-def main(only: str | None, columns: int, rounds: int, size: int) -> None:
+@click.option("--markdown", type=click.Path(path_type=Path), metavar="FILE", help="Page whose block is replaced.")
+def main(only: str | None, columns: int, rounds: int, size: int, markdown: Path | None) -> None:
     """Print the tables; exit code 1 where a limit is not kept."""
-    kept = True
-    if only != "time":
-        kept &= _print_compared(columns)
+    if markdown is not None:
+        check_markdown(markdown, BEGIN, END)
+    made = [] if only == "time" else [_compared(columns)]
     if only != "compare":
-        kept &= _print_timed(rounds, size)
-    sys.exit(0 if kept else 1)
+        made.append(_timed(rounds, size))
+    block = "\n\n".join(text for text, _ in made)
+    click.echo(block)
+    if markdown is not None:
+        replace_block(markdown, block, BEGIN, END)
+    sys.exit(0 if all(kept for _, kept in made) else 1)
 
 
-def _print_compared(columns: int) -> bool:
+def _compared(columns: int) -> tuple[str, bool]:
     lines, kept = [], True
     for name in SETS:
         for precision in ("double", "mixed"):
@@ -92,17 +100,15 @@ def _print_compared(columns: int) -> bool:
         "bounds missed",
         "kept",
     ]
-    click.echo(table(headers, lines) + "\n")
-    return kept
+    return table(headers, lines), kept
 
 
-def _print_timed(rounds: int, size: int) -> bool:
+def _timed(rounds: int, size: int) -> tuple[str, bool]:
     lines, kept = [], True
     for name, (wall, used, ratio) in timed(rounds, size).items():
         kept &= ratio <= LIMITS["time"]
         lines.append([name, f"{wall:.0f}", f"{used:.0f}", f"{ratio:.1f}"])
-    click.echo(table(["fit", "ns a column", "of processors", "processors' time, times that of cls"], lines))
-    return kept
+    return table(["fit", "ns a column", "of processors", "processors' time, times that of cls"], lines), kept
 
 
 def compare(columns: int, name: str, precision: str) -> Compared:
