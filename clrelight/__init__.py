@@ -53,6 +53,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.to_sh import to_sh as to_sh
     from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
+    from clrelight.jobs.update import update_fit as update_fit
     from clrelight.jobs.variation import inverse_lighting as inverse_lighting
     from clrelight.jobs.variation import principal_components as principal_components
     from clrelight.lighting.environment import Environment as Environment
@@ -130,6 +131,7 @@ _MODULES = {
     "jobs.to_sh": "to_sh",
     "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
+    "jobs.update": "update_fit",
     "jobs.variation": "inverse_lighting principal_components",
     "lighting.environment": "Environment read_environment",
     "lighting.expressions": "parse_expression",
