@@ -1,4 +1,4 @@
-"""Robust normals of many pixels on a device: what ``variation/normals.cl`` needs, made once for all blocks."""
+"""Quick normals of many pixels on a device: what ``variation/normals.cl`` needs, made once for all blocks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class NormalSolver:
     ----------
     device : Device
     directions_i3 : ndarray, shape (n_light, 3), float64
-        As of `clrelight.variation.normals.find_normals`, whose robust method this is.
+        As of `clrelight.variation.normals.find_normals`, whose quick method this is.
     floor : float
     """
 

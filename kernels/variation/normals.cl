@@ -18,7 +18,7 @@
  * clrelight.variation.normals does the same in NumPy, but that order statistics are bracketed here to 2^-8 of a pixel's
  * brightest sample, and systems solved in float: for directions of condition k, n is off by some k^2 eps32.
  */
-#include "common/lanes.clh"
+#include "variation/lit_pixels.clh"
 
 #if !defined(ROOM) || !defined(CHANNELS) || !defined(DARK) || !defined(SHADOW) || !defined(LOST)
 #error "ROOM, CHANNELS, DARK, SHADOW and LOST must be defined"
@@ -27,15 +27,6 @@
 #error "LEAST_DETERMINANT must be defined: of systems of trace 1"
 #endif
 
-#define LANES 8
-#define TINY 1e-12f
-#define LOAD(pointer) AT(__global const, float8, pointer)
-#define STORE(value, pointer) (AT(__global, float8, pointer) = (value))
-#define INLINE static inline __attribute__((always_inline))
-
-typedef struct {
-    float8 x, y, z;
-} vectors;
 
 typedef struct {
     float8 xx, xy, xz, yy, yz, zz, x, y, z;
