@@ -8,7 +8,7 @@ from clrelight.sampling import make_pattern
 from clrelight.variation import maps
 from clrelight.variation.reflectance import Law, fit_law, view_vectors
 from clrelight.variation.reflectance_kernel import LawSolver
-from tests.commands import succeed
+from tests.commands import call, succeed
 from tests.styles import both_styles
 from tests.test_normals import ALBEDO, angles, dome
 
@@ -100,7 +100,8 @@ def test_terms_are_those_that_predict(bend, matte):
 
 def test_curve_from_the_samples():
     stack = glossy_stack(codes=True)
-    wrong, _, _ = errors(stack)
+    wrong, told, _ = errors(stack)
+    assert "follow srgb better than linear" in told.notes[0]
     right, report, found = errors(stack, transfer="auto")
     assert found.found.transfer == report.facts["transfer"] == "srgb"
     assert report.facts["curves"]["srgb"] < report.facts["curves"]["linear"]
@@ -128,9 +129,10 @@ def test_command_names_law_and_curve(tmp_path):
     assert "law         Lambert" in out
     assert "+ gloss, seen over" in out
     assert "transfer    srgb (errors of lights left out: linear" in out
-    told = succeed("normals", tmp_path / "s.h5", tmp_path / "n.exr", "--field", "0", "--json").json
+    told = call("normals", tmp_path / "s.h5", tmp_path / "n.exr", "--field", "0", "--json").json
     assert told["law"].endswith("seen from afar")
     assert told["transfer"] == "linear"
+    assert "srgb" in told["notes"][0]
 
 
 @both_styles

@@ -125,7 +125,7 @@ def normals(
     ):
         with stage(progress, "finding normals") as tell:
             found = asked.find(stack, opened, budget, tell, kept)
-        _tell(found, stack, method, kept)
+        _tell(found, stack, asked, kept)
         if out is None:
             return found
         since = time.perf_counter()
@@ -233,7 +233,7 @@ class _Asked:
         return Wanted(near, gains_ic, estimate, self.transfer, field)
 
 
-def _tell(found: NormalMap, stack: LightStack, method: str, report: Report) -> None:
+def _tell(found: NormalMap, stack: LightStack, asked: _Asked, report: Report) -> None:
     seen_hw, told = found.normals_hw3.any(axis=2), found.found
     report.facts |= {
         "method": found.method,
@@ -244,14 +244,18 @@ def _tell(found: NormalMap, stack: LightStack, method: str, report: Report) -> N
         "floor": found.floor,
         "transfer": told.transfer,
     }
-    if method == "auto" and found.method == "quick":
+    if asked.method == "auto" and found.method == "quick":
         why = "large stack" if stack.n_light >= LEAST_GLOSSY else "few lights"
         report.note(f"{why}: gloss is left out instead of being found (--method quick); --method robust finds it")
     if told.law is not None:
         report.facts |= {"law": told.law.text, "held_errors": told.tried}
     if told.curves:
         report.facts["curves"] = told.curves
-        if told.is_close:
+        if told.better is not None:
+            report.note(
+                f"the samples follow {told.better} better than {told.transfer}, which the stack names: see --transfer"
+            )
+        elif told.is_close and asked.transfer == "auto":
             report.note(f"the samples hardly tell the transfer curve; {told.transfer} was taken, as the stack names it")
     if told.gains is not None:
         report.facts |= {"gains": told.gains.gains_i.tolist(), "gains_spread": told.gains.spread}

@@ -19,7 +19,7 @@ from clrelight.variation.reflectance_kernel import LANES, LawSolver
 
 FOLDS = 4
 _FIELDS, _FINER = (15.0, 30.0, 45.0, 60.0), (7.5, 3.75)
-_WORTH_FIELD, _WORTH_TERM = 0.97, 0.9
+_WORTH_FIELD, _WORTH_TERM = 0.985, 0.9
 """Share of the error that has to be left for a near camera, and for another term, to be believed."""
 
 

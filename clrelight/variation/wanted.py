@@ -21,7 +21,7 @@ from clrelight.variation.samples import ProbePixels, SampleReader, in_range, rea
 _CHOSEN_PIXELS = 1024
 """Pixels that laws and curves are told apart by."""
 _GAIN_PIXELS = 2048
-_CLEARLY = 0.8
+_CLEARLY = 0.9
 """Share of the error that another curve than the stack's has to leave to be believed."""
 MOST_FIELD = 150.0
 
@@ -120,9 +120,19 @@ class Found:
     light: UnknownLight | None = None
 
     @property
+    def better(self) -> str | None:
+        """The curve that the samples follow clearly better than the one they were decoded by."""
+        other = _other(self.transfer)
+        return other if self.curves and self.curves[other] < _CLEARLY * self.curves[self.transfer] else None
+
+    @property
     def is_close(self) -> bool:
         """Whether two curves were hardly told apart."""
         return len(self.curves) > 1 and min(self.curves.values()) > _CLEARLY * max(self.curves.values())
+
+
+def _other(transfer: str) -> str:
+    return next(name for name in TRANSFERS if name != transfer)
 
 
 def settle(
@@ -135,9 +145,11 @@ def settle(
         return Found(transfer, 0.0, gains_ic=wanted.gains_ic)
     pixels = _Pixels(read_probe(stack), heights_hw)
     curves: dict[str, float] = {}
-    if transfer == "auto":
+    is_suspect = wanted.transfer == "stack" and method == "robust" and stack.images_ihwc.dtype == np.uint8
+    if transfer == "auto" or is_suspect:
         curves = {name: _curve_error(stack, pixels, name, wanted, device) for name in TRANSFERS}
-        other = min((name for name in TRANSFERS if name != stack.transfer), key=lambda name: curves[name])
+    if transfer == "auto":
+        other = _other(stack.transfer)
         transfer = other if curves[other] < _CLEARLY * curves[stack.transfer] else stack.transfer
     gains, gains_ic = None, wanted.gains_ic
     if wanted.estimate_gains:
