@@ -1,8 +1,8 @@
 """Print how far normals are from those that were scanned or rendered, and how long they take.
 
 ``python -m benchmarks.normals`` takes the stacks of CLRELIGHT_DATA whose normals are known: DiLiGenT's (scanned) and
-SynthRTI's (rendered); the transfer curve is told from the samples. ``--megapixels 24`` times a stack of that size beside
-a fit of degree 4, both from file to file.
+SynthRTI's (rendered); the transfer curve is told from the samples. ``--megapixels 24`` times a stack of that size, from
+file to file, beside a fit of degree 4.
 """
 
 from __future__ import annotations
