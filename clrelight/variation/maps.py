@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,6 +208,7 @@ class _Filler:
     result: NormalMap
     solver: BlockSolver
     block: int
+    buffers: Iterator[Buffer] = field(default_factory=lambda: itertools.cycle([Buffer(), Buffer()]))
 
     def fill(self, first: int, end: int, tile_ihwc: NDArray) -> None:
         """Fill rows first..end; pixels outside the mask stay 0."""
@@ -225,7 +226,9 @@ class _Filler:
         )
 
         def decode(which: slice | NDArray[np.intp]) -> NDArray[np.float32]:
-            return self.solver.reader.linear(columns_ipc[:, which])
+            codes_ipc = columns_ipc[:, which]
+            shape = (channel, n_light, codes_ipc.shape[1])
+            return self.solver.reader.linear(codes_ipc, next(self.buffers).lend(shape, np.dtype(np.float32)))
 
         with reading_ahead(decode, pixels) as samples:
             for which, samples_cip in zip(pixels, samples, strict=True):

@@ -48,14 +48,17 @@ class SampleReader:
         # Half a code below the last, whatever way radiance is rounded.
         return float(self._decode(np.array([self._most - 0.5]))[0])
 
-    def linear(self, codes_ipc: NDArray) -> NDArray[np.float32]:
-        """Return radiance as it was recorded, (channel, n_light, P)."""
-        codes_cip = np.ascontiguousarray(codes_ipc.transpose(2, 0, 1))
+    def linear(self, codes_ipc: NDArray, out_cip: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """Return radiance as it was recorded, (channel, n_light, P), in `out_cip` where it is given."""
+        codes_cip = codes_ipc.transpose(2, 0, 1)
+        made_cip = np.empty(codes_cip.shape, np.float32) if out_cip is None else out_cip
         if not self._is_integer:
-            return self._decode(codes_cip)
-        if self._is_srgb:
-            return np.take(self._table, codes_cip)
-        return np.multiply(codes_cip, np.float32(1.0 / self._peak), dtype=np.float32)
+            made_cip[...] = self._decode(codes_cip)
+        elif self._is_srgb:
+            np.take(self._table, codes_cip, out=made_cip, mode="clip")  # other modes make the result twice
+        else:
+            np.multiply(codes_cip, np.float32(1.0 / self._peak), out=made_cip, dtype=np.float32)
+        return made_cip
 
     def even(
         self, samples_cip: NDArray[np.float32], falloff_ip: NDArray[np.float32] | None = None
