@@ -9,7 +9,7 @@ from clrelight.variation import maps
 from clrelight.variation.reflectance import Law, fit_law, view_vectors
 from clrelight.variation.reflectance_kernel import LawSolver
 from tests.commands import call, succeed
-from tests.styles import both_styles
+from tests.styles import every_width
 from tests.test_normals import ALBEDO, angles, dome
 
 SIZE = 40
@@ -135,8 +135,8 @@ def test_command_names_law_and_curve(tmp_path):
     assert "srgb" in told["notes"][0]
 
 
-@both_styles
-@pytest.mark.parametrize("count", [8, 56])
+@every_width
+@pytest.mark.parametrize("count", [16, 112])
 @pytest.mark.parametrize(
     ("lights", "law"),
     [

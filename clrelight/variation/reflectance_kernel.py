@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.device import Device
+from clrelight.variation.kernel import LANES as LANES
 from clrelight.variation.normals import DARK, LEAST_DETERMINANT, LOST, SHADOW, PixelNormals, order_limits
 from clrelight.variation.reflectance import HELD, PULL, ROUGHNESS, STEPS, Law, PixelLaw, Steps, lobe_table
 
-LANES = 8
-"""Pixels of a work-item."""
 _ROOM = 64
 """Lights are rounded up to so many, so that few programs are built."""
 
@@ -82,7 +81,7 @@ class LawSolver:
         device.launch(
             "variation/reflectance.cl",
             "solve_reflectance_dq",
-            (count // LANES,),
+            (count // device.info.lanes,),
             *outputs,
             device.upload(samples_ciq),
             self._lights,
@@ -96,6 +95,7 @@ class LawSolver:
             self._rounds,
             *(n_light, count, self._n_step),
             defines={
+                "VECTOR": device.info.lanes,
                 "ROOM": -(-n_light // _ROOM) * _ROOM,
                 "CHANNELS": channel,
                 "LOBES": len(ROUGHNESS) if self._law.glossy else 0,

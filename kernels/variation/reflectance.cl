@@ -5,7 +5,7 @@
  *   lobe j  s a^4 / ((h^2 (a^2 - 1) + 1)^2 (half . view)^2)                  (Trowbridge-Reitz with Kelemen's visibility)
  * Each step weights samples by their residual and solves for c and the turn of n at once, by coordinate descent.
  *
- *   normal_dq      (3, Q) float       out: unit vectors, 0 where a pixel is black; Q a multiple of 8
+ *   normal_dq      (3, Q) float       out: unit vectors, 0 where a pixel is black; Q a multiple of VECTOR
  *   albedo_cq      (C, Q) float       out: radiance of the matte terms under a light along n
  *   confidence_q   (Q) float          out: 1 less the mean residual, each up to LOST of the reference, over LOST
  *   error_q, count_q (Q) float        out: sum of u / (1 + u), u = (residual / held_to)^2, of lit samples that are not fitted; how many
@@ -22,6 +22,7 @@
  *   kept           int                samples from the darkest up to the reference
  *   rounds         int                of coordinate descent in a step
  *
+ *   VECTOR         pixels of a work-item: 4, 8 or 16
  *   ROOM, CHANNELS, LOBES    lights in private memory, C, J
  *   SECOND, THIRD, NEAR      1: the second matte term is used, the third, and lights are positions
  *   PULL                     how far a round of coordinate descent goes beyond the least
@@ -51,22 +52,22 @@
 /* What a pixel is: its frame, the camera, where it lies, and the weights of its terms. */
 typedef struct {
     vectors n, t, b, view, place;
-    float8 seen, weight[WEIGHTS];
+    vecf seen, weight[WEIGHTS];
 } pixels;
 
 /* What the law says of one light: the sample and the matte part of it, its terms and how it turns with n, the cosine. */
 typedef struct {
-    float8 model, matte, cosine, term[UNKNOWNS];
+    vecf model, matte, cosine, term[UNKNOWNS];
 } answers;
 
-INLINE float8 dot3(const vectors a, const vectors b)
+INLINE vecf dot3(const vectors a, const vectors b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;
 }
 
 INLINE vectors unit_of(const vectors v)
 {
-    const float8 scale = 1.0f / GREATER(root(dot3(v, v)), (float8)TINY);
+    const vecf scale = 1.0f / GREATER(root(dot3(v, v)), (vecf)TINY);
     const vectors out = {v.x * scale, v.y * scale, v.z * scale};
     return out;
 }
@@ -87,22 +88,22 @@ INLINE vectors light_at(__global const float *restrict light_id, const int i, co
 INLINE void set_frame(pixels *p)
 {
     const vectors n = p->n;
-    const float8 sign = n.z >= 0.0f ? (float8)1.0f : (float8)-1.0f, a = -1.0f / (sign + n.z), c = n.x * n.y * a;
+    const vecf sign = n.z >= 0.0f ? (vecf)1.0f : (vecf)-1.0f, a = -1.0f / (sign + n.z), c = n.x * n.y * a;
     p->t.x = 1.0f + sign * n.x * n.x * a;
     p->t.y = sign * c;
     p->t.z = -sign * n.x;
     p->b.x = c;
     p->b.y = sign + n.y * n.y * a;
     p->b.z = -n.y;
-    const float8 seen = dot3(n, p->view);
-    p->seen = GREATER(seen, (float8)0.1f);
+    const vecf seen = dot3(n, p->view);
+    p->seen = GREATER(seen, (vecf)0.1f);
 }
 
 INLINE answers answer(const pixels *p, const vectors l, __global const float *restrict lobe_jb)
 {
     answers out;
-    const float8 raw = dot3(p->n, l), s = GREATER(raw, (float8)0.0f), lit = raw > 0.0f ? (float8)1.0f : (float8)0.0f;
-    float8 by_light = p->weight[0], by_half = 0.0f, by_view = 0.0f;
+    const vecf raw = dot3(p->n, l), s = GREATER(raw, (vecf)0.0f), lit = raw > 0.0f ? (vecf)1.0f : (vecf)0.0f;
+    vecf by_light = p->weight[0], by_half = 0.0f, by_view = 0.0f;
     out.cosine = raw;
     out.term[0] = s;
     out.matte = p->weight[0] * s;
@@ -112,21 +113,21 @@ INLINE answers answer(const pixels *p, const vectors l, __global const float *re
     by_light += 2.0f * p->weight[1] * s;
 #endif
 #if THIRD
-    const float8 both = 1.0f / (s + p->seen), limb = p->weight[MATTE - 1] * both * both;
+    const vecf both = 1.0f / (s + p->seen), limb = p->weight[MATTE - 1] * both * both;
     out.term[MATTE - 1] = s * both;
     out.matte += p->weight[MATTE - 1] * s * both;
     by_light += limb * p->seen;
     by_view = -limb * s;
 #endif
     out.model = out.matte;
-    const float8 lt = dot3(p->t, l), lb = dot3(p->b, l), vt = dot3(p->t, p->view), vb = dot3(p->b, p->view);
+    const vecf lt = dot3(p->t, l), lb = dot3(p->b, l), vt = dot3(p->t, p->view), vb = dot3(p->b, p->view);
 #if LOBES
-    const float8 across = 2.0f + 2.0f * dot3(p->view, l), wide = root(GREATER(across, (float8)0.16f));
-    const float8 inverse = 1.0f / wide, facing = (raw + dot3(p->n, p->view)) * inverse;
-    const float8 h = GREATER(facing, (float8)0.0f), visible = 4.0f * inverse * inverse;
+    const vecf across = 2.0f + 2.0f * dot3(p->view, l), wide = root(GREATER(across, (vecf)0.16f));
+    const vecf inverse = 1.0f / wide, facing = (raw + dot3(p->n, p->view)) * inverse;
+    const vecf h = GREATER(facing, (vecf)0.0f), visible = 4.0f * inverse * inverse;
     for (int j = 0; j < LOBES; j++) {
         const float e = lobe_jb[2 * j], peak = lobe_jb[2 * j + 1];
-        const float8 x = 1.0f / (h * h * e + 1.0f), d = x * x * visible * peak, weighted = p->weight[MATTE + j] * d;
+        const vecf x = 1.0f / (h * h * e + 1.0f), d = x * x * visible * peak, weighted = p->weight[MATTE + j] * d;
         out.term[MATTE + j] = d * s;
         out.model += weighted * s;
         by_light += weighted;
@@ -141,14 +142,14 @@ INLINE answers answer(const pixels *p, const vectors l, __global const float *re
 }
 
 /* Least squares over all fitted samples: where the steps start. */
-INLINE vectors plain(const float8 *lit, __global const float *restrict light_id, __global const int *restrict fitted_i,
+INLINE vectors plain(const vecf *lit, __global const float *restrict light_id, __global const int *restrict fitted_i,
                      const vectors place, const int size_i)
 {
-    float8 a = 0.0f, b = 0.0f, c = 0.0f, d = 0.0f, e = 0.0f, f = 0.0f, x = 0.0f, y = 0.0f, z = 0.0f;
+    vecf a = 0.0f, b = 0.0f, c = 0.0f, d = 0.0f, e = 0.0f, f = 0.0f, x = 0.0f, y = 0.0f, z = 0.0f;
     for (int i = 0; i < size_i; i++) {
         const vectors l = light_at(light_id, i, place);
         const float fitted = fitted_i[i] ? 1.0f : 0.0f;
-        const float8 p = l.x * fitted, q = l.y * fitted, r = l.z * fitted, value = ABSOLUTE(lit[i]);
+        const vecf p = l.x * fitted, q = l.y * fitted, r = l.z * fitted, value = ABSOLUTE(lit[i]);
         a += p * l.x;
         b += p * l.y;
         c += p * l.z;
@@ -159,29 +160,29 @@ INLINE vectors plain(const float8 *lit, __global const float *restrict light_id,
         y += q * value;
         z += r * value;
     }
-    const float8 unit = 1.0f / GREATER(a + d + f, (float8)TINY);
+    const vecf unit = 1.0f / GREATER(a + d + f, (vecf)TINY);
     a *= unit, b *= unit, c *= unit, d *= unit, e *= unit, f *= unit;
-    const float8 df = d * f - e * e, cb = c * e - b * f, be = b * e - c * d;
-    const float8 af = a * f - c * c, bc = b * c - a * e, ad = a * d - b * b;
-    const float8 determinant = a * df + b * cb + c * be;
-    const int8 sound = determinant > LEAST_DETERMINANT;
+    const vecf df = d * f - e * e, cb = c * e - b * f, be = b * e - c * d;
+    const vecf af = a * f - c * c, bc = b * c - a * e, ad = a * d - b * b;
+    const vecf determinant = a * df + b * cb + c * be;
+    const veci sound = determinant > LEAST_DETERMINANT;
     vectors found;
-    found.x = sound ? df * x + cb * y + be * z : (float8)0.0f;
-    found.y = sound ? cb * x + af * y + bc * z : (float8)0.0f;
-    found.z = sound ? be * x + bc * y + ad * z : (float8)1.0f;
+    found.x = sound ? df * x + cb * y + be * z : (vecf)0.0f;
+    found.y = sound ? cb * x + af * y + bc * z : (vecf)0.0f;
+    found.z = sound ? be * x + bc * y + ad * z : (vecf)1.0f;
     return unit_of(found);
 }
 
 /* A bracket from above of the sample that `wanted` of the fitted do not exceed. */
-INLINE float8 reference_of(const float8 *lit, __global const int *restrict fitted_i, const int size_i, const int wanted,
-                           const float8 greatest)
+INLINE vecf reference_of(const vecf *lit, __global const int *restrict fitted_i, const int size_i, const int wanted,
+                           const vecf greatest)
 {
-    float8 low = 0.0f, high = greatest;
+    vecf low = 0.0f, high = greatest;
     for (int step = 0; step < 8; step++) {
-        const float8 middle = 0.5f * (low + high);
-        int8 count = 0;
-        for (int i = 0; i < size_i; i++) count -= fitted_i[i] ? (ABSOLUTE(lit[i]) <= middle) : (int8)0;
-        const int8 enough = count >= wanted;
+        const vecf middle = 0.5f * (low + high);
+        veci count = 0;
+        for (int i = 0; i < size_i; i++) count -= fitted_i[i] ? (ABSOLUTE(lit[i]) <= middle) : (veci)0;
+        const veci enough = count >= wanted;
         high = enough ? middle : high;
         low = enough ? low : middle;
     }
@@ -189,32 +190,32 @@ INLINE float8 reference_of(const float8 *lit, __global const int *restrict fitte
 }
 
 /* One step: weights of the terms, and n turned. */
-INLINE void turn(pixels *p, const float8 gram[UNKNOWNS][UNKNOWNS], const float8 *right, const int rounds)
+INLINE void turn(pixels *p, const vecf gram[UNKNOWNS][UNKNOWNS], const vecf *right, const int rounds)
 {
-    float8 x[UNKNOWNS], diagonal[UNKNOWNS], inverse[UNKNOWNS], trace = 0.0f;
+    vecf x[UNKNOWNS], diagonal[UNKNOWNS], inverse[UNKNOWNS], trace = 0.0f;
     for (int k = 0; k < WEIGHTS; k++) {
         x[k] = p->weight[k];
         trace += gram[k][k];
     }
     x[WEIGHTS] = x[WEIGHTS + 1] = 0.0f;
-    const float8 ridge = RIDGE * trace + 1e-9f, damping = DAMPING * (gram[WEIGHTS][WEIGHTS] + gram[WEIGHTS + 1][WEIGHTS + 1]) + 1e-9f;
+    const vecf ridge = RIDGE * trace + 1e-9f, damping = DAMPING * (gram[WEIGHTS][WEIGHTS] + gram[WEIGHTS + 1][WEIGHTS + 1]) + 1e-9f;
     for (int k = 0; k < UNKNOWNS; k++) {
         diagonal[k] = gram[k][k] + (k < WEIGHTS ? ridge : damping);
         inverse[k] = 1.0f / diagonal[k];
     }
     for (int round = 0; round < rounds; round++) {
         for (int k = 0; k < UNKNOWNS; k++) {
-            float8 left = right[k] - diagonal[k] * x[k];
+            vecf left = right[k] - diagonal[k] * x[k];
             for (int j = 0; j < UNKNOWNS; j++)
                 if (j != k) left -= (j < k ? gram[j][k] : gram[k][j]) * x[j];
             x[k] += PULL * left * inverse[k];
-            if (k < WEIGHTS) x[k] = GREATER(x[k], (float8)0.0f);
+            if (k < WEIGHTS) x[k] = GREATER(x[k], (vecf)0.0f);
         }
     }
     for (int k = 0; k < WEIGHTS; k++) p->weight[k] = x[k];
-    const float8 size = root(x[WEIGHTS] * x[WEIGHTS] + x[WEIGHTS + 1] * x[WEIGHTS + 1]);
-    const float8 scale = size > MOST_TURN ? MOST_TURN / size : (float8)1.0f;
-    const float8 u = x[WEIGHTS] * scale, w = x[WEIGHTS + 1] * scale;
+    const vecf size = root(x[WEIGHTS] * x[WEIGHTS] + x[WEIGHTS + 1] * x[WEIGHTS + 1]);
+    const vecf scale = size > MOST_TURN ? MOST_TURN / size : (vecf)1.0f;
+    const vecf u = x[WEIGHTS] * scale, w = x[WEIGHTS + 1] * scale;
     p->n.x += u * p->t.x + w * p->b.x;
     p->n.y += u * p->t.y + w * p->b.y;
     p->n.z += u * p->t.z + w * p->b.z;
@@ -230,18 +231,18 @@ __kernel void solve_reflectance_dq(
     __global const float *restrict scale_s, const float most, const float share, const float held_to, const int kept, const int rounds,
     const int size_i, const int size_q, const int size_s)
 {
-    const int q = get_global_id(0) * LANES;
-    float8 lit[ROOM]; /* the channels' mean, negative where one is clipped; later in units of the reference */
-    float8 least = MAXFLOAT, greatest = 0.0f;
+    const int q = get_global_id(0) * VECTOR;
+    vecf lit[ROOM]; /* the channels' mean, negative where one is clipped; later in units of the reference */
+    vecf least = MAXFLOAT, greatest = 0.0f;
     for (int i = 0; i < size_i; i++) {
-        float8 total = 0.0f;
-        int8 clipped = 0;
+        vecf total = 0.0f;
+        veci clipped = 0;
         for (int c = 0; c < CHANNELS; c++) {
-            const float8 sample = LOAD(sample_ciq + ((long)c * size_i + i) * size_q + q);
+            const vecf sample = LOAD(sample_ciq + ((long)c * size_i + i) * size_q + q);
             total += sample;
             clipped |= sample >= most;
         }
-        const float8 grey = total * (1.0f / CHANNELS);
+        const vecf grey = total * (1.0f / CHANNELS);
         lit[i] = clipped ? -grey : grey;
         if (fitted_i[i]) {
             least = LESSER(least, grey);
@@ -257,14 +258,14 @@ __kernel void solve_reflectance_dq(
     p.n = plain(lit, light_id, fitted_i, p.place, size_i);
     set_frame(&p);
     for (int k = 0; k < WEIGHTS; k++) p.weight[k] = 0.0f;
-    const float8 high = reference_of(lit, fitted_i, size_i, kept, greatest), held = share * high;
-    const float8 offset = LESSER(least, held), unit = 1.0f / GREATER(high, (float8)TINY);
+    const vecf high = reference_of(lit, fitted_i, size_i, kept, greatest), held = share * high;
+    const vecf offset = LESSER(least, held), unit = 1.0f / GREATER(high, (vecf)TINY);
     for (int i = 0; i < size_i; i++) {
-        const float8 raised = (ABSOLUTE(lit[i]) - offset) * unit;
+        const vecf raised = (ABSOLUTE(lit[i]) - offset) * unit;
         lit[i] = (lit[i] < 0.0f && high > TINY) ? -1.0f - raised : raised;
     }
     for (int step = -1; step < size_s; step++) {
-        float8 gram[UNKNOWNS][UNKNOWNS], right[UNKNOWNS];
+        vecf gram[UNKNOWNS][UNKNOWNS], right[UNKNOWNS];
         for (int k = 0; k < UNKNOWNS; k++) {
             right[k] = 0.0f;
             for (int j = k; j < UNKNOWNS; j++) gram[k][j] = 0.0f;
@@ -273,56 +274,56 @@ __kernel void solve_reflectance_dq(
         for (int i = 0; i < size_i; i++) {
             if (!fitted_i[i]) continue;
             const answers said = answer(&p, light_at(light_id, i, p.place), lobe_jb);
-            const float8 span = 1.0f / ((step < 0 ? lit[i] : said.model) + 1.0f);
-            const float8 off = (lit[i] - said.model) * span * inverse, counted = span * span / (1.0f + off * off);
-            const float8 weight = ((said.cosine > dark) & (lit[i] > SHADOW)) ? counted : (float8)0.0f;
+            const vecf span = 1.0f / ((step < 0 ? lit[i] : said.model) + 1.0f);
+            const vecf off = (lit[i] - said.model) * span * inverse, counted = span * span / (1.0f + off * off);
+            const vecf weight = ((said.cosine > dark) & (lit[i] > SHADOW)) ? counted : (vecf)0.0f;
             for (int k = 0; k < UNKNOWNS; k++) {
-                const float8 weighted = weight * said.term[k];
+                const vecf weighted = weight * said.term[k];
                 right[k] += weighted * lit[i];
                 for (int j = k; j < UNKNOWNS; j++) gram[k][j] += weighted * said.term[j];
             }
         }
         turn(&p, gram, right, step < 0 ? 3 * rounds : rounds);
     }
-    float8 lost = 0.0f, error = 0.0f, count = 0.0f, whole = 0.0f, shaded = 0.0f, sum[CHANNELS];
+    vecf lost = 0.0f, error = 0.0f, count = 0.0f, whole = 0.0f, shaded = 0.0f, sum[CHANNELS];
     for (int c = 0; c < CHANNELS; c++) sum[c] = 0.0f;
     const float last = 1.0f / scale_s[size_s - 1];
     for (int i = 0; i < size_i; i++) {
         const answers said = answer(&p, light_at(light_id, i, p.place), lobe_jb);
-        const float8 off = ABSOLUTE(lit[i] - said.model);
-        const int8 shown = (said.cosine > DARK) & (lit[i] > SHADOW);
+        const vecf off = ABSOLUTE(lit[i] - said.model);
+        const veci shown = (said.cosine > DARK) & (lit[i] > SHADOW);
         if (!fitted_i[i]) {
-            const float8 far = off / (said.model + 1.0f) * (1.0f / held_to), square = far * far;
-            error += shown ? square / (1.0f + square) : (float8)0.0f;
-            count += shown ? (float8)1.0f : (float8)0.0f;
+            const vecf far = off / (said.model + 1.0f) * (1.0f / held_to), square = far * far;
+            error += shown ? square / (1.0f + square) : (vecf)0.0f;
+            count += shown ? (vecf)1.0f : (vecf)0.0f;
             continue;
         }
-        const float8 clear = lit[i] < 0.0f ? (float8)LOST : off;
-        lost += LESSER(clear, (float8)LOST);
-        const float8 span = 1.0f / (said.model + 1.0f), far = off * span * last;
-        const float8 counted = said.matte * said.matte * span * span * span * span / (1.0f + far * far);
-        const float8 weight = shown ? counted : (float8)0.0f;
+        const vecf clear = lit[i] < 0.0f ? (vecf)LOST : off;
+        lost += LESSER(clear, (vecf)LOST);
+        const vecf span = 1.0f / (said.model + 1.0f), far = off * span * last;
+        const vecf counted = said.matte * said.matte * span * span * span * span / (1.0f + far * far);
+        const vecf weight = shown ? counted : (vecf)0.0f;
         whole += weight * said.model * said.model;
         shaded += weight * said.model;
         for (int c = 0; c < CHANNELS; c++) sum[c] += weight * said.model * LOAD(sample_ciq + ((long)c * size_i + i) * size_q + q);
     }
-    float8 matte = p.weight[0];
+    vecf matte = p.weight[0];
 #if SECOND
     matte += p.weight[1];
 #endif
 #if THIRD
     matte += p.weight[MATTE - 1] / (1.0f + p.seen);
 #endif
-    const float8 scale = whole > TINY ? matte / whole : (float8)0.0f;
+    const vecf scale = whole > TINY ? matte / whole : (vecf)0.0f;
     for (int c = 0; c < CHANNELS; c++) {
-        const float8 albedo = (sum[c] - offset * shaded) * scale;
-        STORE(albedo > 0.0f ? albedo : (float8)0.0f, albedo_cq + (long)c * size_q + q);
+        const vecf albedo = (sum[c] - offset * shaded) * scale;
+        STORE(albedo > 0.0f ? albedo : (vecf)0.0f, albedo_cq + (long)c * size_q + q);
     }
-    const int8 found = high > TINY;
-    STORE(found ? p.n.x : (float8)0.0f, normal_dq + q);
-    STORE(found ? p.n.y : (float8)0.0f, normal_dq + size_q + q);
-    STORE(found ? p.n.z : (float8)0.0f, normal_dq + 2L * size_q + q);
-    STORE(found ? 1.0f - lost * (1.0f / (LOST * size_i)) : (float8)0.0f, confidence_q + q);
+    const veci found = high > TINY;
+    STORE(found ? p.n.x : (vecf)0.0f, normal_dq + q);
+    STORE(found ? p.n.y : (vecf)0.0f, normal_dq + size_q + q);
+    STORE(found ? p.n.z : (vecf)0.0f, normal_dq + 2L * size_q + q);
+    STORE(found ? 1.0f - lost * (1.0f / (LOST * size_i)) : (vecf)0.0f, confidence_q + q);
     STORE(error, error_q + q);
     STORE(count, count_q + q);
 }
