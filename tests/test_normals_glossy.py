@@ -113,14 +113,24 @@ def test_curve_from_the_samples():
 def test_auto_says_when_gloss_is_left_out(monkeypatch, tmp_path):
     few = glossy_stack(lights=9)
     report = cr.Report()
-    assert cr.normals(few, report=report).method == "quick"
-    assert "few lights" in report.notes[0]
+    assert cr.normals(few, report=report).method == "robust"
+    assert "9 lights do not tell gloss" in report.notes[0]
     monkeypatch.setattr(maps, "MOST_ROBUST", 1000)
     report = cr.Report()
     assert cr.normals(glossy_stack(), report=report).method == "quick"
     assert "large stack" in report.notes[0]
     assert cr.normals(glossy_stack(), method="robust", report=cr.Report()).method == "robust"
-    assert np.isfinite(cr.normals(few, method="robust", report=cr.Report()).normals_hw3).all()
+
+
+def test_three_lights_are_solved_as_they_are():
+    directions_i3 = np.array([[0.5, 0, 0.8], [-0.3, 0.4, 0.8], [-0.2, -0.4, 0.9]])
+    directions_i3 /= np.linalg.norm(directions_i3, axis=1, keepdims=True)
+    normals_hw3 = dome(SIZE)[0] * [0.4, 0.4, 1]
+    normals_hw3 /= np.linalg.norm(normals_hw3, axis=2, keepdims=True)
+    images = np.einsum("ia,hwa->ihw", directions_i3, normals_hw3)[..., None] * ALBEDO
+    found = cr.normals(cr.LightStack(images.astype(np.float32), directions_i3, 1.0), report=cr.Report())
+    assert angles(found.normals_hw3, normals_hw3).max() < 0.1
+    np.testing.assert_allclose(found.albedo_hwc, np.broadcast_to(ALBEDO, found.albedo_hwc.shape), rtol=0.01)
 
 
 def test_command_names_law_and_curve(tmp_path):

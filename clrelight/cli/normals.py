@@ -88,7 +88,7 @@ def light_options(command: Command) -> Command:
     default="auto",
     show_default=True,
     help="robust: gloss is found with each normal; quick: it is left out; least-squares: all samples as they are; "
-    "auto: robust, or quick of large stacks and few lights.",
+    "auto: robust, or quick of large stacks.",
 )
 @click.option(
     "--green",

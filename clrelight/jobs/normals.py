@@ -72,7 +72,7 @@ def normals(
     method : str
         ``"robust"``: gloss and matte reflectance of each pixel are found with its normal, shadows left out;
         ``"quick"``: gloss is left out too; ``"least-squares"``: all samples as they are; ``"auto"``: robust, or quick
-        of large stacks and of few lights.
+        of large stacks.
     green : str
         Which way the second channel of pictures grows: ``"up"`` as in OpenGL (y up), ``"down"`` as in DirectX.
     albedo, confidence, height : path, optional
@@ -245,8 +245,9 @@ def _tell(found: NormalMap, stack: LightStack, asked: _Asked, report: Report) ->
         "transfer": told.transfer,
     }
     if asked.method == "auto" and found.method == "quick":
-        why = "large stack" if stack.n_light >= LEAST_GLOSSY else "few lights"
-        report.note(f"{why}: gloss is left out instead of being found (--method quick); --method robust finds it")
+        report.note("large stack: gloss is left out instead of being found (quick); --method robust finds it")
+    if found.method == "robust" and stack.n_light < LEAST_GLOSSY:
+        report.note(f"{stack.n_light} lights do not tell gloss, which {LEAST_GLOSSY} would: matte surfaces are assumed")
     if told.law is not None:
         report.facts |= {"law": told.law.text, "held_errors": told.tried}
     if told.curves:

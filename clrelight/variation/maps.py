@@ -18,7 +18,6 @@ from clrelight.streaming import Buffer, reading_ahead
 from clrelight.threads import on_one_thread
 from clrelight.variation.heights import integrate_normals
 from clrelight.variation.normals import METHODS, light_condition
-from clrelight.variation.reflectance import LEAST_GLOSSY
 from clrelight.variation.reflectance_kernel import LANES
 from clrelight.variation.samples import SampleReader
 from clrelight.variation.solvers import BlockSolver
@@ -112,9 +111,8 @@ def map_normals(
         raise InputError("the quick method takes lights as distant: with positions, use robust or least-squares")
     height, width, channel = stack.image_shape
     if method == "auto":
-        few = stack.n_light < LEAST_GLOSSY and asked.near is None
-        large = stack.n_light * height * width > MOST_ROBUST and asked.near is None
-        method = "quick" if few or large else "robust"
+        is_large = stack.n_light * height * width > MOST_ROBUST and asked.near is None
+        method = "quick" if is_large else "robust"
     step, block = _plan(stack, memory_bytes)
     tally = add_time or (lambda _, since: time.perf_counter())
     result = NormalMap(
