@@ -237,6 +237,7 @@ def test_unknown_light_in_tiles_and_a_mask(tmp_path):
         (["--gains", "none.txt"], "cannot read"),
         (["--field", "170"], "must be 0 to 150"),
         (["--field", "wide"], "expected degrees"),
+        (["--field", "40", "--method", "quick"], "does not look at the camera"),
         (["--degree", "2"], "leave out degree"),
         (["--concave"], "leave out concave"),
         (["--lighting", "unknown", "--gains", "zero.txt"], "leave out gains"),

@@ -177,6 +177,8 @@ class _Asked:
             raise InputError(f"lighting must be {' or '.join(LIGHTINGS)}, got {self.lighting!r}")
         if (self.positions is None) != (self.pixel is None):
             raise InputError("positions of lights and the width of a pixel on the object go together: give both")
+        if self.field is not None and self.method in ("quick", "least-squares"):
+            raise InputError(f"the {self.method} method does not look at the camera: leave out field, or use robust")
         without: dict[str, object] = {"degree": self.degree, "concave": self.concave or None}
         why = "only unknown light has: leave out"
         if self.lighting == "unknown":

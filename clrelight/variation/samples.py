@@ -41,6 +41,13 @@ class SampleReader:
         return (srgb_to_linear(radiance) if self._is_srgb else radiance).astype(np.float32)
 
     @property
+    def is_bounded(self) -> bool:
+        """Whether what is read is within 2^-24 and 2^24, or 0, without a look at it."""
+        if not self._is_integer or self._factor_ci1 is not None:
+            return False
+        return bool(self._table[1] > 2.0**-23 and self._table[-1] < 2.0**23)
+
+    @property
     def most(self) -> float:
         """Radiance from which on samples are at the end of an integer type's range; inf of floats."""
         if not self._is_integer:

@@ -79,7 +79,8 @@ class BlockSolver:
             even_cip, most = self.reader.scaled(samples_cip, falloff_ip), np.inf
         else:
             even_cip, most = self.reader.even(samples_cip, falloff_ip)
-        even_cip, exponent = in_range(even_cip)
+        is_bounded = self.reader.is_bounded and falloff_ip is None
+        even_cip, exponent = (even_cip, 0) if is_bounded else in_range(even_cip)
         most = float(np.ldexp(most, -exponent))
         if self._method == "robust":
             view_p3 = view_vectors(rows_p, columns_p, self._stack.image_shape[:2], self._law.field)
