@@ -25,7 +25,7 @@ FLOORS = [
     {"fit", "codec", "lighting", "brdf", "shrm", "transfer", "variation", "metrics", "perception", "relight"},
     {"store", "export", "ingest", "results", "selftest", "selftest_packing", "selftest_photographs", "truth"},
     {"jobs"},
-    {"experiment"},
+    {"experiment", "view"},
     {"report", "speed"},
     {"cli"},
     {"__main__"},
