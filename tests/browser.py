@@ -98,7 +98,7 @@ class Page:
 
     def wait(self, condition, seconds=30):
         end = time.monotonic() + seconds
-        while not self.evaluate(condition):
+        while not self.evaluate(f"Boolean({condition})"):
             assert time.monotonic() < end, f"waited {seconds} s for {condition}"
             time.sleep(0.02)
 

@@ -60,9 +60,7 @@
       this.ratio = Math.min(devicePixelRatio || 1, 2);
       const { clientWidth, clientHeight } = this.canvas;
       if (!clientWidth || !clientHeight) return;
-      this.canvas.width = Math.round(clientWidth * this.ratio);
-      this.canvas.height = Math.round(clientHeight * this.ratio);
-      this.view.resize(this.canvas.width, this.canvas.height);
+      this.view.resize(Math.round(clientWidth * this.ratio), Math.round(clientHeight * this.ratio));
       this.changed();
     }
 

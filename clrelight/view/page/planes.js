@@ -16,18 +16,16 @@
   const MARGIN = 3;
   const MOST_VALUES = 2 ** 28;
 
-  /** Undo a level along the rows of interleaved samples. */
+  /** Undo a level along the rows of interleaved samples, which go on beyond their ends as their mirror image. */
   function joinRows(values, rows, columns) {
     if (columns === 1) return;
     for (let row = 0; row < rows; row++) {
-      const from = row * columns;
-      const last = from + columns - 1;
+      const first = row * columns;
+      const last = first + columns - 1;
       for (const [factor, odd] of STEPS) {
-        for (let at = from + odd; at <= last; at += 2) {
-          const before = at > from ? values[at - 1] : values[at + 1];
-          const after = at < last ? values[at + 1] : values[at - 1];
-          values[at] -= factor * (before + after);
-        }
+        if (!odd) values[first] -= 2 * factor * values[first + 1];
+        for (let at = first + 2 - odd; at < last; at += 2) values[at] -= factor * (values[at - 1] + values[at + 1]);
+        if ((columns - 1) % 2 === odd) values[last] -= 2 * factor * values[last - 1];
       }
     }
   }
@@ -99,60 +97,58 @@
       }
   }
 
-  /** LL of a window of a plane. */
-  function lowWindow(units, plane, window) {
-    const [y0, y1] = window.rows;
-    const [x0, x1] = window.columns;
-    const columns = x1 - x0;
-    const values = new Float32Array((y1 - y0) * columns);
-    spread(units, 0, 0, plane, window, values, { pitch: columns, start: 0, step: 1 }, 1);
-    return values;
+  /** Zeros of a size, the same memory each time: planes are made one after another. */
+  function cleared(scratch, depth, size) {
+    const found = scratch[depth];
+    if (!found || found.length !== size) return (scratch[depth] = new Float32Array(size));
+    return found.fill(0);
   }
 
-  /** Samples of a region of one plane, whose units are decoded; {values, top, left, columns} of what holds it. */
-  function joinPlane(units, plan, plane) {
+  /** What a level's window becomes: rows and columns of the next finer level. */
+  function grown({ rows, columns }, height, width) {
+    return {
+      rows: [2 * rows[0], Math.min(2 * rows[1], height)],
+      columns: [2 * columns[0], Math.min(2 * columns[1], width)],
+    };
+  }
+
+  /** Samples of one plane, whose units are decoded: {values, window}, of which the window holds the plan's region. */
+  function joinPlane(units, plan, plane, scratch = []) {
     let window = plan.deepest;
-    let values = lowWindow(units, plane, window);
+    const sides = ({ rows, columns }) => [rows[1] - rows[0], columns[1] - columns[0]];
+    let [h, w] = sides(window);
+    let values = cleared(scratch, 0, h * w);
+    spread(units, 0, 0, plane, window, values, { pitch: w, start: 0, step: 1 }, 1);
     for (let depth = LEVELS; depth > plan.level; depth--) {
-      const height = halved(units.height, depth - 1);
-      const width = halved(units.width, depth - 1);
-      const next = depth - 1 > plan.level ? plan.spans[depth - 1] : plan.region;
-      const rows = [2 * window.rows[0], Math.min(2 * window.rows[1], height)];
-      const columns = [2 * window.columns[0], Math.min(2 * window.columns[1], width)];
-      const [h, w] = [rows[1] - rows[0], columns[1] - columns[0]];
-      const out = new Float32Array(h * w);
+      const low = plan.spans[depth];
+      const next = grown(low, halved(units.height, depth - 1), halved(units.width, depth - 1));
+      const from = (low.rows[0] - window.rows[0]) * w + low.columns[0] - window.columns[0];
+      const pitch = w;
+      [h, w] = sides(next);
+      const out = cleared(scratch, depth, h * w);
       // A line of one sample stays as it is.
       const [lowY, highY] = h === 1 ? [1, 1] : [LOW, HIGH];
       const [lowX, highX] = w === 1 ? [1, 1] : [LOW, HIGH];
-      const across = window.columns[1] - window.columns[0];
-      for (let y = 0; y < window.rows[1] - window.rows[0]; y++)
-        for (let x = 0; x < across; x++) out[2 * y * w + 2 * x] = lowY * lowX * values[y * across + x];
+      const [lowRows, lowColumns] = sides(low);
+      for (let y = 0; y < lowRows; y++) {
+        const [source, target] = [from + y * pitch, 2 * y * w];
+        for (let x = 0; x < lowColumns; x++) out[target + 2 * x] = lowY * lowX * values[source + x];
+      }
       const factors = [lowY * highX, highY * lowX, highY * highX];
       const starts = [1, w, w + 1];
       const shapes = bandShapes(units.height, units.width, depth);
       for (let b = 0; b < 3; b++) {
         const part = {
-          rows: [window.rows[0], Math.min(window.rows[1], shapes[b].height)],
-          columns: [window.columns[0], Math.min(window.columns[1], shapes[b].width)],
+          rows: [low.rows[0], Math.min(low.rows[1], shapes[b].height)],
+          columns: [low.columns[0], Math.min(low.columns[1], shapes[b].width)],
         };
         spread(units, depth, b, plane, part, out, { pitch: w, start: starts[b], step: 2 }, factors[b]);
       }
       joinRows(out, h, w);
       joinColumns(out, h, w);
-      ({ values, window } = cut(out, rows, columns, next));
+      [values, window] = [out, next];
     }
     return { values, window };
-  }
-
-  function cut(values, rows, columns, next) {
-    const width = columns[1] - columns[0];
-    const across = next.columns[1] - next.columns[0];
-    const part = new Float32Array((next.rows[1] - next.rows[0]) * across);
-    for (let y = next.rows[0]; y < next.rows[1]; y++) {
-      const from = (y - rows[0]) * width - columns[0];
-      part.set(values.subarray(from + next.columns[0], from + next.columns[1]), (y - next.rows[0]) * across);
-    }
-    return { values: part, window: next };
   }
 
   /**
@@ -170,11 +166,16 @@
     const plan = planRegion(units, level, [top, bottom], [left, right]);
     if (units.planes) await units.need(unitsOf(units, plan));
     const texels = new Uint16Array(4 * layers * rows * columns);
+    const scratch = [];
     for (let plane = 0; plane < units.planes; plane++) {
-      const { values } = joinPlane(units, plan, plane);
       const factor = scales[plane] * 0.5 ** level;
-      const first = (plane >> 2) * rows * columns * 4 + (plane & 3);
-      for (let i = 0; i < values.length; i++) texels[first + 4 * i] = toHalf(factor * values[i]);
+      const { values, window } = joinPlane(units, plan, plane, scratch);
+      const pitch = window.columns[1] - window.columns[0];
+      let to = (plane >> 2) * rows * columns * 4 + (plane & 3);
+      for (let y = top - window.rows[0]; y < bottom - window.rows[0]; y++) {
+        const first = y * pitch + left - window.columns[0];
+        for (let x = 0; x < columns; x++, to += 4) texels[to] = toHalf(factor * values[first + x]);
+      }
     }
     units.makeRoom();
     return texels;

@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
-  const { compile, VERTEX, SHOW, linearSum, nodeSum, tilesOf, weightsOf, TILE, halved } = clrelight;
+  const { compile, VERTEX, show, linearSum, nodeSum, tilesOf, weightsOf, TILE, halved } = clrelight;
 
   const MOST_UNIFORM_LAYERS = 60; // 181 of the 224 vectors that every WebGL 2 has
 
@@ -22,7 +22,6 @@
     restart() {
       this.programs = new Map();
       this.pictures = [];
-      this.show = compile(this.gl, VERTEX, SHOW);
       this.table = null;
     }
 
@@ -36,6 +35,12 @@
       return this.programs.get(key);
     }
 
+    showProgram(compare, curve) {
+      const key = `${compare}/${curve}`;
+      if (!this.programs.has(key)) this.programs.set(key, compile(this.gl, VERTEX, show(compare, curve)));
+      return this.programs.get(key);
+    }
+
     /** A picture of linear radiance of a size, that of a place in the comparison. */
     picture(slot, width, height) {
       const { gl } = this;
@@ -46,7 +51,7 @@
       gl.bindTexture(gl.TEXTURE_2D, texture);
       gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA16F, width, height);
       for (const axis of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, axis, gl.CLAMP_TO_EDGE);
-      for (const way of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, way, gl.LINEAR);
+      for (const way of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, way, gl.NEAREST);
       const frame = old ? old.frame : gl.createFramebuffer();
       gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
@@ -76,7 +81,7 @@
         whole = whole && found?.tile.level === level;
         if (!found) continue;
         this.sendWeights(program, file, nodes, found.tile.levels);
-        this.drawTile(program, view, file, found);
+        this.drawTile(program, view, found, scale < 1);
       }
       return whole;
     }
@@ -121,7 +126,7 @@
       gl.activeTexture(gl.TEXTURE0);
     }
 
-    drawTile(program, view, file, { tile, part }) {
+    drawTile(program, view, { tile, part }, fast) {
       const { gl } = this;
       const { level, place } = tile;
       const scale = 2 ** level;
@@ -130,31 +135,42 @@
       const v = (y) => (y / scale - place.top) / height;
       gl.activeTexture(gl.TEXTURE0);
       gl.bindTexture(gl.TEXTURE_2D_ARRAY, tile.texture);
+      this.filter(tile, fast ? gl.NEAREST : gl.LINEAR);
       gl.uniform4fv(program.uniforms.uPlace, view.toClip(part));
       gl.uniform4f(program.uniforms.uTexture, u(part[0]), v(part[3]), u(part[2]), v(part[1]));
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     }
 
+    /** Between texels, where there is time for it: without a graphics card it takes most of a frame. */
+    filter(tile, way) {
+      const { gl } = this;
+      if (tile.filter === way) return;
+      tile.filter = way;
+      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D_ARRAY, name, way);
+    }
+
     /** Show pictures: the first, both with a line between them, or their difference. */
     present(state) {
-      const { gl, show, canvas } = this;
+      const { gl, canvas } = this;
+      const { width, height } = this.pictures[0];
+      if (canvas.width !== width) canvas.width = width;
+      if (canvas.height !== height) canvas.height = height;
+      const { program, uniforms } = this.showProgram(state.compare, state.curve);
       gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-      gl.viewport(0, 0, canvas.width, canvas.height);
-      gl.useProgram(show.program);
+      gl.viewport(0, 0, width, height);
+      gl.useProgram(program);
       const second = this.pictures[1] ?? this.pictures[0];
       [this.pictures[0], second].forEach(({ texture }, unit) => {
         gl.activeTexture(gl.TEXTURE0 + unit);
         gl.bindTexture(gl.TEXTURE_2D, texture);
       });
-      gl.uniform1i(show.uniforms.uFirst, 0);
-      gl.uniform1i(show.uniforms.uSecond, 1);
-      gl.uniform1i(show.uniforms.uMode, { one: 0, split: 1, error: 2 }[state.compare]);
-      gl.uniform1i(show.uniforms.uCurve, { linear: 0, srgb: 1, filmic: 2 }[state.curve]);
-      gl.uniform1f(show.uniforms.uGain, 2 ** state.exposure);
-      gl.uniform1f(show.uniforms.uErrorGain, state.errorGain);
-      gl.uniform1f(show.uniforms.uSplit, state.split);
-      gl.uniform4f(show.uniforms.uPlace, -1, -1, 1, 1);
-      gl.uniform4f(show.uniforms.uTexture, 0, 0, 1, 1);
+      gl.uniform1i(uniforms.uFirst, 0);
+      gl.uniform1i(uniforms.uSecond, 1);
+      gl.uniform1f(uniforms.uGain, 2 ** state.exposure);
+      gl.uniform1f(uniforms.uErrorGain, state.errorGain);
+      gl.uniform1f(uniforms.uSplit, state.split);
+      gl.uniform1f(uniforms.uWidth, width);
+      gl.uniform4f(uniforms.uPlace, -1, -1, 1, 1);
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
       gl.activeTexture(gl.TEXTURE0);
     }

@@ -58,17 +58,30 @@ void main() {
   radiance = vec4(total, 1.0);
 }`;
 
-  const SHOW = `#version 300 es
+  // Each way to compare and each curve is a program of its own: without a graphics card, every step counts.
+  const CURVES = { linear: "clamp(v, 0.0, 1.0)", srgb: "encode(v)", filmic: "encode(film(v))" };
+  const WAYS = {
+    one: "shown = vec4(mix(GROUND, curved(first.rgb), first.a), 1.0);",
+    split: `vec4 chosen = gl_FragCoord.x > uSplit * uWidth ? texelFetch(uSecond, at, 0) : first;
+  shown = vec4(mix(GROUND, curved(chosen.rgb), chosen.a), 1.0);`,
+    error: `vec4 second = texelFetch(uSecond, at, 0);
+  vec3 apart = abs(curved(first.rgb) - curved(second.rgb));
+  vec3 colour = heat(uErrorGain * max(apart.r, max(apart.g, apart.b)));
+  shown = vec4(mix(GROUND, colour, min(first.a, second.a)), 1.0);`,
+  };
+
+  /** Pictures of the screen's size onto it. */
+  const show = (compare, curve) => `#version 300 es
 precision highp float;
 uniform sampler2D uFirst;
 uniform sampler2D uSecond;
-uniform int uMode;      // 0 the first, 1 both beside each other, 2 their difference
-uniform int uCurve;     // 0 linear, 1 sRGB, 2 filmic
-uniform float uGain;    // 2 to the stops
+uniform float uGain;       // 2 to the stops
 uniform float uErrorGain;
-uniform float uSplit;   // 0 to 1
+uniform float uSplit;      // 0 to 1
+uniform float uWidth;
 in vec2 vTexture;
 out vec4 shown;
+const vec3 GROUND = vec3(0.055, 0.059, 0.067);
 vec3 encode(vec3 v) {
   v = clamp(v, 0.0, 1.0);
   return mix(1.055 * pow(v, vec3(1.0 / 2.4)) - 0.055, 12.92 * v, lessThanEqual(v, vec3(0.0031308)));
@@ -80,7 +93,7 @@ vec3 film(vec3 v) {
 }
 vec3 curved(vec3 v) {
   v *= uGain;
-  return uCurve == 0 ? clamp(v, 0.0, 1.0) : encode(uCurve == 2 ? film(v) : v);
+  return ${CURVES[curve]};
 }
 // Dark to light over violet, red and yellow.
 vec3 heat(float t) {
@@ -88,16 +101,9 @@ vec3 heat(float t) {
   return clamp(vec3(1.9 * t, 2.4 * t * t - 0.35 * t, 0.55 * sin(5.2 * t) * (1.0 - t) + pow(t, 6.0)), 0.0, 1.0);
 }
 void main() {
-  vec4 first = texture(uFirst, vTexture);
-  vec4 second = uMode == 0 ? first : texture(uSecond, vTexture);
-  vec4 chosen = uMode == 1 && vTexture.x > uSplit ? second : first;
-  vec3 colour = curved(chosen.rgb);
-  if (uMode == 2) {
-    vec3 apart = abs(curved(first.rgb) - curved(second.rgb));
-    colour = heat(uErrorGain * max(apart.r, max(apart.g, apart.b)));
-    chosen.a = min(first.a, second.a);
-  }
-  shown = vec4(mix(vec3(0.055, 0.059, 0.067), colour, chosen.a), 1.0);
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  vec4 first = texelFetch(uFirst, at, 0);
+  ${WAYS[compare]}
 }`;
 
   function compile(gl, vertex, fragment) {
@@ -120,5 +126,5 @@ void main() {
     return { program, uniforms };
   }
 
-  Object.assign(clrelight, { compile, VERTEX, SHOW, linearSum, nodeSum });
+  Object.assign(clrelight, { compile, VERTEX, show, linearSum, nodeSum });
 })();

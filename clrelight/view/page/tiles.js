@@ -181,7 +181,6 @@
       const [width, height] = [place.right - place.left, place.bottom - place.top];
       gl.bindTexture(gl.TEXTURE_2D_ARRAY, texture);
       for (const axis of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D_ARRAY, axis, gl.CLAMP_TO_EDGE);
-      for (const way of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D_ARRAY, way, gl.LINEAR);
       gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
       const [inner, type] = half ? [gl.RGBA16F, gl.HALF_FLOAT] : [gl.RGBA8, gl.UNSIGNED_BYTE];
       if (file.layers) gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, inner, width, height, file.layers, 0, gl.RGBA, type, texels);
