@@ -90,9 +90,7 @@ class Page:
         self.call("Page.enable")
         self.call("Network.enable")
         self.call("Runtime.enable")
-        self.call(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=mobile
-        )
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=mobile)
         self.call("Page.navigate", url=address)
         self.wait("document.readyState === 'complete' && location.href !== 'about:blank'")
 
@@ -115,7 +113,11 @@ class Page:
         """Return what went wrong in the page so far."""
         self.evaluate("0")
         thrown = [each["params"] for each in self.events if each["method"] == "Runtime.exceptionThrown"]
-        told = [e["params"] for e in self.events if e["method"] == "Runtime.consoleAPICalled" and e["params"]["type"] == "error"]
+        told = [
+            e["params"]
+            for e in self.events
+            if e["method"] == "Runtime.consoleAPICalled" and e["params"]["type"] == "error"
+        ]
         return thrown + told
 
 
@@ -128,7 +130,8 @@ def opened_browser(address="about:blank", **options):
     try:
         told, end = Path(folder) / "DevToolsActivePort", time.monotonic() + 30
         while not told.exists() or len(told.read_text().splitlines()) < 2:
-            assert process.poll() is None and time.monotonic() < end, "chromium does not start"
+            assert process.poll() is None, "chromium does not start"
+            assert time.monotonic() < end, "chromium does not start in time"
             time.sleep(0.02)
         port, path = told.read_text().splitlines()[:2]
         root = Page(int(port), path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -75,13 +77,11 @@ def view(
             print_json({"address": server.address})
         else:
             click.echo(f"{server.address}\nCtrl-C ends it.")
-        click.get_text_stream("stdout").flush()
+        sys.stdout.flush()
         if opens:
             click.launch(server.address)
-        try:
+        with suppress(KeyboardInterrupt):  # that is how it ends
             server.serve_forever(poll_interval=0.2)
-        except KeyboardInterrupt:
-            pass  # that is how it ends
 
 
 COMMANDS = (view,)

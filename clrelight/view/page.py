@@ -49,13 +49,13 @@ def page_pieces(manifest: Mapping[str, Any], data: Iterable[tuple[str, bytes]], 
     served : bool
         Whether the page gets its data from where it came.
     """
-    title = html.escape(str(manifest["title"]))
+    title = html.escape(str(manifest["title"])).replace("{", "&#123;")  # no place of the page
     policy = _POLICY.format(connect="'self'" if served else "'none'")
     shell = _part("page.html").replace("{{title}}", title).replace("{{policy}}", policy)
     before, _, rest = shell.partition("{{style}}")
     between, _, after = rest.partition("{{scripts}}")
     yield before + _part("page.css") + between
-    yield _script(json.dumps(manifest).replace("</", "<\\/"), 'id="manifest" type="application/json"')
+    yield _script(json.dumps(manifest).replace("<", "\\u003c"), 'id="manifest" type="application/json"')
     for name, content in data:
         yield _script(base64.b64encode(content).decode("ascii"), f'id="data-{html.escape(name)}" type="text/plain"')
     for name in SCRIPTS:

@@ -74,7 +74,8 @@ class ViewServer(ThreadingHTTPServer):
             return source.read(begin, end)
         if match := _TILE.fullmatch(rest):
             number, *place = map(int, match.groups())
-            return self.sources[number].tile(*place, self.planes)  # type: ignore[arg-type]
+            level, row, column, light = place
+            return self.sources[number].tile(level, row, column, light, self.planes)
         return None
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -45,10 +46,10 @@ def opened_session(
     reference: Path | None,
     planes: str,
     exposure: float | str,
-    device: Device,
+    device: Callable[[], Device],
     report: Report,
 ) -> Iterator[Session]:
-    """Open files for a page; InputError where one is nothing that a page can show, or they are no pictures of a size."""
+    """Open files for a page; InputError where one is nothing that a page can show, or sizes differ."""
     if not files:
         raise InputError("the viewer needs at least 1 file")
     if planes not in PLANES:
@@ -84,6 +85,17 @@ def opened_session(
             "start": start_tables() if any(isinstance(source, PayloadSource) for source in sources) else "",
         }
         yield Session(sources, manifest)
+
+
+def _opener(device: Device | str | None, report: Report) -> Callable[[], Device]:
+    """Return what opens the device at its first call."""
+
+    @functools.cache
+    def opened() -> Device:
+        with opened_on(device, report) as found:
+            return found
+
+    return opened
 
 
 def _check_sizes(sources: Sequence[Source]) -> None:
@@ -146,8 +158,7 @@ def write_viewer(
     inputs = paths_among(*listed, *environments, reference)
     with (
         claimed([target], inputs, kept),
-        opened_on(device, kept) as opened,
-        opened_session(listed, environments, reference, planes, exposure, opened, kept) as session,
+        opened_session(listed, environments, reference, planes, exposure, _opener(device, kept), kept) as session,
     ):
         _check_room(session, planes)
         session.manifest["on_disk"] = True
@@ -217,8 +228,7 @@ def served_viewer(
     """
     kept = report_for(report)
     with (
-        opened_on(device, kept) as opened,
-        opened_session(files, environments, reference, planes, exposure, opened, kept) as session,
+        opened_session(files, environments, reference, planes, exposure, _opener(device, kept), kept) as session,
     ):
         try:
             server = ViewServer(session.sources, session.manifest, planes, port)

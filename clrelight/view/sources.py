@@ -7,7 +7,7 @@ import os
 import threading
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from clrelight.arrays import read_rows_into
 from clrelight.codec.bodies import Body
-from clrelight.codec.formats.klt_units import parse_body
 from clrelight.codec.formats.klt_units import VERSION as UNITS_VERSION
+from clrelight.codec.formats.klt_units import parse_body
 from clrelight.codec.minimum_size import drop_padding
 from clrelight.codec.transforms.code_values import node_matrices
 from clrelight.codec.views import Region, Regions
@@ -65,7 +65,7 @@ class Source(ABC):
 
     @abstractmethod
     def tile(self, level: int, row: int, column: int, light: int, planes: str) -> bytes:
-        """Return the texels of a tile, ``planes`` being ``half`` or ``uint8``; LookupError where there is no such tile."""
+        """Return the texels of a tile, ``planes`` being ``half`` or ``uint8``; LookupError where there is none."""
 
 
 class PayloadSource(Source):
@@ -239,8 +239,11 @@ def _record_facts(record: FitRecord, codec: str) -> dict[str, Any]:
 
 
 @contextmanager
-def opened_source(path: str | os.PathLike[str], device: Device, report: Report) -> Iterator[Source]:
-    """Open a fit, an encoding or a stack; InputError where it is none, or nothing that a page can show."""
+def opened_source(path: str | os.PathLike[str], device: Callable[[], Device], report: Report) -> Iterator[Source]:
+    """Open a fit, an encoding or a stack; InputError where it is none, or nothing that a page can show.
+
+    The device is opened where something is decoded here: what the page decodes is shown sooner without.
+    """
     name = Path(os.fsdecode(path)).name
     n_bytes = os.path.getsize(path) if os.path.exists(path) else 0
     if os.path.exists(path) and (file_schema(path) or "").startswith("stack"):
@@ -255,13 +258,13 @@ def opened_source(path: str | os.PathLike[str], device: Device, report: Report) 
         if surface_facts(record.surface, record.config) is not None or record.method == OPERATOR:
             raise InputError(f"{name} holds functions of a surface: clrelight render makes pictures of those")
         if not isinstance(held, Packed):
-            yield MapSource(name, n_bytes, decoded_of(held, path, device, report, None), "fit")
+            yield MapSource(name, n_bytes, held, "fit")
             return
         encoded = held.encoded
         if encoded.codec == "klt" and drop_padding(encoded.body, encoded.shape)[:1] == bytes([UNITS_VERSION]):
             yield PayloadSource(name, held)
         elif (regions := held.regions()) is not None:
-            yield RegionSource(name, held, regions, device)
+            yield RegionSource(name, held, regions, device())
         else:
-            fit = decoded_of(held, path, device, report, None)
+            fit = decoded_of(held, path, device(), report, None)
             yield MapSource(name, len(encoded.body), fit, encoded.codec)

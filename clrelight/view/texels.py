@@ -18,7 +18,7 @@ _LARGEST_HALF = 65504.0
 
 @dataclass(frozen=True)
 class TilePlace:
-    """Which pixels of a level a tile holds, its border with them: rows and columns, from the first to before the end."""
+    """Which pixels of a level a tile and its border hold: rows and columns, from the first to before the end."""
 
     level: int
     top: int
@@ -58,13 +58,13 @@ def halve(planes_phw: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def pack_half(planes_phw: NDArray[np.float32], group: int = 4) -> bytes:
-    """Return texels [layer, row, column, 4] as 16-bit floats, `group` planes to a layer; what they cannot hold is cut."""
+    """Return texels [layer, row, column, 4] as 16-bit floats, cut to their range; `group` planes to a layer."""
     texels = _interleaved(np.clip(planes_phw, -_LARGEST_HALF, _LARGEST_HALF), group)
     return texels.astype("<f2").tobytes()
 
 
 def pack_bytes(planes_phw: NDArray[np.float32]) -> bytes:
-    """Return first levels and steps, float32 [layer, 4] each, then texels as bytes: a plane is ``low + step · byte``."""
+    """Return first levels and steps, float32 [layer, 4] each, then texels as bytes: ``low + step · byte``."""
     low_p = planes_phw.min(axis=(1, 2))
     step_p = (planes_phw.max(axis=(1, 2)) - low_p) / np.float32(255.0)
     codes = (planes_phw - low_p[:, None, None]) / np.where(step_p > 0, step_p, 1.0)[:, None, None].astype(np.float32)

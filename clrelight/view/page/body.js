@@ -9,6 +9,7 @@
   const SIDES = [16, 64, 64, 64, 32, 16]; // by level; 0 is LL
   const TOGETHER = 1 << 18;
   const MOST_PIXELS = 2 ** 40;
+  const MOST_VALUES = 2 ** 28;
 
   const halved = (side, level) => Math.floor((side - 1) / 2 ** level) + 1;
 
@@ -106,6 +107,7 @@
       Object.assign(this, { height, width, read, start, roomBytes });
       this.head = parseHead(front, channels, coefficients);
       this.planes = this.head.planes;
+      demand(this.planes * 3 * 64 * 64 <= MOST_VALUES, "more planes than a page can hold");
       this.together = height * width <= TOGETHER;
       Object.assign(this, layOut(height, width));
       const streams = this.planes === 0 ? 0 : this.together ? 1 : this.count;
@@ -216,30 +218,31 @@
 
     decodeUnit(number, stream, tables) {
       const place = this.place(number);
-      let values;
+      let bands;
       if (place.level === 0) {
         const [{ rows, columns }] = place.bands;
-        values = [decodeLow(stream, tables, this.planes, rows, columns)];
-      } else values = decodeDetails(stream, tables, this.planes, place.bands, this.parentsOf(place));
-      this.keep(number, values.map(narrowed));
+        const live = new Uint8Array(this.planes).fill(1);
+        bands = [{ values: decodeLow(stream, tables, this.planes, rows, columns), live }];
+      } else bands = decodeDetails(stream, tables, this.planes, place.bands, this.parentsOf(place));
+      this.keep(number, bands.map((band) => band && { ...band, values: narrowed(band.values) }));
     }
 
     parentsOf(place) {
       const above = this.parentNumber(place);
       if (above < 0) return [null, null, null];
       const parent = this.place(above);
-      const values = this.kept.get(above).values;
+      const kept = this.kept.get(above).bands;
       const top = (place.row >> 1) - parent.row;
       const left = (place.column >> 1) - parent.column;
       return parent.bands.map((band, b) => {
         if (!band || band.rows <= top || band.columns <= left) return null;
-        return { values: values[b], rows: band.rows, columns: band.columns, top, left };
+        return { ...kept[b], rows: band.rows, columns: band.columns, top, left };
       });
     }
 
-    keep(number, values) {
-      const bytes = values.reduce((sum, each) => sum + (each ? each.byteLength : 0), 0);
-      this.kept.set(number, { values, bytes });
+    keep(number, bands) {
+      const bytes = bands.reduce((sum, band) => sum + (band ? band.values.byteLength : 0), 0);
+      this.kept.set(number, { bands, bytes });
       this.keptBytes += bytes;
     }
 
@@ -256,7 +259,6 @@
 
   /** Integers in 16 bits where they fit. */
   function narrowed(values) {
-    if (!values) return null;
     for (let i = 0; i < values.length; i++) if (values[i] !== (values[i] << 16) >> 16) return values;
     return Int16Array.from(values);
   }

@@ -8,6 +8,7 @@
   // All samples of a unit, and what belongs to them: made once, since a unit is decoded at a time.
   const hint = new Int32Array(SIDE * SIDE);
   const places = new Int32Array(SIDE * SIDE);
+  const heres = new Int32Array(SIDE * SIDE); // the same in sizes
   const contexts = new Int32Array(SIDE * SIDE);
   const shifts = new Int32Array(SIDE * SIDE);
   const symbols = new Uint8Array(SIDE * SIDE);
@@ -17,90 +18,117 @@
   const before = [0, 1, 2].map(() => new Int32Array(SIDE * SIDE));
   const NEIGHBOURS = [[], [-PITCH - 1, -PITCH + 1, PITCH - 1, PITCH + 1], [-PITCH, PITCH, -1, 1]];
 
+  // Of each band whether anything is there: of this plane, and of those before. Most of fine planes are empty.
+  const live = [false, false, false];
+  const lived = [false, false, false];
+
   /**
    * Decode the subbands of a unit.
    *
-   * bands: of HL, LH and HH {rows, columns} in the unit, null where it has no samples; parents: of each {values, rows,
-   * columns, top, left, height, width} of the unit above, null where it has none at the first place. Returns of each
-   * band integers [plane, row, column].
+   * bands: of HL, LH and HH {rows, columns} in the unit, null where it has no samples; parents: of each {values, live,
+   * rows, columns, top, left} of the unit above, null where it has none at the first place. Returns of each band
+   * {values: integers [plane, row, column], live: whether a plane has any}.
    */
   function decodeDetails(stream, tables, planes, bands, parents) {
-    const found = bands.map((band) => band && new Int32Array(planes * band.rows * band.columns));
+    const found = bands.map(
+      (band) => band && { values: new Int32Array(planes * band.rows * band.columns), live: new Uint8Array(planes) },
+    );
     for (const each of before) each.fill(0);
+    lived.fill(false);
     for (let plane = 0; plane < planes; plane++) {
-      for (const each of size) each.fill(0);
+      for (let b = 0; b < 3; b++) if (live[b] || !plane) size[b].fill(0);
+      live.fill(false);
       for (let b = 0; b < 3; b++) {
         const band = bands[b];
         if (!band) continue;
-        makeHints(plane, b, band, parents[b]);
         const count = band.rows * band.columns;
-        decodeBand(stream, tables, plane, band, size[b], found[b].subarray(plane * count, (plane + 1) * count));
-        remember(plane, band, size[b], before[b]);
+        const sum = makeHints(plane, b, band, parents[b]);
+        const out = found[b].values.subarray(plane * count, (plane + 1) * count);
+        live[b] = decodeBand(stream, tables, plane, band, sum, size[b], out);
+        found[b].live[plane] = live[b] ? 1 : 0;
+        if (live[b] || lived[b]) remember(plane, band, size[b], before[b]);
+        lived[b] ||= live[b];
       }
     }
     return found;
   }
 
+  /** Fill in the hints of a band; return their sum. */
   function makeHints(plane, b, { rows, columns }, parent) {
     const weight = b + (parent ? 1 : 0) + (plane ? 6 : 0);
+    const count = rows * columns;
     if (!weight) {
-      hint.fill(16, 0, rows * columns);
-      return;
+      hint.fill(16, 0, count);
+      return 16 * count;
     }
-    const factor = Math.floor(65536 / weight) + 1;
-    const [first, second] = size;
+    const fromParent = parent && parent.live[plane];
+    const fromFirst = b > 0 && live[0];
+    const fromSecond = b > 1 && live[1];
+    const fromBefore = plane > 0 && lived[b];
+    if (!fromParent && !fromFirst && !fromSecond && !fromBefore) {
+      hint.fill(0, 0, count);
+      return 0;
+    }
+    hint.fill(0, 0, count);
+    if (fromFirst) addSizes(size[0], rows, columns);
+    if (fromSecond) addSizes(size[1], rows, columns);
+    if (fromParent) addParent(parent, plane, rows, columns);
+    const factor = weight === 1 ? 65536 : Math.floor(65536 / weight) + 1;
     const known = before[b];
-    for (let y = 0, at = 0; y < rows; y++) {
-      for (let x = 0; x < columns; x++, at++) {
-        const here = (y + 1) * PITCH + x + 1;
-        let sizes = (b > 0 ? first[here] : 0) + (b > 1 ? second[here] : 0);
-        if (parent) sizes += parentSize(parent, plane, y >> 1, x >> 1);
-        const sum = 16 * sizes + (plane ? 6 * known[at] : 0);
-        hint[at] = weight === 1 ? sum : (sum * factor) >> 16;
-      }
+    let sum = 0;
+    for (let at = 0; at < count; at++) {
+      const value = 16 * hint[at] + (fromBefore ? 6 * known[at] : 0);
+      sum += hint[at] = weight === 1 ? value : (value * factor) >> 16;
     }
+    return sum;
   }
 
-  function parentSize(parent, plane, row, column) {
-    const y = parent.top + row;
-    const x = parent.left + column;
-    if (y >= parent.rows || x >= parent.columns) return 0;
-    const value = parent.values[(plane * parent.rows + y) * parent.columns + x];
-    return Math.min(value < 0 ? -value : value, 255);
+  function addSizes(sizes, rows, columns) {
+    for (let y = 0, at = 0; y < rows; y++)
+      for (let x = 0, here = (y + 1) * PITCH + 1; x < columns; x++, at++, here++) hint[at] += sizes[here];
+  }
+
+  function addParent(parent, plane, rows, columns) {
+    const high = Math.min(rows, 2 * (parent.rows - parent.top));
+    const wide = Math.min(columns, 2 * (parent.columns - parent.left));
+    for (let y = 0; y < high; y++) {
+      const from = (plane * parent.rows + parent.top + (y >> 1)) * parent.columns + parent.left;
+      for (let x = 0, at = y * columns; x < wide; x++, at++) {
+        const value = parent.values[from + (x >> 1)];
+        hint[at] += Math.min(value < 0 ? -value : value, 255);
+      }
+    }
   }
 
   function remember(plane, { rows, columns }, sizes, old) {
     const fade = (plane > 0 ? 1 : 0) + (plane > 2 ? 1 : 0) + (plane > 10 ? 1 : 0);
     for (let y = 0, at = 0; y < rows; y++)
-      for (let x = 0; x < columns; x++, at++) {
-        const scaled = 16 * sizes[(y + 1) * PITCH + x + 1];
-        old[at] += (scaled - old[at]) >> fade;
+      for (let x = 0, here = (y + 1) * PITCH + 1; x < columns; x++, at++, here++) {
+        old[at] += (16 * sizes[here] - old[at]) >> fade;
       }
   }
 
-  function decodeBand(stream, tables, plane, band, sizes, out) {
-    const { rows, columns } = band;
-    let sum = 0;
-    for (let i = 0; i < rows * columns; i++) sum += hint[i];
-    if (!tables.takeFlag(stream, 112 + (plane ? 16 : 0) + Math.min(classOf(sum >> 4), 15))) return;
+  /** Decode a band of a plane; return whether anything is there. */
+  function decodeBand(stream, tables, plane, { rows, columns }, sum, sizes, out) {
+    if (!tables.takeFlag(stream, 112 + (plane ? 16 : 0) + Math.min(classOf(sum >> 4), 15))) return false;
     const count = readCells(stream, tables, rows, columns);
     const group = plane === 0 ? 0 : plane < 8 ? 1 : 2;
     for (let batch = 0; batch < 3; batch++) {
       if (batch) mirror(sizes, rows, columns);
       const found = listPlaces(count, batch, rows, columns);
-      for (let i = 0; i < found; i++) addContext(i, columns, group, batch, sizes);
+      addContexts(found, group, batch, sizes);
       const whole = found & ~3;
       for (let i = 0; i < found; i++) symbols[i] = tables.takeSymbol(stream, contexts[i], i < whole ? i & 3 : 0);
       tables.learn(contexts, found);
       for (let i = 0; i < found; i++) {
+        if (!symbols[i] && !shifts[i]) continue; // 0, without raw bits
         const magnitude = stream.takeMagnitude(symbols[i], shifts[i], shifts[i] === 4 ? 4 : 0);
         if (!magnitude) continue;
-        const at = places[i];
-        out[at] = stream.takeBits(1) ? -magnitude : magnitude;
-        const y = Math.floor(at / columns);
-        sizes[(y + 1) * PITCH + (at - y * columns) + 1] = Math.min(magnitude, 255);
+        out[places[i]] = stream.takeBits(1) ? -magnitude : magnitude;
+        sizes[heres[i]] = Math.min(magnitude, 255);
       }
     }
+    return true;
   }
 
   /** Read a flag for each cell of 8 x 8 samples; return how many are to be decoded, which `cells` lists. */
@@ -132,27 +160,30 @@
       for (let y = top; y < bottom; y++) {
         if (batch < 2 && (y & 1) !== batch) continue;
         const odd = batch === 2 ? (y & 1 ? 0 : 1) : batch;
-        for (let x = left + odd; x < right; x += 2) places[found++] = y * columns + x;
+        for (let x = left + odd; x < right; x += 2) {
+          places[found] = y * columns + x;
+          heres[found++] = (y + 1) * PITCH + x + 1;
+        }
       }
     }
     return found;
   }
 
-  function addContext(i, columns, group, batch, sizes) {
-    const at = places[i];
-    const known = hint[at];
-    let expected = known >> 4;
-    let near = 11;
-    if (batch) {
-      const y = Math.floor(at / columns);
-      const here = (y + 1) * PITCH + (at - y * columns) + 1;
-      const [a, b, c, d] = NEIGHBOURS[batch];
-      const around = sizes[here + a] + sizes[here + b] + sizes[here + c] + sizes[here + d];
-      near = Math.min(classOf(around), 10);
-      expected = Math.max(expected, around >> 2);
+  function addContexts(count, group, batch, sizes) {
+    const [a, b, c, d] = NEIGHBOURS[batch];
+    for (let i = 0; i < count; i++) {
+      const known = hint[places[i]];
+      const here = heres[i];
+      let expected = known >> 4;
+      let near = 11;
+      if (batch) {
+        const around = sizes[here + a] + sizes[here + b] + sizes[here + c] + sizes[here + d];
+        near = Math.min(classOf(around), 10);
+        expected = Math.max(expected, around >> 2);
+      }
+      contexts[i] = 192 * group + 16 * near + Math.min(classOf(known), 15);
+      shifts[i] = Math.max(bitsOf(expected) - 4, 0);
     }
-    contexts[i] = 192 * group + 16 * near + Math.min(classOf(known), 15);
-    shifts[i] = Math.max(bitsOf(expected) - 4, 0);
   }
 
   /** Continue sizes beyond the edges as their mirror image about the last sample. */

@@ -116,7 +116,9 @@
           for (let c = 0; c < 3; c++) sums[c] += seen[3 * k + c] * file.analysis[k * count + i];
         return { direction: [...file.nodes.subarray(3 * i, 3 * i + 3)], share: sums };
       });
-      return share && sun[2] > 0 ? [...found, ...lamp(sun, share)] : found;
+      const most = Math.max(...found.map((node) => Math.max(...node.share.map(Math.abs))));
+      const seenNodes = found.filter((node) => node.share.some((each) => Math.abs(each) > 1e-4 * most));
+      return share && sun[2] > 0 ? [...seenNodes, ...lamp(sun, share)] : seenNodes;
     }
   }
 

@@ -6,7 +6,9 @@
   const { decibelsApart, automaticExposure, directionOf } = clrelight;
 
   const DRAGGED = 0.5; // of the resolution while something is dragged
-  const SLOW = 120; // milliseconds of a frame after which the next ones are coarser still
+  const COARSEST = 0.125;
+  const PATIENCE = { dragged: 90, still: 1500 }; // milliseconds of a frame: coarser where it would take longer
+  const HEAVY = 40; // sums at a pixel from which on nobody knows how long they take without having tried
   const FIGURES_AFTER = 180;
 
   const START = {
@@ -37,7 +39,7 @@
       this.store = new TileStore(this.renderer.gl, manifest, () => this.changed());
       this.view = new View(manifest.files[0].width, manifest.files[0].height);
       this.dragging = false;
-      this.scale = DRAGGED;
+      this.pace = 0; // milliseconds of a million sums, once measured
       this.started = performance.now();
       this.panel = new Panel(this, manifest);
       this.globe = new Globe(document.getElementById("globe"), this);
@@ -80,30 +82,45 @@
     }
 
     frame() {
-      const since = performance.now();
       const { store, renderer, view, lighting, state } = this;
       this.followPhotographs();
       store.beginFrame();
       const files = this.shownFiles();
-      const scale = this.dragging ? this.scale : 1;
+      const work = files.reduce((sum, file) => sum + renderer.work(file, lighting, state), 0);
+      const scale = this.chooseScale(work);
+      const since = performance.now();
       const whole = files.map((file, slot) => renderer.sum(slot, file, view, store, lighting, state, scale));
       if (files.length === 1) renderer.pictures.length = 1;
+      if (this.dragging || work > HEAVY) this.measurePace(work, scale, since);
       renderer.present(state);
       store.endFrame();
       this.isWhole = whole.every(Boolean);
       if (this.isWhole) this.firstPicture ??= performance.now() - this.started;
-      this.someTiles ??= store.tiles.size ? performance.now() - this.started : undefined;
+      if (store.tiles.size) this.someTiles ??= performance.now() - this.started;
       this.panel.update(state);
       this.panel.fault(store.faults.at(-1) ?? "");
       this.globe.draw(state, files[0]);
-      this.adapt(performance.now() - since);
       this.planFigures();
     }
 
-    /** Make dragging coarser where it is slow, as without a graphics card; finer again where it is not. */
-    adapt(milliseconds) {
-      if (!this.dragging) this.scale = this.slow ? DRAGGED / 2 : DRAGGED;
-      else if (milliseconds > SLOW) this.slow = true;
+    /** The resolution at which a frame is soon there; half of the screen's at most while something is dragged. */
+    chooseScale(work) {
+      const { dragged, still } = PATIENCE;
+      const sums = (work * this.view.width * this.view.height) / 1e6;
+      let scale = this.dragging ? DRAGGED : 1;
+      if (!this.pace && work > HEAVY) return (this.scale = COARSEST);
+      while (scale > COARSEST && this.pace * sums * scale * scale > (this.dragging ? dragged : still)) scale /= 2;
+      return (this.scale = scale);
+    }
+
+    measurePace(work, scale, since) {
+      const isFirst = !this.pace;
+      this.renderer.finish();
+      const sums = (work * this.view.width * this.view.height * scale * scale) / 1e6;
+      const pace = (performance.now() - since) / Math.max(sums, 1e-3);
+      // Whatever is compiled, or waits for others, makes single frames long.
+      this.pace = isFirst ? pace : Math.min(pace, 0.7 * this.pace + 0.3 * pace);
+      if (scale < 1 && !this.dragging && (isFirst || this.chooseScale(work) > scale)) this.changed();
     }
 
     /** With photographs beside fits, the lamp is where one was taken: the nearest. */
@@ -129,7 +146,8 @@
     }
 
     showFigures() {
-      const zoom = `${Math.round((100 * this.view.zoom) / 1)} %`;
+      const coarse = this.scale < 1 ? ` · drawn at ${1 / this.scale} × coarser pixels` : "";
+      const zoom = `${Math.round(100 * this.view.zoom)} %${coarse}`;
       const { files } = this.manifest;
       const { compare, first, second } = this.state;
       if (compare === "one" || !this.store.isIdle || !this.isWhole) {

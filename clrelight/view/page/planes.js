@@ -86,7 +86,8 @@
         const number = units.numberOf(level, top, left);
         const shape = units.place(number).bands[band];
         if (!shape) continue;
-        const values = units.kept.get(number).values[band];
+        const { values, live } = units.kept.get(number).bands[band];
+        if (!live[plane]) continue;
         const offset = plane * shape.rows * shape.columns;
         for (let y = Math.max(top, y0); y < Math.min(top + shape.rows, y1); y++) {
           const from = offset + (y - top) * shape.columns - left;

@@ -2,9 +2,10 @@
 "use strict";
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
-  const { compile, VERTEX, show, linearSum, nodeSum, tilesOf, weightsOf, TILE, halved } = clrelight;
+  const { compile, VERTEX, show, planeSum, tilesOf, weightsOf, TILE, halved } = clrelight;
 
-  const MOST_UNIFORM_LAYERS = 60; // 181 of the 224 vectors that every WebGL 2 has
+  const MOST_VECTORS = 216; // of uniforms in a program: more take long to compile
+  const KEPT_VECTORS = 8; // for other uniforms, and what a driver adds
 
   class Renderer {
     constructor(canvas) {
@@ -22,17 +23,36 @@
     restart() {
       this.programs = new Map();
       this.pictures = [];
-      this.table = null;
+      }
+
+    sumProgram(layers, nodes, bent) {
+      const key = `${layers}/${nodes}/${bent}`;
+      if (!this.programs.has(key)) this.programs.set(key, compile(this.gl, VERTEX, planeSum(layers, nodes, bent)));
+      return this.programs.get(key);
     }
 
-    sumProgram(file, bent) {
-      const uniform = !bent && file.layers <= MOST_UNIFORM_LAYERS;
-      const key = `${file.layers}/${bent}`;
-      if (!this.programs.has(key)) {
-        const text = uniform ? linearSum(file.layers) : nodeSum(file.layers, bent);
-        this.programs.set(key, { ...compile(this.gl, VERTEX, text), uniform });
-      }
-      return this.programs.get(key);
+    /**
+     * What is drawn of each tile, one after another and added up: {program, weights(levels), layer}.
+     *
+     * As many nodes at once as a program has uniforms for; of planes without a curve, as many layers.
+     */
+    planPasses(file, { bent, nodes }) {
+      const { gl } = this;
+      const vectors = Math.min(gl.getParameter(gl.MAX_FRAGMENT_UNIFORM_VECTORS) - KEPT_VECTORS, MOST_VECTORS);
+      const mostLayers = Math.floor((vectors - 2) / 3);
+      const cuts = bent ? 1 : Math.max(Math.ceil(file.layers / mostLayers), 1);
+      const layers = Math.ceil(file.layers / cuts);
+      if (layers > gl.getParameter(gl.MAX_FRAGMENT_UNIFORM_VECTORS) / 3 - 4) throw new Error("it has too many planes for this graphics card");
+      const atOnce = Math.min(Math.max(Math.floor(vectors / (3 * layers + 2)), 1), nodes.length);
+      const program = this.sumProgram(layers, atOnce, bent);
+      const passes = [];
+      for (let first = 0; first < nodes.length; first += atOnce)
+        for (let cut = 0; cut < cuts; cut++) {
+          const some = nodes.slice(first, first + atOnce);
+          const weights = (levels) => packNodes(file, some, levels, layers, cut * layers, atOnce);
+          passes.push({ program, weights, layer: cut * layers });
+        }
+      return passes;
     }
 
     showProgram(compare, curve) {
@@ -58,6 +78,18 @@
       return (this.pictures[slot] = { texture, frame, width, height });
     }
 
+    /** Sums of planes at a pixel, so to speak: what a picture of a size costs is in proportion. */
+    work(file, lighting, state) {
+      return file.layers * (file.bent ? weightsOf(lighting, state, file).nodes.length : 1);
+    }
+
+    /** Wait until all is drawn. */
+    finish() {
+      const { gl } = this;
+      gl.bindFramebuffer(gl.FRAMEBUFFER, this.pictures[0].frame);
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, new Float32Array(4));
+    }
+
     /** Draw what is seen of a file; return whether all of it was there at the level it should be. */
     sum(slot, file, view, store, lighting, state, scale) {
       const { gl } = this;
@@ -69,21 +101,30 @@
       gl.clearColor(0, 0, 0, 0);
       gl.clear(gl.COLOR_BUFFER_BIT);
       if (!view.seen) return true;
-      const { bent, nodes } = weightsOf(lighting, state, file);
-      const program = this.sumProgram(file, bent);
+      const level = view.levelFor(file.levels);
+      const found = tilesOf(file, level, view.seen).map((at) => this.tileFor(file, level, ...at, store, state.photograph));
+      const passes = this.planPasses(file, weightsOf(lighting, state, file));
+      gl.blendFunc(gl.ONE, gl.ONE);
+      passes.forEach((pass, i) => {
+        if (i === 1) gl.enable(gl.BLEND);
+        this.drawPass(pass, view, found.filter(Boolean), i === 0, scale < 1);
+      });
+      gl.disable(gl.BLEND);
+      return found.every((each) => each?.tile.level === level);
+    }
+
+    drawPass({ program, weights, layer }, view, found, isFirst, fast) {
+      const { gl } = this;
       gl.useProgram(program.program);
       gl.uniform1i(program.uniforms.uPlanes, 0);
-      this.sentLevels = undefined;
-      const level = view.levelFor(file.levels);
-      let whole = true;
-      for (const [row, column] of tilesOf(file, level, view.seen)) {
-        const found = this.tileFor(file, level, row, column, store, state.photograph);
-        whole = whole && found?.tile.level === level;
-        if (!found) continue;
-        this.sendWeights(program, file, nodes, found.tile.levels);
-        this.drawTile(program, view, found, scale < 1);
+      gl.uniform1f(program.uniforms.uLayer, layer);
+      gl.uniform1f(program.uniforms.uAlpha, isFirst ? 1 : 0);
+      let sent;
+      for (const each of found) {
+        if (sent !== each.tile.levels) gl.uniform4fv(program.uniforms.uWeights, weights(each.tile.levels));
+        sent = each.tile.levels;
+        this.drawTile(program, view, each, fast);
       }
-      return whole;
     }
 
     /** The tile, or the part of a coarser one that is there; what is missing is asked for. */
@@ -99,31 +140,6 @@
         if (found && coarse === level) break;
       }
       return found;
-    }
-
-    sendWeights(program, file, nodes, levels) {
-      if (this.sentLevels === levels) return;
-      this.sentLevels = levels;
-      const { gl } = this;
-      const rows = nodes.map(({ weights }) => packWeights(file, weights, levels));
-      if (program.uniform) {
-        gl.uniform4fv(program.uniforms.uWeights, rows[0]);
-        return;
-      }
-      const width = 3 * file.layers + 2;
-      const table = new Float32Array(4 * width * nodes.length);
-      nodes.forEach(({ share }, n) => {
-        table.set(rows[n], 4 * width * n);
-        table.set(share, 4 * (width * n + width - 1));
-      });
-      this.table ??= gl.createTexture();
-      gl.activeTexture(gl.TEXTURE1);
-      gl.bindTexture(gl.TEXTURE_2D, this.table);
-      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, nodes.length, 0, gl.RGBA, gl.FLOAT, table);
-      for (const way of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, way, gl.NEAREST);
-      gl.uniform1i(program.uniforms.uTable, 1);
-      gl.uniform1i(program.uniforms.uNodes, nodes.length);
-      gl.activeTexture(gl.TEXTURE0);
     }
 
     drawTile(program, view, { tile, part }, fast) {
@@ -186,19 +202,29 @@
     }
   }
 
-  /** Weights [channel][plane, and 1] as vectors, for planes that are `low + step * byte` where levels are given. */
-  function packWeights(file, weights, levels) {
+  /**
+   * Weights of nodes as vectors, of `layers` from one on; what is left of `count` nodes is 0.
+   *
+   * Planes are `low + step * byte` where levels are given; what is 1 everywhere goes with the first layers.
+   */
+  function packNodes(file, nodes, levels, layers, firstLayer, count) {
     const width = file.planes + 1;
-    const packed = new Float32Array(4 * (3 * file.layers + 1));
-    for (let c = 0; c < 3; c++) {
-      let constant = weights[c * width + file.planes];
-      for (let p = 0; p < file.planes; p++) {
-        const weight = weights[c * width + p];
-        packed[4 * (3 * (p >> 2) + c) + (p & 3)] = levels ? 255 * levels.step[p] * weight : weight;
-        if (levels) constant += levels.low[p] * weight;
+    const rows = 3 * layers + 2;
+    const packed = new Float32Array(4 * rows * count);
+    nodes.forEach(({ weights, share }, n) => {
+      const at = 4 * rows * n;
+      const last = Math.min(4 * (firstLayer + layers), file.planes);
+      for (let c = 0; c < 3; c++) {
+        let constant = firstLayer ? 0 : weights[c * width + file.planes];
+        for (let p = 4 * firstLayer; p < last; p++) {
+          const weight = weights[c * width + p];
+          packed[at + 4 * (3 * ((p >> 2) - firstLayer) + c) + (p & 3)] = levels ? 255 * levels.step[p] * weight : weight;
+          if (levels) constant += levels.low[p] * weight;
+        }
+        packed[at + 12 * layers + c] = constant;
       }
-      packed[12 * file.layers + c] = constant;
-    }
+      packed.set(share, at + 12 * layers + 4);
+    });
     return packed;
   }
 

@@ -66,7 +66,7 @@
 
     /** The level of which a pixel is about one of the screen. */
     levelFor(levels) {
-      return Math.min(Math.max(Math.floor(Math.log2(1 / this.zoom) + 0.25), 0), levels);
+      return Math.min(Math.max(Math.floor(Math.log2(1 / this.zoom) + 0.5), 0), levels);
     }
 
     /** Corners of a part of the image on the screen, from -1 to 1, y up. */
