@@ -29,7 +29,8 @@ OPEN = """
 const { Units, lengthWithoutPadding, decodeRegion, joinPlane, planRegion, fromBase64, halved } = clrelight;
 const toBase64 = (array) => {
   let text = "";
-  for (const byte of new Uint8Array(array.buffer, array.byteOffset, array.byteLength)) text += String.fromCharCode(byte);
+  const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
+  for (const byte of bytes) text += String.fromCharCode(byte);
   return btoa(text);
 };
 const open = ({ body, shape }) => {
@@ -276,7 +277,8 @@ def test_skies_are_interpolated_between_ours():
     table = sky_tables(12)
     assert [each["name"] for each in table] == ["clear", "partly-cloudy", "overcast"]
     code = """
-    const lighting = new clrelight.Lighting({ light_degree: 12, skies: data.skies, environments: [], seen: { lying: "", standing: "" } });
+    const seen = { lying: "", standing: "" };
+    const lighting = new clrelight.Lighting({ light_degree: 12, skies: data.skies, environments: [], seen });
     return data.asked.map(([sky, height]) => [...lighting.skyAt(sky, height)]);
     """
     asked = {(0, 35.0): 1e-6, (1, 37.0): 0.01, (2, 90.0): 1e-6}

@@ -16,7 +16,7 @@ import pytest
 
 import clrelight as cr
 from clrelight.store import read_fit
-from clrelight.view.page import SCRIPTS, page_pieces
+from clrelight.view.document import SCRIPTS, page_pieces
 from clrelight.view.session import served_viewer
 from clrelight.view.texels import count_levels, halve, tile_place
 from tests.commands import call, command_line, environment, succeed

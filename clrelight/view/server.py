@@ -11,7 +11,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from clrelight.errors import InputError
-from clrelight.view.page import page_pieces
+from clrelight.view.document import page_pieces
 from clrelight.view.sources import PayloadSource, Source
 
 LOOPBACK = "127.0.0.1"

@@ -16,8 +16,8 @@ from clrelight.jobs.inputs import opened_on, path_text, paths_among
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_stops
+from clrelight.view.document import page_pieces, start_tables, tile_names
 from clrelight.view.lights import light_degree, read_surroundings, seen_matrix, sky_tables
-from clrelight.view.page import page_pieces, start_tables, tile_names
 from clrelight.view.server import ViewServer
 from clrelight.view.sources import PayloadSource, Source, StackSource, floats_text, opened_source
 from clrelight.view.texels import BORDER, TILE
