@@ -15,6 +15,7 @@ from typing import Any
 
 import click
 import numpy as np
+from PIL import Image
 
 from clrelight.cli.tables import print_table
 from clrelight.durable import replacing
@@ -44,6 +45,15 @@ _SQUARE = """(() => {
   const app = clrelight.app;
   app.canvas.style.cssText = "position: fixed; left: 0; top: 0; z-index: 9; width: SIDEpx; height: SIDEpx";
   app.resize();
+})()"""
+
+
+_COMPARED = """(() => {
+  const app = clrelight.app;
+  app.chooseScale = () => (app.scale = 1); // however slow this machine is
+  app.pointLight(clrelight.directionOf(-0.4, 0.3));
+  app.set("split", 0.47);
+  app.set("compare", "split");
 })()"""
 
 
@@ -115,6 +125,28 @@ def figures(file_24: Path | None, frames: int) -> None:
         some, whole = first_picture(file_24)
         rows += [["seconds to the first picture", f"{some:.2f}"], ["seconds to all of it", f"{whole:.2f}"]]
     print_table(["figure", "value"], rows)
+
+
+@main.command()
+@click.option("--folder", type=click.Path(path_type=Path), help="Where the files stay, for the next run.")
+@click.option("--out", type=click.Path(path_type=Path), default=ROOT / "docs" / "images" / "viewer.png")
+def picture(folder: Path | None, out: Path) -> None:
+    """Write the picture of docs/viewer.md: the paper's ring by two codecs beside each other."""
+    with tempfile.TemporaryDirectory() as scratch:
+        place = folder or Path(scratch)
+        stack, fit, files = place / "ring.h5", place / "fit.h5", [place / "ring_klt.h5", place / "ring_s3tc.h5"]
+        if not fit.exists():
+            run("synth", "ring", stack, "--size", 512, "--lights", 100)
+            run("fit", stack, fit, "--degree", 5)
+            run("encode", fit, files[0], "--codec", "klt", "--rate", 0.1)
+            run("encode", fit, files[1], "--codec", "s3tc")
+        with served(*files) as address, opened_browser(address, width=1120, height=740) as page:
+            page.wait("globalThis.clrelight?.app?.isWhole", 120)
+            page.evaluate(_COMPARED)
+            page.wait(f"{_READY} && /dB/.test(document.getElementById('figure').textContent)", 120)
+            page.picture(out)
+    with Image.open(out) as drawn:
+        drawn.convert("RGB").quantize(200).save(out, optimize=True)
 
 
 @main.command()

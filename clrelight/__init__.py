@@ -79,6 +79,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.transfer.near_lights import PointLight as PointLight
     from clrelight.transfer.near_lights import PolygonLight as PolygonLight
     from clrelight.transfer.near_lights import SphereLight as SphereLight
+    from clrelight.view.session import write_viewer as write_viewer
 
 __version__ = "0.1.0"
 
@@ -126,6 +127,7 @@ _MODULES = {
     "transfer.local_light": "LocalLights",
     "transfer.mesh_files": "read_mesh",
     "transfer.near_lights": "PointLight PolygonLight SphereLight",
+    "view.session": "write_viewer",
 }
 _HOMES = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names.split()}
 

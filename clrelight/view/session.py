@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -154,18 +155,20 @@ def write_viewer(
         If a file cannot be shown, the page would pass what browsers hold, or `out` cannot be written.
     """
     listed = [files] if isinstance(files, str | os.PathLike) else list(files)
-    target, kept = path_text(out, "a page to write"), report_for(report)
+    target, kept, since = path_text(out, "a page to write"), report_for(report), time.perf_counter()
     inputs = paths_among(*listed, *environments, reference)
     with (
         claimed([target], inputs, kept),
         opened_session(listed, environments, reference, planes, exposure, _opener(device, kept), kept) as session,
     ):
+        since = kept.add("open", since)
         _check_room(session, planes)
         session.manifest["on_disk"] = True
         with replacing(target) as part, stage(progress, "writing") as tell:
             data = _data_of(session, planes, tell)
             for piece in page_pieces(session.manifest, data, served=False):
                 part.write(piece.encode("utf-8"))
+            kept.add("write", since)
     kept.facts = {"file": target, "bytes": os.path.getsize(target), **kept.facts}
     return kept
 

@@ -128,6 +128,8 @@
       handle.hidden = state.compare !== "split";
       handle.style.left = `${100 * state.split}%`;
       handle.setAttribute("aria-valuenow", Math.round(100 * state.split));
+      byId("split-first").textContent = this.manifest.files[state.first].name;
+      byId("split-second").textContent = this.manifest.files[state.second].name;
     }
 
     figure(text) {
