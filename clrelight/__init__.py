@@ -27,6 +27,8 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.ingest import ingest_folder as ingest_folder
     from clrelight.jobs.decode import decode as decode
     from clrelight.jobs.encode import encode as encode
+    from clrelight.jobs.exchange import export_for_viewers as export_for_viewers
+    from clrelight.jobs.exchange import import_archive as import_archive
     from clrelight.jobs.export import export as export
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
@@ -94,6 +96,7 @@ _MODULES = {
     "ingest": "ingest_folder",
     "jobs.decode": "decode",
     "jobs.encode": "encode",
+    "jobs.exchange": "export_for_viewers import_archive",
     "jobs.export": "export",
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
