@@ -185,6 +185,60 @@ def test_damage_is_refused(tmp_path):
                 assert found.display_values(LIGHTS, 0, 2).shape[2:] == (found.image_shape[1], 3)
 
 
+@pytest.mark.parametrize(("words", "component"), [((), "float"), (("--format", "channels-half"), "half")])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_all_coefficients_in_one_exr(tmp_path, words, component, channels):
+    fit = made_fit(2, channels=channels)
+    write_fit(tmp_path / "fit.h5", fit)
+    succeed("export", tmp_path / "fit.h5", tmp_path / "maps.exr", *words)
+    image = oiio.ImageInput.open(str(tmp_path / "maps.exr"))
+    spec, values = image.spec(), image.read_image(oiio.FLOAT)
+    assert str(spec.format) == component
+    assert "z to the camera" in spec.getattribute("clrelight:axes")
+    for k in range(9):
+        for c, letter in enumerate("RGB" if channels == 3 else "Y"):
+            found = values[..., spec.channelnames.index(f"SH.{k:03}.{letter}")]
+            np.testing.assert_allclose(found, fit.coeffs_khwc[k, ..., c], rtol=0, atol=1e-3 * (component == "half"))
+
+
+def test_ktx2_holds_the_blocks(tmp_path):
+    fit = made_fit(1, 10, 13)
+    write_fit(tmp_path / "fit.h5", fit)
+    succeed("encode", tmp_path / "fit.h5", tmp_path / "enc.h5", "--codec", "bc6h")
+    succeed("export", tmp_path / "enc.h5", tmp_path / "maps.ktx2")
+    content = (tmp_path / "maps.ktx2").read_bytes()
+    assert content[:12] == bytes.fromhex("AB4B5458203230BB0D0A1A0A")
+    words = np.frombuffer(content, "<u4", 13, 12).tolist()
+    assert words[:9] == [144, 1, 13, 10, 0, 4, 1, 1, 0]  # format, type size, sides, layers, faces, levels, plain
+    dfd, dfd_size, kvd, kvd_size = words[9:13]
+    start, size, whole = np.frombuffer(content, "<u8", 3, 80).tolist()
+    assert (dfd, kvd) == (104, 104 + dfd_size)
+    assert start % 16 == 0
+    assert start >= kvd + kvd_size
+    assert size == whole == len(content) - start == 4 * 3 * 4 * 16
+    assert np.frombuffer(content, "<u4", 1, dfd)[0] == dfd_size == 44
+    assert content[dfd + 12] == 133  # BC6H
+    body = bytes(cr.read_encoded(tmp_path / "enc.h5")[0].body[:])
+    assert content[start:] == body[:size]
+    # A fit is coded on the way, to the same blocks.
+    succeed("export", tmp_path / "fit.h5", tmp_path / "fit.ktx2")
+    assert (tmp_path / "fit.ktx2").read_bytes() == content
+
+
+def test_a_light_as_nine_coefficients(tmp_path):
+    succeed("light", tmp_path / "sky.h5", "--sky", "clear", "--sun", "40,120", "--colour", "1,0.9,0.7", "--degree", 4)
+    succeed("light", tmp_path / "lamp.h5", "--directional", "0,0.6,0.8", "--colour", "2", "--degree", 1)
+    for name, shape in (("sky", 3), ("lamp", 1)):
+        succeed("export", tmp_path / f"{name}.h5", tmp_path / f"{name}.json")
+        told = json.loads((tmp_path / f"{name}.json").read_text())
+        light = cr.read_light(tmp_path / f"{name}.h5")
+        found = np.reshape(told["sh"], (9, 3))
+        count = min(9, len(light.coeffs_kc))
+        np.testing.assert_array_equal(found[:count], np.broadcast_to(light.coeffs_kc[:count], (count, 3)))
+        assert not found[count:].any()
+        assert light.channels == shape
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -192,6 +246,8 @@ def test_damage_is_refused(tmp_path):
         (("export", "fit.h5", "x.ptm", "--planes", "9"), "--planes is for --format relight"),
         (("export", "fit.h5", "fit.h5", "--format", "rti"), "that is the input fit.h5"),
         (("export", "fit.h5", "no/x.rti"), "no/x.rti"),
+        (("export", "fit.h5", "x.json"), "fit.h5"),
+        (("export", "fit.h5", "fit.h5", "--format", "ktx2"), "that is the input fit.h5"),
         (("import", "fit.h5", "y.h5"), "files that end in .ptm or .rti can be imported"),
         (("import", "none.ptm", "y.h5"), "cannot read none.ptm"),
         (("import", "jpeg.ptm", "y.h5"), "PTM_FORMAT_JPEG_LRGB"),

@@ -23,7 +23,10 @@ FLOORS = [
         *("image_sink", "images", "radiance_header", "surface"),
     },
     {"fit", "codec", "lighting", "brdf", "shrm", "transfer", "variation", "metrics", "perception", "relight"},
-    {"store", "exchange", "export", "ingest", "results", "selftest", "selftest_packing", "selftest_photographs", "truth"},
+    {
+        *("store", "exchange", "export", "ingest", "results"),
+        *("selftest", "selftest_packing", "selftest_photographs", "truth"),
+    },
     {"jobs"},
     {"experiment", "view"},
     {"report", "speed"},

@@ -19,9 +19,10 @@ from clrelight.errors import InputError
 @click.option(
     "--format",
     "file_format",
-    type=click.Choice(["dds", "exr", "exr-half", "relight", "ptm", "rti"]),
+    type=click.Choice(["dds", "exr", "exr-half", "relight", "ptm", "rti", "ktx2", "channels", "channels-half", "json"]),
     help="dds: BC6H blocks that GPUs sample (default); exr, exr-half: images of floats; relight: a folder that "
-    "OpenLIME shows; ptm, rti: files of RTIViewer (default for these endings).",
+    "OpenLIME shows; channels: one EXR image of all coefficients; by their endings: .ptm, .rti for RTIViewer, .ktx2 "
+    "(BC6H), .exr (channels), .json (of a light file).",
 )
 @click.option("--planes", type=whole_number(3, 48), help="Planes of a relight folder, a multiple of 3; default 27.")
 @click.option("--quality", type=whole_number(1, 100), help="Of a relight folder's JPEGs; default 100.")
@@ -47,12 +48,13 @@ def export(
       clrelight export enc.h5 textures.dds
       clrelight export enc.h5 openlime --format relight
       clrelight export enc.h5 coin.ptm
+      clrelight export grace.h5 grace.json
     """
     from clrelight.jobs.exchange import FORMATS, export_for_viewers
     from clrelight.jobs.export import export as run_export
 
     ending = Path(out).suffix.lower().removeprefix(".")
-    chosen = file_format or (ending if ending in FORMATS else "dds")
+    chosen = file_format or {"exr": "channels"}.get(ending, ending if ending in FORMATS else "dds")
     options = given(planes=planes, quality=quality)
     if options and chosen != "relight":
         raise InputError(f"--{next(iter(options))} is for --format relight")

@@ -10,26 +10,31 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import LightStack
+from clrelight.codec import Bc6h, encode
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
+from clrelight.exchange.channels import write_channels
 from clrelight.exchange.coded_maps import CodedMap
+from clrelight.exchange.ktx2 import write_ktx2
+from clrelight.exchange.light_json import write_light_json
 from clrelight.exchange.ptm import read_ptm, write_ptm
 from clrelight.exchange.relight_folder import write_relight_folder
 from clrelight.exchange.rti import read_rti, write_rti
-from clrelight.jobs.inputs import FittedLike, decoded_of, lend_fitted, opened_on, path_text, paths_among, whole
+from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, opened_on, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.sampling import make_pattern
-from clrelight.store import Sink, check_output, create_stack
+from clrelight.store import Sink, check_output, create_stack, read_light
 
-FORMATS = ("relight", "ptm", "rti")
+FORMATS = ("relight", "ptm", "rti", "ktx2", "channels", "channels-half", "json")
 """What `export_for_viewers` writes."""
 LEAST_HEIGHT = 0.15
 """z of the lowest light that an archive is photographed under."""
 _MOST_LIGHTS = 1000
 _PIECE_BYTES = 1 << 26
-_WRITERS = {"ptm": write_ptm, "rti": write_rti}
+_REFITS = {"ptm": write_ptm, "rti": write_rti}
+_COMPONENTS = {"channels": "float", "channels-half": "half"}
 _READERS = {".ptm": read_ptm, ".rti": read_rti}
 
 
@@ -49,10 +54,13 @@ def export_for_viewers(
     Parameters
     ----------
     source : path, CoefficientMap or Encoded
+        For ``"json"`` a light file.
     out : path
         For ``"relight"`` a new folder, else a file.
     format : str
-        ``"relight"``: JPEGs and ``info.json``; ``"ptm"``: a polynomial texture map; ``"rti"``: hemispherical harmonics.
+        ``"relight"``: JPEGs and ``info.json``; ``"ptm"``: a polynomial texture map; ``"rti"``: hemispherical harmonics;
+        ``"ktx2"``: BC6H blocks; ``"channels"``, ``"channels-half"``: one EXR image of all coefficients; ``"json"``:
+        the nine coefficients of a light file.
     planes, quality : int
         Of a relight folder: a multiple of 3 up to 48, and the JPEGs' quality.
     device : Device or str, optional
@@ -78,20 +86,42 @@ def export_for_viewers(
     target, kept = path_text(out, "a folder or file to write"), report_for(report)
     if format != "relight":
         check_output(target, paths_among(source))
-    with opened_on(device, kept) as opened, lend_fitted(source, kept) as held:
-        fit = decoded_of(held, source, opened, kept, progress)
-        since = time.perf_counter()
-        facts: dict[str, object] = {}
-        with stage(progress, "exporting") as tell:
-            if format == "relight":
-                files = write_relight_folder(fit, target, planes=planes, quality=quality, progress=tell)
-            else:
-                files = [Path(target)]
-                facts["refit"] = _WRITERS[format](fit, target, progress=tell)
+    since, files = time.perf_counter(), [Path(target)]
+    facts: dict[str, object] = {}
+    if format == "json":
+        write_light_json(read_light(path_text(source, "a light file")), target)
         kept.add("export", since)
+    else:
+        with opened_on(device, kept) as opened, lend_fitted(source, kept) as held:
+            blocks = held.encoded if isinstance(held, Packed) and held.encoded.codec == "bc6h" else None
+            if format == "ktx2" and blocks is not None:  # they are passed on as they are
+                write_ktx2(target, blocks)
+                kept.add("export", since)
+            else:
+                fit = decoded_of(held, source, opened, kept, progress)
+                since = time.perf_counter()
+                with stage(progress, "exporting") as tell:
+                    if format == "relight":
+                        files = write_relight_folder(fit, target, planes=planes, quality=quality, progress=tell)
+                    else:
+                        facts = _write_file(fit, target, format, opened, tell)
+                kept.add("export", since)
     size = sum(file.stat().st_size for file in files)
     kept.facts = {"files": [str(file) for file in files], "format": format, "bytes": size, **facts}
     return kept
+
+
+def _write_file(
+    fit: CoefficientMap, target: str, format: str, device: Device, tell: Callable[[int, int], None]
+) -> dict[str, object]:
+    """Write a fit as one file; return what is to be told of it."""
+    if format in _REFITS:
+        return {"refit": _REFITS[format](fit, target, progress=tell)}
+    if format == "ktx2":
+        write_ktx2(target, encode(fit.to_float32().coeffs_khwc, Bc6h(), device))
+    else:
+        write_channels(fit, target, _COMPONENTS[format], progress=tell)
+    return {}
 
 
 def import_archive(
