@@ -10,7 +10,9 @@ import pytest
 import clrelight as cr
 from clrelight.exchange.ptm import read_ptm, write_ptm
 from clrelight.exchange.relight_folder import octahedral_directions
+from clrelight.exchange.relight_reading import read_relight_folder
 from clrelight.exchange.rti import read_rti, write_rti
+from clrelight.images import write_image
 from clrelight.store import write_fit
 from tests.commands import call, succeed
 from tests.reference.basis import real_harmonics
@@ -158,6 +160,73 @@ def test_an_archive_is_photographed_and_fitted(tmp_path, ending):
         assert np.abs(stack.images_ihwc[:] / 255.0 - expected).max() <= 0.502 / 255
     succeed("fit", tmp_path / "stack.h5", tmp_path / "again.h5", "--degree", 3)
     assert decibels(shown_by_ours(cr.store.read_fit(tmp_path / "again.h5")), shown_by_ours(fit)) > 24
+
+
+def test_a_relight_folder_is_photographed(tmp_path):
+    fit = made_fit(2)
+    write_fit(tmp_path / "fit.h5", fit)
+    succeed("export", tmp_path / "fit.h5", tmp_path / "out", "--format", "relight")
+    found = read_relight_folder(tmp_path / "out").display_values(LIGHTS, 0, 37)
+    for shown, light in zip(found, LIGHTS, strict=True):
+        np.testing.assert_allclose(shown, shown_by_openlime(tmp_path / "out", light), atol=1e-4)
+    for source in ("out", "out/info.json"):
+        succeed("import", tmp_path / source, tmp_path / "stack.h5", "--lights", 20)
+        with cr.open_stack(tmp_path / "stack.h5") as stack:
+            assert (stack.n_light, stack.name) == (20, "out")
+            expected = shown_by_ours(fit, stack.directions_i3)
+            assert decibels(stack.images_ihwc[:] / 255.0, expected) > 40
+
+
+def folder_of(place, info, planes):
+    place.mkdir()
+    for number in range(planes.shape[2] // 3):
+        write_image(place / f"plane_{number}.png", np.ascontiguousarray(planes[..., 3 * number : 3 * number + 3]))
+    material = {"scale": [2.0] * planes.shape[2], "bias": [0.25] * planes.shape[2], **info.pop("material", {})}
+    (place / "info.json").write_text(json.dumps({"format": "png", "materials": [material], **info}))
+    return (planes / 255 - 0.25) * 2
+
+
+def test_other_bases_of_relight(tmp_path):
+    rng = np.random.default_rng(2)
+    planes = rng.integers(100, 200, (4, 5, 18), np.uint8)
+    u, v, _ = LIGHTS[0]
+    terms = np.array([1, u, v, u * u, u * v, v * v])
+    values = folder_of(tmp_path / "ptm", {"type": "ptm", "colorspace": "rgb"}, planes)
+    expected = np.einsum("t,hwtc->hwc", terms, values.reshape(4, 5, 6, 3))
+    found = read_relight_folder(tmp_path / "ptm").display_values(LIGHTS[:1], 0, 4)[0]
+    np.testing.assert_allclose(found, np.clip(expected, 0, 1), atol=1e-5)
+    values = folder_of(tmp_path / "lrgb", {"type": "ptm", "colorspace": "lrgb"}, planes[..., :9])
+    expected = (values[..., 3:] @ terms)[..., None] * values[..., :3]
+    found = read_relight_folder(tmp_path / "lrgb").display_values(LIGHTS[:1], 0, 4)[0]
+    np.testing.assert_allclose(found, np.clip(expected, 0, 1), atol=1e-5)
+    # Radial bases: at a light far from all others, what the table has there.
+    lights = np.array([[0.9, 0.0, 0.436], [-0.9, 0.0, 0.436], [0.0, 0.9, 0.436], [0.0, -0.9, 0.436]])
+    basis = rng.integers(90, 160, (4, 4, 3))
+    info = {"type": "rbf", "colorspace": "mrgb", "sigma": 0.2, "lights": lights.ravel().tolist()}
+    info |= {"basis": basis.ravel().tolist(), "material": {"range": [100.0, 200.0, 300.0]}}
+    values = folder_of(tmp_path / "rbf", info, planes[..., :3])
+    expected = basis[0, 2] / 255 + values @ ((basis[1:, 2] - 127) / np.array([[100.0], [200.0], [300.0]]))
+    found = read_relight_folder(tmp_path / "rbf").display_values(lights[2:3], 0, 4)[0]
+    np.testing.assert_allclose(found, np.clip(expected, 0, 1), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"type": "rbf", "colorspace": "mycc"}, {"materials": []}, {"resolution": 3}, {"resolution": "x"}),
+        *({"basis": [1, 2, 3]}, {"format": "tzi"}, {"materials": [{"scale": [1], "bias": [1, 2], "range": [1]}]}),
+        {"materials": [{"scale": [1, 1, 1, 1, 1, 1, 1], "bias": [1] * 7, "range": [1] * 7}]},
+    ],
+)
+def test_a_relight_folder_that_makes_no_sense_is_refused(tmp_path, change):
+    info = {"type": "bilinear", "colorspace": "mrgb", "resolution": 2, "basis": [1] * 48}
+    info["material"] = {"range": [1.0] * 3}
+    folder_of(tmp_path / "x", info, np.full((2, 2, 3), 9, np.uint8))
+    read_relight_folder(tmp_path / "x")
+    told = json.loads((tmp_path / "x" / "info.json").read_text())
+    (tmp_path / "x" / "info.json").write_text(json.dumps(told | change))
+    with pytest.raises(cr.InputError):
+        read_relight_folder(tmp_path / "x")
 
 
 def test_damage_is_refused(tmp_path):

@@ -193,6 +193,24 @@ def test_keys_and_pointers(page):
     page.evaluate("app.fit()")
 
 
+def test_two_fingers_zoom_and_pan(page):
+    def touch(kind, *places):
+        points = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(places)]
+        page.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
+    page.evaluate("app = clrelight.app; Object.assign(app.state, { light: 'lamp', compare: 'one' }); app.fit()")
+    touch("touchStart", (100, 100))
+    light = page.evaluate("app.state.lamp.direction")
+    touch("touchStart", (100, 100), (140, 100))
+    touch("touchMove", (80, 100), (160, 100))
+    touch("touchMove", (90, 120), (170, 120))
+    touch("touchEnd")
+    assert page.evaluate("app.view.zoom") == pytest.approx(2.0, rel=0.02)
+    assert page.evaluate("app.view.toImage(90, 120)") == pytest.approx([100, 100], abs=1)
+    assert page.evaluate("[app.state.lamp.direction, app.dragging]") == [light, False]
+    page.evaluate("app.fit()")
+
+
 def test_everything_has_a_name(page):
     """What a screen reader says: Chromium computes roles and names of all controls."""
     nodes = page.call("Accessibility.getFullAXTree")["nodes"]

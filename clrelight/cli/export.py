@@ -15,7 +15,7 @@ from clrelight.errors import InputError
 
 @click.command()
 @click.argument("fitted", metavar="FIT_OR_ENC", type=click.Path())
-@click.argument("out", metavar="FOLDER|OUT.dds", type=click.Path())
+@click.argument("out", metavar="FOLDER|FILE", type=click.Path())
 @click.option(
     "--format",
     "file_format",
@@ -75,7 +75,7 @@ def export(
 
 
 @click.command("import")
-@click.argument("archive", metavar="FILE.ptm|.rti", type=click.Path())
+@click.argument("archive", metavar="FILE.ptm|.rti|FOLDER", type=click.Path())
 @click.argument("out", type=click.Path())
 @click.option("--lights", type=whole_number(4, 1000), default=64, show_default=True, help="About how many.")
 @json_option
@@ -85,6 +85,7 @@ def import_command(archive: str, out: str, lights: int, as_json: bool) -> None:
     \b
     Example:
       clrelight import coin.ptm coin.h5
+      clrelight import openlime/ coin.h5 --lights 100
     """
     from clrelight.jobs.exchange import import_archive
 

@@ -19,7 +19,8 @@ from clrelight.exchange.coded_maps import CodedMap
 from clrelight.exchange.ktx2 import write_ktx2
 from clrelight.exchange.light_json import write_light_json
 from clrelight.exchange.ptm import read_ptm, write_ptm
-from clrelight.exchange.relight_folder import write_relight_folder
+from clrelight.exchange.relight_folder import INFO, write_relight_folder
+from clrelight.exchange.relight_reading import RelightFolder, read_relight_folder
 from clrelight.exchange.rti import read_rti, write_rti
 from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, opened_on, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
@@ -35,7 +36,7 @@ _MOST_LIGHTS = 1000
 _PIECE_BYTES = 1 << 26
 _REFITS = {"ptm": write_ptm, "rti": write_rti}
 _COMPONENTS = {"channels": "float", "channels-half": "half"}
-_READERS = {".ptm": read_ptm, ".rti": read_rti}
+_READERS: dict[str, Callable[[str], CodedMap | RelightFolder]] = {".ptm": read_ptm, ".rti": read_rti}
 
 
 def export_for_viewers(
@@ -132,12 +133,13 @@ def import_archive(
     progress: Progress | None = None,
     report: Report | None = None,
 ) -> Report:
-    """Write a stack of what a ``.ptm`` or ``.rti`` file shows under lights spread over the hemisphere.
+    """Write a stack of what a ``.ptm`` or ``.rti`` file, or a relight folder shows under lights over the hemisphere.
 
     Parameters
     ----------
     path : path
-        A polynomial texture map of version 1.2 (RGB or LRGB, not compressed), or hemispherical harmonics.
+        A polynomial texture map of version 1.2 (RGB or LRGB, not compressed), hemispherical harmonics, or a folder with
+        ``info.json`` and planes.
     out : path
         The stack: 8 bits, by the sRGB curve, lights at least 9 degrees above the horizon.
     lights : int
@@ -160,9 +162,10 @@ def import_archive(
     count, source, target = whole(lights, "lights"), path_text(path, "a .ptm or .rti"), path_text(out, "a stack")
     if not 4 <= count <= _MOST_LIGHTS:
         raise InputError(f"lights must be 4 to {_MOST_LIGHTS}, got {count}")
-    reader = _READERS.get(Path(source).suffix.lower())
+    is_folder = Path(source).is_dir() or Path(source).name == INFO
+    reader = read_relight_folder if is_folder else _READERS.get(Path(source).suffix.lower())
     if reader is None:
-        raise InputError(f"{source}: files that end in {' or '.join(_READERS)} can be imported")
+        raise InputError(f"{source}: folders of relight, and files that end in {' or '.join(_READERS)} can be imported")
     kept = report_for(report)
     with claimed([target], [source], kept):
         since = time.perf_counter()
@@ -171,7 +174,8 @@ def import_archive(
         directions_i3 = make_pattern("uniform", round(count / (1.0 - LEAST_HEIGHT)))
         directions_i3 = directions_i3[directions_i3[:, 2] >= LEAST_HEIGHT]
         blank = np.broadcast_to(np.zeros((), np.uint8), (len(directions_i3), *found.image_shape))
-        stack = LightStack(blank, directions_i3, 255.0, "srgb", name=Path(source).stem)
+        name = Path(source).parent.name if Path(source).name == INFO else Path(source).stem
+        stack = LightStack(blank, directions_i3, 255.0, "srgb", name=name)
         with create_stack(target, stack) as sink, stage(progress, "writing") as tell:
             _fill(found, directions_i3, sink, tell)
         kept.add("write", since)
@@ -179,7 +183,9 @@ def import_archive(
     return kept
 
 
-def _fill(found: CodedMap, directions_i3: NDArray[np.float64], sink: Sink, tell: Callable[[int, int], None]) -> None:
+def _fill(
+    found: CodedMap | RelightFolder, directions_i3: NDArray[np.float64], sink: Sink, tell: Callable[[int, int], None]
+) -> None:
     height, width, channel = found.image_shape
     step = max(_PIECE_BYTES // (4 * channel * width * len(directions_i3)), 1)
     for first in range(0, height, step):
