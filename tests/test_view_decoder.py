@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clrelight.codec import decode_regions
+from clrelight.codec import codec_class, decode_regions, encode
 from clrelight.codec.encoded import Encoded
 from clrelight.codec.entropy.units import list_units
 from clrelight.codec.formats.klt_units import parse_body
@@ -194,6 +194,17 @@ def test_damaged_payloads_are_refused_or_decoded_as_the_program_does(cases, devi
             both += 1
     assert both > 10
     assert sum("refused" in each for each in results) > 80
+
+
+def test_a_large_view_without_planes(device):
+    """There are no streams then, although the image has more than one unit."""
+    encoded = encode(np.zeros((1, 3, 90000, 1), np.float32), codec_class("klt")(step=0.1), device)
+    code = """
+    const units = open(data.payload);
+    const texels = await decodeRegion(units, 2, 0, 5, 1, 300, []);
+    return [units.planes, units.count > 1, units.together, (await wholePlanes(units)).length, texels.length];
+    """
+    assert run(code, payload=told(encoded.to_bytes())) == [0, True, False, 0, 0]
 
 
 def test_few_bytes_cannot_claim_much():

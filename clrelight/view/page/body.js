@@ -146,6 +146,7 @@
 
     /** Make sure that units are decoded; those above them first, all bytes in few requests. */
     async need(numbers) {
+      if (!this.planes) return;
       const wanted = new Set();
       const add = (number) => {
         if (number < 0 || wanted.has(number)) return;
@@ -154,7 +155,7 @@
       };
       for (const number of numbers) add(number);
       if (this.together) {
-        if (!this.kept.size && this.planes) this.decodeAll(await this.fetchStream(0));
+        if (!this.kept.size) this.decodeAll(await this.fetchStream(0));
         return;
       }
       const missing = [...wanted].filter((number) => !this.kept.has(number));

@@ -23,7 +23,7 @@
     first: 0,
     second: 0,
     split: 0.5,
-    errorGain: 8,
+    errorGain: 4,
     photograph: 0,
     tool: "light",
   };

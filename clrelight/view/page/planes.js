@@ -165,7 +165,7 @@
     const layers = Math.ceil(units.planes / 4);
     demand(4 * layers * rows * columns <= MOST_VALUES, "a region is too large");
     const plan = planRegion(units, level, [top, bottom], [left, right]);
-    if (units.planes) await units.need(unitsOf(units, plan));
+    await units.need(unitsOf(units, plan));
     const texels = new Uint16Array(4 * layers * rows * columns);
     const scratch = [];
     for (let plane = 0; plane < units.planes; plane++) {
