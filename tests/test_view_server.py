@@ -167,7 +167,7 @@ def test_a_page_on_disk_asks_for_nothing(folder, tmp_path):
     told = succeed("view", folder / "klt.h5", folder / "fit.h5", "--out", out, "--planes", "uint8", "--json").json
     page = out.read_text("utf-8")
     assert told["bytes"] == out.stat().st_size == len(page.encode())
-    assert "connect-src 'none'" in page
+    assert "connect-src 'none';" in page
     assert set(re.findall(r"https?://[^\s\"']*", page)) <= set()
     body = cr.read_encoded(folder / "klt.h5")[0].body
     held = re.search(r'<script id="data-body-0"[^>]*>\n(.*?)\n</script>', page, re.DOTALL)[1]

@@ -23,7 +23,7 @@ SCRIPTS = (
 # Nothing is fetched but from where the page came, and nothing at all where it is a file.
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; worker-src blob:; "
-    "img-src data: blob:; connect-src {connect} blob:; base-uri 'none'; form-action 'none'"
+    "img-src data: blob:; connect-src {connect}; base-uri 'none'; form-action 'none'"
 )
 
 
