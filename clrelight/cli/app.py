@@ -35,6 +35,7 @@ from clrelight.cli import (
     trade,
     transfer,
     variation,
+    view,
 )
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.interrupts import end_watch, watch_interrupts
@@ -64,7 +65,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights, to_sh),
+    *(operators, transfer, normals, variation, find_lights, to_sh, view),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
