@@ -123,9 +123,7 @@ def _slopes(device: Device, sampling: str) -> list[Slope]:
         sizes = [timed.rank for timed in of_degrees]
         rows.append(Slope(label, "Mn", "projection", "M", 1.0, LIGHTS, [timed.stage("project") for timed in of_lights]))
         rows.append(Slope(label, "Mn", "projection", "n", 1.0, sizes, [timed.stage("project") for timed in of_degrees]))
-        rows.append(
-            Slope(label, "n²", "synthesis", "n", 2.0, large, [timed.stage("synthesize") for timed in of_large])
-        )
+        rows.append(Slope(label, "n²", "synthesis", "n", 2.0, large, [timed.stage("synthesize") for timed in of_large]))
         if method == "cls":
             of_steps = [_Timed(device, lights, method, ALIKE_DEGREE, sampling, steps) for steps in STEPS]
             runs = [timed.stage("shrink") for timed in of_degrees]
