@@ -29,6 +29,8 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.ingest import ingest_folder as ingest_folder
     from clrelight.jobs.decode import decode as decode
     from clrelight.jobs.encode import encode as encode
+    from clrelight.jobs.exchange import export_for_viewers as export_for_viewers
+    from clrelight.jobs.exchange import import_archive as import_archive
     from clrelight.jobs.export import export as export
     from clrelight.jobs.find_lights import find_lights as find_lights
     from clrelight.jobs.fit import fit as fit
@@ -53,6 +55,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.to_sh import to_sh as to_sh
     from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
+    from clrelight.jobs.update import update_fit as update_fit
     from clrelight.jobs.variation import inverse_lighting as inverse_lighting
     from clrelight.jobs.variation import principal_components as principal_components
     from clrelight.lighting.environment import Environment as Environment
@@ -93,6 +96,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.transfer.near_lights import PointLight as PointLight
     from clrelight.transfer.near_lights import PolygonLight as PolygonLight
     from clrelight.transfer.near_lights import SphereLight as SphereLight
+    from clrelight.view.session import write_viewer as write_viewer
 
 __version__ = "0.1.0"
 
@@ -108,6 +112,7 @@ _MODULES = {
     "ingest": "ingest_folder",
     "jobs.decode": "decode",
     "jobs.encode": "encode",
+    "jobs.exchange": "export_for_viewers import_archive",
     "jobs.export": "export",
     "jobs.find_lights": "find_lights",
     "jobs.fit": "fit",
@@ -130,6 +135,7 @@ _MODULES = {
     "jobs.to_sh": "to_sh",
     "jobs.transfer": "transfer",
     "jobs.unpack": "unpack",
+    "jobs.update": "update_fit",
     "jobs.variation": "inverse_lighting principal_components",
     "lighting.environment": "Environment read_environment",
     "lighting.expressions": "parse_expression",
@@ -150,6 +156,7 @@ _MODULES = {
     "transfer.local_light": "LocalLights",
     "transfer.mesh_files": "read_mesh",
     "transfer.near_lights": "PointLight PolygonLight SphereLight",
+    "view.session": "write_viewer",
 }
 _HOMES = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names.split()}
 

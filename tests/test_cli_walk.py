@@ -94,7 +94,7 @@ def test_fit_by_every_method(ring, tmp_path, method):
     assert told["device"]
     mean, pooled = expected_psnr(ring, out, np.arange(64))
     np.testing.assert_allclose((told["psnr"]["mean_fitted"], told["psnr"]["pooled_fitted"]), (mean, pooled), atol=1e-3)
-    assert ("lambda" in held, "rank" in held) == (method == "cls", method.startswith("ceb"))
+    assert ("lambda" in held, "rank" in held) == (method in ("cls", "constrained"), method.startswith("ceb"))
 
 
 def test_held_out_lights_are_every_fifth(ring, fitted, tmp_path):

@@ -24,6 +24,8 @@ from clrelight.errors import InputError
 
 _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "confidence", "memory", "device", "as_json")
 """What a file that says what to fit leaves open."""
+_BESIDE_UPDATE = ("stack", "out", "update", "measured", "memory", "device", "as_json")
+"""What a fit that is to grow leaves open."""
 
 
 @click.command()
@@ -33,13 +35,13 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "conf
     "--method",
     default="cls",
     show_default=True,
-    help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum or auto.",
+    help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum, constrained or auto.",
 )
 @click.option("--degree", type=DegreeType(), default=6, show_default=True, help="Largest SH degree, or auto.")
 @basis_option
 @holdout_option("the fit")
 @holdout_by_option
-@click.option("--energy", type=float, help="Factor on the bound E_c of cls and ceb; 1 is the paper's.")
+@click.option("--energy", type=float, help="Factor on the bound E_c of cls, ceb and constrained; 1 is the paper's.")
 @click.option("--iterations", type=int, help="Steps of the search for lambda (cls); default 32.")
 @click.option("--solver", help="Search for lambda (cls): newton (default), bisection of its logarithm, or the paper's.")
 @click.option("--fill", help="Lower hemisphere (project): zero or mirror.")
@@ -47,6 +49,19 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "conf
 @click.option("--per", help="What shares one lambda (spline): stack or channel.")
 @click.option("--slope", type=float, help="Of the energy over degrees (spectrum); default: learnt.")
 @click.option("--noise", type=float, help="Its variance in units of the samples' (spectrum); default: learnt.")
+@click.option(
+    "--lower", type=float, help="Least value at the directions of --bound-at (constrained), in units of the peak."
+)
+@click.option("--upper", type=float, help="Largest value there (constrained).")
+@click.option(
+    "--nonnegative", is_flag=True, default=None, help="The same as --lower 0, which is what constrained does by itself."
+)
+@click.option(
+    "--bound-at",
+    "at",
+    metavar="WHERE",
+    help="Where bounds on values stand (constrained): grid (default), ring, lights, or a light file.",
+)
 @within_option
 @click.option("--weights", default="uniform", show_default=True, help="uniform or solid-angle.")
 @click.option("--sampling", default="hemisphere", show_default=True, help="hemisphere or scattered (section V-D).")
@@ -54,6 +69,12 @@ _BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "conf
     "--precision", default="mixed", show_default=True, help="Of kernels: mixed, single (float32) or double (float64)."
 )
 @click.option("--config", type=click.Path(), metavar="FILE.toml", help="All of this from a file, as trade writes it.")
+@click.option(
+    "--update",
+    type=click.Path(),
+    metavar="FIT.h5",
+    help="Add the photographs of STACK to this fit (uls, sloan, spline), whose own are not needed.",
+)
 @click.option(
     "--store",
     type=click.Choice(["float32", "float16"]),
@@ -77,6 +98,7 @@ def fit(
     stack: str,
     out: str,
     config: str | None,
+    update: str | None,
     holdout_by: str | None,
     measured: bool,
     confidence: str | None,
@@ -93,22 +115,37 @@ def fit(
       clrelight fit stack.h5 fit.h5 --config trade.toml
       clrelight fit stack.h5 fit.h5 --method ceb --store float16
       clrelight fit stack.h5 fit.h5 --method spline --basis hsh
+      clrelight fit stack.h5 fit.h5 --method constrained --bound-at ring
+      clrelight fit more.h5 grown.h5 --update fit.h5
     """
     from clrelight.fit import method_class
+    from clrelight.fit.value_bounds import check_places
     from clrelight.jobs.fit import fit as run_fit
+    from clrelight.jobs.inputs import read_directions
     from clrelight.jobs.report import Report
+    from clrelight.jobs.update import update_fit
     from clrelight.store import check_output
 
+    read_too = [name for name in (config, update) if name]
+    report = Report()
+    if asked["at"] is not None and not check_places(asked["at"]):
+        read_too.append(asked["at"])
+        asked["at"] = read_directions(asked["at"], report)
     for target in [out, *([confidence] if confidence else [])]:
-        check_output(target, [stack, *([config] if config else [])])
+        check_output(target, [stack, *read_too])
     asked["holdout_by"] = holdout_by or "index"
     if config is not None:
         asked.update(_read_config(context, config))
-    report = Report()
     with progress_bar("preparing") as bar:
-        run_fit(
-            stack, out=out, measure=measured, confidence=confidence, device=device, progress=bar, report=report, **asked
-        )
+        if update is not None:
+            _refuse_beside(context, update, _BESIDE_UPDATE)
+            memory = asked["memory"]
+            update_fit(
+                update, stack, out=out, measure=measured, memory=memory, device=device, progress=bar, report=report
+            )
+        else:
+            asked.update(measure=measured, confidence=confidence, device=device)
+            run_fit(stack, out=out, progress=bar, report=report, **asked)
     if as_json:
         print_json(report.to_json())
         return
@@ -137,13 +174,18 @@ def _confidence_line(facts: dict[str, Any]) -> dict[str, str]:
     return {"confidence": f"{told['file']}, {least} to {most} expected, {median} in the median"}
 
 
+def _refuse_beside(context: click.Context, file: str, open_names: tuple[str, ...]) -> None:
+    """Raise InputError where the command line says what a file says itself."""
+    for name in context.params:
+        if name not in open_names and is_given(context, name):
+            raise InputError(f"--{name.replace('_', '-')}: {file} says itself what to fit")
+
+
 def _read_config(context: click.Context, config: str) -> dict[str, Any]:
     """Return the one fit that a TOML file asks for; InputError if it asks for several, or the command line does too."""
     from clrelight.experiment import load_experiment
 
-    for name in context.params:
-        if name not in _BESIDE_CONFIG and is_given(context, name):
-            raise InputError(f"--{name.replace('_', '-')}: {config} says itself what to fit")
+    _refuse_beside(context, config, _BESIDE_CONFIG)
     asked = load_experiment(config)
     for what, values in (("method", asked.methods), ("degree", asked.degrees)):
         if len(values) != 1:

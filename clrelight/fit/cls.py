@@ -157,9 +157,9 @@ class ConstrainedLeastSquares(FitMethod):
         return plan.singular_r[:, None] / (square_r1 + lambda_p)
 
 
-def plan_constrained(lighting: Lighting, degree: int, energy: float) -> FitPlan:
+def plan_constrained(lighting: Lighting, degree: int, energy: float, *, complete: bool = False) -> FitPlan:
     """Return the least-squares plan with the bound scaled; a note says when there are fewer lights than unknowns."""
-    plan = plan_least_squares(lighting, degree)
+    plan = plan_least_squares(lighting, degree, complete=complete)
     n_light, n_coeff = len(lighting.directions_i3), coefficient_count(degree)
     notes = plan.notes
     if n_light < n_coeff:

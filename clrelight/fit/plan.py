@@ -116,7 +116,12 @@ def make_lighting(stack: LightStack, weights: str, sampling: str, basis: str = S
 
 
 def plan_least_squares(
-    lighting: Lighting, degree: int, *, without: tuple[int, ...] = (), penalty_k: NDArray[np.float64] | None = None
+    lighting: Lighting,
+    degree: int,
+    *,
+    without: tuple[int, ...] = (),
+    penalty_k: NDArray[np.float64] | None = None,
+    complete: bool = False,
 ) -> FitPlan:
     """Return the plan of a least-squares fit: ``z = W' beta`` with the thin SVD ``Y = W diag(sigma) U'``.
 
@@ -136,6 +141,9 @@ def plan_least_squares(
         Diagonal of a penalty P on the coefficients, all positive. The SVD is then that of ``Y P^-1/2``, in whose
         components ``(Y'Y + lambda P)^-1 Y'`` is diagonal; scattered sampling scales nothing, for the penalty settles
         what the samples do not see.
+    complete : bool
+        Have components of singular value 0 too, so that there are as many as basis functions, for methods that see
+        more of a function than its samples.
     """
     basis_ik = lighting.functions(degree)
     weight_i = lighting.row_weights_i
@@ -160,9 +168,15 @@ def plan_least_squares(
     svd = decompose(root_i[:, None] * basis_ik[:, used] * scale_k[used])
     if len(svd.singular_r) < min(used.sum(), len(basis_ik)):
         notes.append(f"only {len(svd.singular_r)} of {used.sum()} components can be told from zero in float64")
-    synthesis_kr = np.zeros((basis_ik.shape[1], len(svd.singular_r)))
-    synthesis_kr[used] = scale_k[used, None] * svd.right_kr
-    return FitPlan(svd.left_ir.T * root_i, synthesis_kr, svd.singular_r, energy_i, svd.condition, tuple(notes))
+    analysis_ri, singular_r, right_kr = svd.left_ir.T * root_i, svd.singular_r, svd.right_kr
+    if complete and len(singular_r) < used.sum():
+        unseen_kr = np.linalg.svd(right_kr, full_matrices=True)[0][:, len(singular_r) :]
+        right_kr = np.hstack([right_kr, unseen_kr])
+        analysis_ri = np.vstack([analysis_ri, np.zeros((unseen_kr.shape[1], len(basis_ik)))])
+        singular_r = np.append(singular_r, np.zeros(unseen_kr.shape[1]))
+    synthesis_kr = np.zeros((basis_ik.shape[1], len(singular_r)))
+    synthesis_kr[used] = scale_k[used, None] * right_kr
+    return FitPlan(analysis_ri, synthesis_kr, singular_r, energy_i, svd.condition, tuple(notes))
 
 
 def scale_components(plan: FitPlan, factor_r: NDArray[np.float64]) -> FitPlan:

@@ -38,6 +38,8 @@ class Columns:
     singular_r : DeviceArray, shape (rank,), of the same type
     precision : str
         One of `clrelight.fit.precision.PRECISIONS`.
+    exponent_p : ndarray, shape (P,), int, or None
+        Samples are 2 to minus this times the stack's (`clrelight.fit.scaling`); None: they are the same.
     """
 
     source_ip: DeviceArray
@@ -46,14 +48,19 @@ class Columns:
     energy_q: DeviceArray
     singular_r: DeviceArray
     precision: str
+    exponent_p: NDArray[np.intc] | None = None
 
 
 @dataclass(frozen=True)
 class Shrunk:
-    """What a shrink leaves beside the components: a map of lambda or of ranks, where the method has one."""
+    """What a shrink leaves beside the components: a map of lambda or of ranks, where the method has one.
+
+    `unmet_q` is int32 and not 0 where a column cannot have what the method promises (`FitMethod.unmet`).
+    """
 
     lambda_q: DeviceArray | None = None
     rank_q: DeviceArray | None = None
+    unmet_q: DeviceArray | None = None
 
 
 OnePass = Callable[[DeviceArray, DeviceArray], Shrunk]
@@ -76,6 +83,8 @@ class FitMethod(Configurable, ABC):
     """`settle` finds the same at all degrees up to this one."""
     takes_bases: ClassVar[bool] = False
     """Whether it fits other bases than spherical harmonics too (`clrelight.bases`)."""
+    unmet: ClassVar[str] = ""
+    """What a user is told of a pixel that `Shrunk.unmet_q` marks."""
     is_regression: ClassVar[bool] = True
     """Whether leaving a light out changes nothing but that the others alone are fitted."""
 

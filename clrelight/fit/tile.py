@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.device import Device
+from clrelight.errors import InputError
 from clrelight.fit.plan import FitPlan
 from clrelight.fit.precision import compute_dtype
 from clrelight.fit.prepare import PreparedFit
@@ -80,7 +81,7 @@ class TileFit:
             maps = one_pass(source_ip, coeffs)
             coeffs_kp = device.download(coeffs)
         else:
-            coeffs_kp, maps, since = self._run_apart(source_ip, scaled.curve, since)
+            coeffs_kp, maps, since = self._run_apart(source_ip, scaled, since)
         tile = FittedTile(
             first,
             end,
@@ -88,18 +89,30 @@ class TileFit:
             None if maps.lambda_q is None else device.download(maps.lambda_q)[:count].reshape(shape_hwc),
             None if maps.rank_q is None else device.download(maps.rank_q)[:count].reshape(shape_hwc),
         )
+        if maps.unmet_q is not None:
+            self._refuse(device.download(maps.unmet_q)[:count].reshape(shape_hwc), first, columns.start or 0)
         scaled.restore(tile.coeffs_khwc)
         if mask_hw is not None:
             tile.clear(~mask_hw[first:end, columns])
         self._prepared.report.add("synthesize" if one_pass is None else "fit", since)
         return tile
 
+    def _refuse(self, unmet_hwc: NDArray[np.int32], first: int, left: int) -> None:
+        """Raise InputError where a pixel that counts cannot be fitted; the tile begins at that row and column."""
+        bad_hwc, mask_hw = unmet_hwc != 0, self._prepared.stack.mask_hw
+        if mask_hw is not None:
+            bad_hwc &= mask_hw[first : first + len(bad_hwc), left : left + bad_hwc.shape[1], None]
+        if bad_hwc.any():
+            row, column, channel = np.argwhere(bad_hwc)[0]
+            place = f"pixel at row {first + row}, column {left + column}, channel {channel}"
+            raise InputError(f"{self._prepared.method.id}: {place}: {self._prepared.method.unmet}")
+
     def _run_apart(
-        self, source_ip: DeviceArray, curve: SampleCurve, since: float
+        self, source_ip: DeviceArray, scaled: ScaledTile, since: float
     ) -> tuple[NDArray[np.float32], Shrunk, float]:
         """Project, shrink and synthesize one after another; return coefficients, maps, and when the last began."""
         device, prepared, operators = self._device, self._prepared, self._operators()
-        columns = source_ip.shape[1]
+        columns, curve = source_ip.shape[1], scaled.curve
         padded = pad_columns(columns)
         z_rq = _lend(device, self._components, (operators.analysis.shape[0], padded), self._dtype)
         energy_q = _lend(device, self._energies, (padded,), self._dtype)
@@ -107,7 +120,8 @@ class TileFit:
         apply_operator(device, operators.analysis, source_ip, z_rq, curve=curve, energy_q=energy_q, weight_i=weight_i)
         device.finish()
         since = prepared.report.add("project", since)
-        tile_columns = Columns(source_ip, curve, z_rq, energy_q, operators.singular_r, prepared.precision)
+        exponent_p = None if scaled.exponent_hwc is None else scaled.exponent_hwc.ravel()
+        tile_columns = Columns(source_ip, curve, z_rq, energy_q, operators.singular_r, prepared.precision, exponent_p)
         maps = prepared.method.shrink(device, prepared.plan, tile_columns)
         device.finish()
         since = prepared.report.add("shrink", since)

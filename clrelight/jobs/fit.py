@@ -115,7 +115,7 @@ def fit(
     source : path or LightStack
     method : str or FitMethod
         ``"project"``, ``"uls"``, ``"sloan"``, ``"cls"``, ``"ceb"``, ``"ceb-crossing"``, ``"spline"``,
-        ``"spectrum"``, or ``"auto"``: the best at unseen lights, as far as the lights to fit can tell.
+        ``"spectrum"``, ``"constrained"``, or ``"auto"``: the best at unseen lights, as far as those to fit can tell.
     degree : int or str
         Largest degree, or ``"auto"``.
     out : path, optional
@@ -154,7 +154,8 @@ def fit(
         Filled; without one, notes become warnings (`Note`).
     **options
         Of the method: ``energy``, ``iterations`` and ``solver`` (cls), ``energy`` (ceb), ``fill`` (project), ``lam``
-        and ``per`` (spline), ``level``, ``slope``, ``edge``, ``heat`` and ``noise`` (spectrum). None means the default.
+        and ``per`` (spline), ``level``, ``slope``, ``edge``, ``heat`` and ``noise`` (spectrum), ``energy``, ``lower``,
+        ``upper``, ``nonnegative`` and ``at`` (constrained). None means the default.
 
     Returns
     -------
