@@ -11,6 +11,7 @@ import click
 
 from clrelight import __version__
 from clrelight.cli import (
+    batch,
     coding,
     experiments,
     export,
@@ -65,7 +66,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights, to_sh, view),
+    *(operators, transfer, normals, variation, find_lights, to_sh, view, batch),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
