@@ -25,6 +25,8 @@ from clrelight.cli.speed import DEFAULT_OUT, bench_speed
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
+PAGE = "report.html"
+
 if TYPE_CHECKING:
     from clrelight.experiment import Experiment
     from clrelight.results import Results
@@ -230,19 +232,26 @@ def _notes(results: Results) -> list[str]:
 @click.command()
 @click.argument("results_file", metavar="RESULTS", type=click.Path())
 @click.option("--out", type=click.Path(), default="report", show_default=True, help="Folder for tables and pictures.")
+@click.option("--parquet", is_flag=True, help="Write all rows as rows.parquet too, beside rows.csv.")
 @json_option
-def report(results_file: str, out: str, as_json: bool) -> None:
-    """Write the tables (Markdown, CSV, LaTeX) and pictures (PNG) of a results file, or of what --speed measured.
+def report(results_file: str, out: str, parquet: bool, as_json: bool) -> None:
+    """Write the tables and pictures of a results file, or of what --speed measured, and pages that show them.
+
+    report.html is one file that needs no other: tables that sort, charts, pictures side by side with their errors.
+    Tables are written as Markdown, CSV and LaTeX, pictures as PNG, all rows as rows.csv, and report.md shows them.
 
     \b
     Example:
       clrelight report results.h5 --out report
+      clrelight report results.h5 --out report --parquet
       clrelight report speed.json --out speed
     """
     if Path(results_file).suffix.lower() == ".json":
         from clrelight.speed.record import read_record
         from clrelight.speed.report import write_speed_report
 
+        if parquet:
+            raise InputError(f"--parquet is for results of experiments: {results_file} holds what --speed measured")
         files = write_speed_report(read_record(results_file), out)
     else:
         from clrelight.report import write_report
@@ -250,11 +259,12 @@ def report(results_file: str, out: str, as_json: bool) -> None:
 
         results = read_results(results_file)
         with progress_bar("drawing") as bar:
-            files = write_report(results, out, progress=bar)
+            files = write_report(results, out, parquet=parquet, progress=bar)
     if as_json:
         print_json({"folder": out, "files": [str(file) for file in files]})
         return
-    print_facts({"report": str(Path(out) / files[0].name), "files": len(files)})
+    pages = {"page": str(Path(out) / PAGE)} if any(file.name == PAGE for file in files) else {}
+    print_facts({"report": str(Path(out) / files[0].name), **pages, "files": len(files)})
 
 
 COMMANDS = (bench, report)
