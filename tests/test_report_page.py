@@ -110,16 +110,10 @@ def test_a_hostile_name_is_text(written, tree):
 def test_identities_are_distinct_and_every_reference_has_one(tree):
     names = [a["id"] for _, a in tree.elements if a.get("id")]
     assert len(names) == len(set(names))
-    asked = {
-        a[key][1:] for _, a in tree.elements for key in ("href", "xlink:href") if (a.get(key) or "").startswith("#")
-    }
-    asked |= {
-        m
-        for _, a in tree.elements
-        for k, v in a.items()
-        if k in ("style", "clip-path")
-        for m in re.findall(r"url\(#([^)]+)\)", v or "")
-    }
+    pairs = [(name, value or "") for _, a in tree.elements for name, value in a.items()]
+    asked = {value[1:] for name, value in pairs if name in ("href", "xlink:href") and value.startswith("#")}
+    styled = " ".join(value for name, value in pairs if name in ("style", "clip-path"))
+    asked |= set(re.findall(r"url\(#([^)]+)\)", styled))
     assert asked
     assert asked <= set(names)
 
@@ -270,14 +264,19 @@ def test_a_browser_shows_and_sorts(written, tmp_path):
     """The page's own script runs under its policy; clicks and keys are then made by one more."""
     text = written.read_text(encoding="utf-8")
     clicks = """
-      const table = [...document.querySelectorAll("table.sortable")].find((t) => t.caption.textContent.includes("All rows of ring"));
+      const tables = [...document.querySelectorAll("table.sortable")];
+      const table = tables.find((t) => t.caption.textContent.includes("All rows of ring"));
       const head = [...table.tHead.rows[0].cells].find((c) => c.textContent === "PSNR mean, fitted");
       const values = () => [...table.tBodies[0].rows].map((r) => r.cells[head.cellIndex].textContent).join(" ");
       head.querySelector("button").click();
       const up = values();
       head.querySelector("button").click();
       const box = document.querySelector(".compare");
-      const set = (name, value, kind) => { const e = box.querySelector(`[name=${name}]`); e.value = value; e.dispatchEvent(new Event(kind)); };
+      const set = (name, value, kind) => {
+        const control = box.querySelector(`[name=${name}]`);
+        control.value = value;
+        control.dispatchEvent(new Event(kind));
+      };
       set("at", 25, "input"); set("right", 2, "change"); set("kind", "error", "change");
       document.title = JSON.stringify([up, values(), head.getAttribute("aria-sort"),
         box.querySelector("output").textContent, box.querySelector(".right").style.clipPath,

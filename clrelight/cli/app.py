@@ -12,6 +12,7 @@ import click
 from clrelight import __version__
 from clrelight.cli import (
     coding,
+    completion,
     experiments,
     export,
     files,
@@ -63,7 +64,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights),
+    *(operators, transfer, normals, variation, find_lights, completion),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
@@ -85,6 +86,8 @@ def run(arguments: list[str] | None = None) -> int:
 def _run(words: list[str]) -> tuple[int, str]:
     """Run a command; return its exit code and what is to be said of it."""
     try:
+        if (answered := completion.answer_shell(cli)) is not None:
+            return answered, ""
         # Not cli.main, which ends the program by itself at a broken pipe.
         with cli.make_context("clrelight", words) as context:
             cli.invoke(context)

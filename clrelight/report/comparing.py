@@ -1,4 +1,4 @@
-"""Pictures of a scene to be compared on a page: each beside its reference, its error, and FLIP where it is installed."""
+"""Pictures of a scene to be compared on a page: beside the reference, as errors, and as FLIP where it is installed."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def compare_html(results: Results, scene: str, degree: int, room: int = MOST_BYT
 
 def _notes(step: int, left_out: int, with_flip: bool) -> tuple[str, ...]:
     notes = [
-        f"Drag the bar, or use the arrow keys on the slider below. Errors are shown ×{AMPLIFICATION}, brighter is worse; "
-        "the dB are those of the one 8-bit picture."
+        f"Drag the bar, or use the arrow keys on the slider below. Errors are shown ×{AMPLIFICATION}, brighter "
+        "is worse; the dB are those of the one 8-bit picture."
     ]
     if with_flip:
         notes.append("FLIP is the difference that an eye sees between two pictures that take turns, from 0 to 1.")

@@ -247,9 +247,7 @@ def write_trade_report(trials: Sequence[Trial], name: str, out_dir: str | os.Pat
         with canvas.house_style():
             chart = trade_chart(trials, name)
             canvas.save(chart, aside / CHART)
-            svg = to_svg(
-                chart, "trade", plain(f"{title}: held-out PSNR, size and time of every setting that was tried")
-            )
+            svg = to_svg(chart, "trade", plain(f"{title}: held-out PSNR, size and time of each setting"))
         rows = all_rows(Results(np.array([trial.row for trial in trials])))
         write_text(aside / "rows.csv", to_csv(rows))
         tables = [made for made in (step_table(trials), front_table(trials), half_table(trials)) if made.rows]

@@ -18,6 +18,10 @@ _COLOURS = {
 """Greys of the charts, and what the page's style sheet makes of each."""
 
 
+_UNSAID = ("Date", "Creator", "Format", "Type")
+"""What matplotlib writes of its own accord."""
+
+
 def is_chart(figure: Any) -> bool:
     """Return whether a figure is drawn of lines and text alone, and so is best as SVG."""
     return not any(axes.images for axes in figure.axes)
@@ -38,12 +42,7 @@ def to_svg(figure: Any, prefix: str, label: str) -> str:
 
     stream = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "clrelight"}):
-        figure.savefig(
-            stream,
-            format="svg",
-            transparent=True,
-            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
-        )
+        figure.savefig(stream, format="svg", transparent=True, metadata=dict.fromkeys(_UNSAID))
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)

@@ -56,7 +56,7 @@ def describe(file: h5py.File, schema: Schema) -> None:
 def view_picture(file: h5py.File, picture_hwc: np.ndarray, title: str) -> None:
     """Store a small picture, uint8 (height, width, 1 or 3), as what others open a file on."""
     shown = picture_hwc[..., 0] if picture_hwc.shape[2] == 1 else picture_hwc
-    group = _data(_entry(file, "picture"), "picture", "picture", ("." for _ in shown.shape), title)
+    group = _data(_entry(file, "picture"), "picture", "picture", ["."] * shown.ndim, title)
     held = group.create_dataset("picture", data=shown, track_times=False)
     _write(held, {"interpretation": "rgb-image" if shown.ndim == 3 else "image", "long_name": title})
 
@@ -80,6 +80,7 @@ def _view_series(file: h5py.File, source: h5py.Dataset, shown: int, title: str) 
     """Add one image of a series (n, height, width, channel), and all of them."""
     entry, name = _entry(file, "picture"), source.name.strip("/")
     axes = _scales(source)
+    parts: list[tuple[tuple, tuple]]
     coloured, channels = source.shape[3] == 3, range(source.shape[3])
     if coloured:
         _write(source, {"interpretation": "rgb-image"})
