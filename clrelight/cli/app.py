@@ -25,6 +25,7 @@ from clrelight.cli import (
     operators,
     pack,
     plan_lights,
+    preview,
     psnr,
     reflectance,
     reflection,
@@ -64,7 +65,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights, completion),
+    *(operators, transfer, normals, variation, find_lights, preview, completion),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

@@ -56,7 +56,13 @@ _PIECE_BYTES = 4 * CHUNK_BYTES
 """Of a payload that are copied at a time."""
 
 
-def write_encoded(path: str | os.PathLike, encoded: Encoded, source: CoefficientMap | None = None) -> None:
+def write_encoded(
+    path: str | os.PathLike,
+    encoded: Encoded,
+    source: CoefficientMap | None = None,
+    *,
+    picture_hwc: NDArray[np.uint8] | None = None,
+) -> None:
     """Write encoded coefficients and the record of the fit they come from (its lambda and rank maps are not kept).
 
     Parameters
@@ -67,6 +73,8 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
         Its `info` becomes attributes of the payload.
     source : CoefficientMap, optional
         What was encoded. Default: the record that the encoding comes with.
+    picture_hwc : ndarray, shape (height, width, 1 or 3), uint8, optional
+        What other programs are to open the file on. No reader of ours looks at it.
 
     Raises
     ------
@@ -80,6 +88,8 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
         raise InputError("these encoded bytes come without the record of their fit: say which fit was encoded")
     with drafting(path, ENCODED, encoded.encoded_bytes + CHUNK_BYTES) as draft:
         _fill(draft, encoded, record.without_surface())
+        if picture_hwc is not None:
+            draft.show(picture_hwc, record.name)
 
 
 def _fill(draft: Draft, encoded: Encoded, record: FitRecord) -> None:

@@ -57,7 +57,7 @@ def view_picture(file: h5py.File, picture_hwc: np.ndarray, title: str) -> None:
     """Store a small picture, uint8 (height, width, 1 or 3), as what others open a file on."""
     shown = picture_hwc[..., 0] if picture_hwc.shape[2] == 1 else picture_hwc
     group = _data(_entry(file, "picture"), "picture", "picture", ["."] * shown.ndim, title)
-    held = group.create_dataset("picture", data=shown, track_times=False)
+    held = group.create_dataset("picture", data=shown, compression="gzip", track_times=False)
     _write(held, {"interpretation": "rgb-image" if shown.ndim == 3 else "image", "long_name": title})
 
 

@@ -19,7 +19,7 @@ from clrelight.errors import InputError
 from clrelight.store.attributes import text_bytes
 from clrelight.store.blocks import SUM_DTYPE, BlockReader, BlockWriter, box_of
 from clrelight.store.creating import create_compact, create_in_memory, create_on_disk
-from clrelight.store.nexus import describe
+from clrelight.store.nexus import describe, view_picture
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
 from clrelight.store.seal import MOST_IN_TEXT, SEAL_ATTRIBUTE, TABLE, seal_of, sums_text, type_text
 
@@ -132,6 +132,10 @@ class Draft:
             self._pending.append((writer, target))
         self._sinks.append(Sink(target, dataset, self._wrote))
         return self._sinks[-1]
+
+    def show(self, picture_hwc: NDArray[np.uint8], title: str) -> None:
+        """Store what other programs open the file on."""
+        view_picture(self._file, picture_hwc, title)
 
     def finish(self) -> None:
         """Write what is still in memory, and the seal; ValueError if a sink was not filled."""
