@@ -134,6 +134,7 @@ def test_charts_take_the_colours_of_the_page(written):
     for chart in charts:
         assert "var(--ink)" in chart
         assert "#333333" not in chart
+        assert "#0072b2" not in chart
         assert "<text" in chart
         assert "<metadata" not in chart
 

@@ -14,8 +14,10 @@ _COLOURS = {
     "#e4e4e4": "var(--grid)",
     "#f1f1f1": "var(--band)",
     "#000000": "var(--black)",
+    "#0072b2": "var(--blue)",
+    "#882255": "var(--wine)",
 }
-"""Greys of the charts, and what the page's style sheet makes of each."""
+"""Greys and dark colours of the charts, and what the page's style sheet makes of each."""
 
 
 _UNSAID = ("Date", "Creator", "Format", "Type")
@@ -53,10 +55,10 @@ def to_svg(figure: Any, prefix: str, label: str) -> str:
 
 
 def _within_page(tag: str, prefix: str) -> str:
-    """Return a tag whose identities are its figure's own, and whose greys are the page's."""
+    """Return a tag whose identities are its figure's own, and whose dark colours are the page's."""
     tag = re.sub(r'(?<= id=")(?=[^"])', f"{prefix}-", tag)
     tag = re.sub(r'(?<==")#(?=[A-Za-z])', f"#{prefix}-", tag)
     tag = tag.replace("url(#", f"url(#{prefix}-")
-    for grey, named in _COLOURS.items():
-        tag = re.sub(rf"(?<=[:\s]){grey}(?=[;\"])", named, tag)
+    for colour, named in _COLOURS.items():
+        tag = re.sub(rf"(?<=[:\s]){colour}(?=[;\"])", named, tag)
     return tag
