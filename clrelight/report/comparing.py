@@ -32,73 +32,102 @@ def compare_html(results: Results, scene: str, degree: int, room: int = MOST_BYT
     reference, pictures = scene_pictures(results, scene, degree)
     if reference is None or not pictures:
         return "", (), 0
-    step = -(-max(reference.shape[:2]) // LONGEST_SIDE)
-    with_flip = importlib.util.find_spec("flip_evaluator") is not None
-    shown: list[dict[str, str]] = [_entry("reference", "", {"picture": _png(_shrunk(reference, step))})]
-    taken, left_out = len(shown[0]["picture"]), 0
+    sheet = Comparison(reference.shape, f"{scene}, degree {degree}")
+    sheet.add("reference", reference)
+    left_out = 0
     for method, setting in sorted(pictures, key=lambda key: (method_rank(key[0]), key[1].rank)):
-        picture = pictures[method, setting]
-        if taken > room and len(shown) > 1:
+        if sheet.taken > room and len(sheet.shown) > 1:
             left_out += 1
             continue
-        facts = picture_psnr(picture, reference)
-        maps = {"picture": _png(_shrunk(picture, step)), "error": _error_png(picture, reference, step)}
-        if with_flip:
-            flip_hw = flip_of(*(_display(_shrunk(each, step)) for each in (reference, picture)))
-            maps["flip"] = _map_png(flip_hw, FLIP_COLOURS)
-            facts += f", FLIP {float(flip_hw.mean()):.4f}"
-        shown.append(_entry(f"{method_label(method)}, {setting.label}", facts, maps))
-        taken += sum(len(uri) for uri in maps.values())
-    width = -(-reference.shape[1] // step)
-    body = _box(shown, width, with_flip, f"{scene}, degree {degree}")
-    return body, _notes(step, left_out, with_flip), taken
+        sheet.add(f"{method_label(method)}, {setting.label}", pictures[method, setting], reference)
+    more = (f"{left_out} more pictures are left out, for the page would become too large: see the figures.",)
+    return sheet.html(), (*sheet.notes(), *(more if left_out else ())), sheet.taken
 
 
-def _notes(step: int, left_out: int, with_flip: bool) -> tuple[str, ...]:
-    notes = [
-        f"Drag the bar, or use the arrow keys on the slider below. Errors are shown ×{AMPLIFICATION}, brighter "
-        "is worse; the dB are those of the one 8-bit picture."
-    ]
-    if with_flip:
-        notes.append("FLIP is the difference that an eye sees between two pictures that take turns, from 0 to 1.")
-    else:
-        notes.append("Maps of FLIP need the package flip-evaluator: pip install 'clrelight[flip]'.")
-    if step > 1:
-        notes.append(f"Pictures are averaged over {step}×{step} pixels, FLIP too; the dB are of all pixels.")
-    if left_out:
-        notes.append(f"{left_out} more pictures are left out, for the page would become too large: see the figures.")
-    return tuple(notes)
+class Comparison:
+    """Pictures of one size that a page shows two of at a time, with a bar between.
 
+    Parameters
+    ----------
+    shape : tuple of int
+        Of the pictures: height, width, 1 or 3.
+    what : str
+        What they show, for screen readers.
 
-def _entry(name: str, facts: str, maps: dict[str, str]) -> dict[str, str]:
-    return {"name": name, "facts": facts, **maps}
+    Attributes
+    ----------
+    shown : list of dict
+        Of each picture its ``name``, ``facts``, and addresses of PNGs: ``picture``, and ``error`` and ``flip``.
+    taken : int
+        Characters of those.
+    """
 
+    def __init__(self, shape: tuple[int, ...], what: str) -> None:
+        self.shown: list[dict[str, str]] = []
+        self.taken = 0
+        self._width, self._what = shape[1], what
+        self._step = -(-max(shape[:2]) // LONGEST_SIDE)
+        self._with_flip = importlib.util.find_spec("flip_evaluator") is not None
 
-def _box(shown: list[dict[str, str]], width: int, with_flip: bool, what: str) -> str:
-    names = [f'<option value="{i}">{plain(each["name"])}</option>' for i, each in enumerate(shown)]
-    names_right = [name.replace("<option ", "<option selected ", 1) if i == 1 else name for i, name in enumerate(names)]
-    kinds = f'<option value="picture">picture</option><option value="error">error ×{AMPLIFICATION}</option>'
-    kinds += '<option value="flip">FLIP</option>' if with_flip else ""
-    wide = width * max(1, NARROWEST // width)
-    still = "".join(f'<img src="{each["picture"]}" alt="{plain(each["name"])}" width="{width}"> ' for each in shown[:2])
-    return "\n".join(
-        [
-            f'<div class="compare" role="group" aria-label="Compare pictures of {plain(what)}">',
-            '<div class="choices">',
-            f'<label>Left <select name="left">{"".join(names)}</select></label>',
-            f'<label>Right <select name="right">{"".join(names_right)}</select></label>',
-            f'<label>Right shows <select name="kind">{kinds}</select></label>',
-            "</div>",
-            f'<div class="pair" style="max-width:{wide}px"><img class="left" alt=""><img class="right" alt="">'
-            '<div class="bar"></div></div>',
-            '<input type="range" name="at" min="0" max="100" value="50" aria-label="Where left meets right">',
-            "<output></output>",
-            json_block(shown),
-            "</div>",
-            f'<div class="no-script"><p>Without scripts: {plain(shown[0]["name"])}, {plain(shown[1]["name"])}.</p>'
-            f"{still}</div>",
+    def add(self, name: str, picture: NDArray[np.uint8], reference: NDArray[np.uint8] | None = None) -> None:
+        """Add a picture; with what it is to be equal to, also its errors."""
+        step, facts = self._step, ""
+        maps = {"picture": _png(_shrunk(picture, step))}
+        if reference is not None:
+            facts = picture_psnr(picture, reference)
+            maps["error"] = _error_png(picture, reference, step)
+            if self._with_flip:
+                flip_hw = flip_of(*(_display(_shrunk(each, step)) for each in (reference, picture)))
+                maps["flip"] = _map_png(flip_hw, FLIP_COLOURS)
+                facts += f", FLIP {float(flip_hw.mean()):.4f}"
+        self.shown.append({"name": name, "facts": facts, **maps})
+        self.taken += sum(map(len, maps.values()))
+
+    def notes(self) -> tuple[str, ...]:
+        """Return what to say of them."""
+        notes = [
+            f"Drag the bar, or use the arrow keys on the slider below. Errors are shown ×{AMPLIFICATION}, brighter "
+            "is worse; the dB are those of the one 8-bit picture."
         ]
-    )
+        if self._with_flip:
+            notes.append("FLIP is the difference that an eye sees between two pictures that take turns, from 0 to 1.")
+        else:
+            notes.append("Maps of FLIP need the package flip-evaluator: pip install 'clrelight[flip]'.")
+        if self._step > 1:
+            notes.append(
+                f"Pictures are averaged over {self._step}×{self._step} pixels, FLIP too; the dB are of all pixels."
+            )
+        return tuple(notes)
+
+    def html(self) -> str:
+        """Return the element; there must be two pictures."""
+        shown, width = self.shown, -(-self._width // self._step)
+        left = [f'<option value="{i}">{plain(each["name"])}</option>' for i, each in enumerate(shown)]
+        right = [name.replace("<option ", "<option selected ", 1) if i == 1 else name for i, name in enumerate(left)]
+        kinds = f'<option value="picture">picture</option><option value="error">error ×{AMPLIFICATION}</option>'
+        kinds += '<option value="flip">FLIP</option>' if self._with_flip else ""
+        wide = width * max(1, NARROWEST // width)
+        still = "".join(
+            f'<img src="{each["picture"]}" alt="{plain(each["name"])}" width="{width}"> ' for each in shown[:2]
+        )
+        return "\n".join(
+            [
+                f'<div class="compare" role="group" aria-label="Compare pictures of {plain(self._what)}">',
+                '<div class="choices">',
+                f'<label>Left <select name="left">{"".join(left)}</select></label>',
+                f'<label>Right <select name="right">{"".join(right)}</select></label>',
+                f'<label>Right shows <select name="kind">{kinds}</select></label>',
+                "</div>",
+                f'<div class="pair" style="max-width:{wide}px"><img class="left" alt=""><img class="right" alt="">'
+                '<div class="bar"></div></div>',
+                '<input type="range" name="at" min="0" max="100" value="50" aria-label="Where left meets right">',
+                "<output></output>",
+                json_block(shown),
+                "</div>",
+                f'<div class="no-script"><p>Without scripts: {plain(shown[0]["name"])}, {plain(shown[1]["name"])}.</p>'
+                f"{still}</div>",
+            ]
+        )
 
 
 def _display(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
