@@ -20,9 +20,9 @@ def completion(context: click.Context, shell: str) -> None:
 
     \b
     Example:
+      clrelight completion fish > ~/.config/fish/completions/clrelight.fish
       eval "$(clrelight completion bash)"              # in ~/.bashrc
       eval "$(clrelight completion zsh)"               # in ~/.zshrc
-      clrelight completion fish > ~/.config/fish/completions/clrelight.fish
     """
     kind = get_completion_class(shell)
     assert kind is not None
