@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -76,12 +77,15 @@ def write_file_report(
     ):
         check_view(coefficients, photographs)
         report.note(*filter(None, [domain_note(coefficients, photographs)]))
+        since = time.perf_counter()
         with stage(progress, "measuring") as tell:
             mse_i = measure_errors(coefficients, photographs, device=opened, progress=tell)
         split = split_by_fit(photographs, coefficients)
         report.psnr = summarize_split(mse_i, coefficients.directions_i3, photographs, split)
+        since = report.add("measure", since)
         table = _table(photographs, psnr_of(mse_i), split[1])
         sheet = _compared(coefficients, photographs, psnr_of(mse_i), split[1], opened)
+        report.add("draw", since)
     title = f"{Path(os.fsdecode(source)).name} beside its photographs"
     sections = [
         Section("Pictures side by side", 2, sheet.notes(), sheet.html()),
