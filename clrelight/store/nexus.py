@@ -95,17 +95,14 @@ def _view_series(file: h5py.File, source: h5py.Dataset, shown: int, title: str) 
     _link(group, file, order)
 
     if coloured:
-        order = axes
+        parts, order = [((...,), (...,))], axes
     elif len(channels) == 1:
         parts, order = [((..., 0), (...,))], axes[:3]
     else:
         parts, order = [((..., c), (c, ...)) for c in channels], [axes[3], *axes[:3]]
     group = _data(entry, name, name, order, f"all {len(source)}")
-    if coloured:
-        group[name] = source
-    else:
-        _virtual(group, name, source, [len(file[axis]) for axis in order], parts)
-        _write(group[name], {"interpretation": "image", "long_name": UNITS[name][1]})
+    _virtual(group, name, source, [len(file[axis]) for axis in order], parts)
+    _write(group[name], {"interpretation": "rgb-image" if coloured else "image", "long_name": UNITS[name][1]})
     _link(group, file, order)
 
 
@@ -179,8 +176,9 @@ def _virtual(
                 tuple(n if each is None else 1 for each, n in zip(whole, extent, strict=True)),
             )
         properties.set_virtual(spaces[0], b".", source.name.encode(), spaces[1])
-    space = h5py.h5s.create_simple(tuple(shape))
-    h5py.h5d.create(group.id, name.encode(), source.id.get_type(), space, properties)
+    # Programs in browsers read no halves: HDF5 converts them as they are read.
+    held = h5py.h5t.IEEE_F32LE if source.dtype == np.float16 else source.id.get_type()
+    h5py.h5d.create(group.id, name.encode(), held, h5py.h5s.create_simple(tuple(shape)), properties)
 
 
 def _scales(source: h5py.Dataset) -> list[str]:
