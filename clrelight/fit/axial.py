@@ -1,9 +1,9 @@
-"""A prior learnt from the samples themselves: any covariance that turning about the zenith leaves as it is.
+"""A prior learnt from the samples themselves: any covariance that turning about the zenith and mirrors leave.
 
 With coefficients of variance `v` and samples' second moments S, one step of expectation and maximisation (Dempster,
 Laird and Rubin 1977) from the prior ``A = diag(v)`` is ``A + W (Q S Q - Q) W'``, ``Q = C^-1`` and ``W = A Y'``. It is
-averaged over all turns about the zenith: coefficients of one order stay correlated, others are not, and so a light
-tells of others at its height whatever their azimuth. What no light tells of stays as the prior has it.
+averaged over all turns about the zenith and over mirrors: coefficients of one order stay correlated, others are not,
+and so a light tells of others at its height whatever their azimuth. What no light tells of stays as the prior has it.
 """
 
 from __future__ import annotations
@@ -43,13 +43,10 @@ class AxialStep:
         Of the step, 0 to 1.
     blocks : tuple of ndarray, shape (LARGEST_DEGREE + 1 - m, LARGEST_DEGREE + 1 - m)
         For each order m, the covariance that is added between its degrees, share and all.
-    gain : float
-        Logarithm of the squared error at lights left out with their neighbours, over that without the step.
     """
 
     share: float
     blocks: tuple[NDArray[np.float64], ...]
-    gain: float
 
     def add_to(self, scaled_gk: NDArray[np.float64], basis_gk: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return ``basis (diag(v) + blocks)`` where ``scaled`` is ``basis diag(v)``."""
@@ -78,7 +75,7 @@ class _Lights:
         blocks = []
         for columns in _COLUMNS:
             parts = [scaled_gk[:, k].T @ middle_gg @ scaled_gk[:, k] for k in columns]
-            blocks.append(sum(parts[1:], parts[0]) / len(parts))
+            blocks.append(np.mean(parts, axis=0))
         return tuple(blocks)
 
     def weights(
@@ -88,7 +85,7 @@ class _Lights:
         scaled_gk = self.basis_gk * self.variance_k
         if share > 0.0:
             scaled_gk = _add_blocks(scaled_gk, self.basis_gk, blocks, share)
-        return np.linalg.solve(scaled_gk @ self.basis_gk.T + np.diag(self.noise_g), scaled_gk @ target_k)
+        return np.asarray(np.linalg.solve(scaled_gk @ self.basis_gk.T + np.diag(self.noise_g), scaled_gk @ target_k))
 
 
 def learn_step(
@@ -114,13 +111,10 @@ def learn_step(
     noise = theta.noise * float(SHARE @ degree_variances(theta.to_logs(), theta.limit)[0])
     moments_gg = moment_gg[np.ix_(some, some)] / square
     lights = _Lights(coefficient_variances(theta), basis_gk, moments_gg, noise / places.count_g[some])
-    shares = (SHARES if len(some) >= _FEWEST_WHOLE else SHARES[:-1]) if share is None else (0.0, share)
-    log_s = _leave_out(lights, places.directions_g3[some], shares)
-    best = int(np.argmin(log_s)) if share is None else 1
-    if best == 0:
-        return None
-    blocks = tuple(shares[best] * block for block in lights.whole_step())
-    return AxialStep(shares[best], blocks, float(log_s[best] - log_s[0]))
+    if share is None:
+        shares = SHARES if len(some) >= _FEWEST_WHOLE else SHARES[:-1]
+        share = shares[int(np.argmin(_leave_out(lights, places.directions_g3[some], shares)))]
+    return AxialStep(share, tuple(share * block for block in lights.whole_step())) if share > 0.0 else None
 
 
 def _leave_out(lights: _Lights, directions_g3: NDArray[np.float64], shares: tuple[float, ...]) -> NDArray[np.float64]:

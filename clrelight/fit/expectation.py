@@ -140,11 +140,10 @@ class _LeftOut:
 
     @classmethod
     def make(cls, model: KrigingModel, trials: Trials) -> _LeftOut:
-        plain, gain = model.plain, np.exp(model.gain)
+        plain = model.plain
         near, wide = (find_zones(trials.places.directions_g3, part * trials.gap) for part in (_NEAR, _WIDE))
         errors = (
-            gain * trials.measure(krige_left_out(plain, trials.mean_gp, zones)[0], trials.mean_gp)
-            for zones in (near, wide)
+            trials.measure(krige_left_out(plain, trials.mean_gp, zones)[0], trials.mean_gp) for zones in (near, wide)
         )
         error_g, wide_error_g = (np.maximum(each, LEAST_ERROR) for each in errors)
         return cls(plain, near, wide, error_g, wide_error_g, _find_noise(trials))

@@ -202,7 +202,7 @@ def _try_code_values(base: Candidate, trials: Trials) -> float | None:
 def _leave_out(model: KrigingModel, trials: Trials) -> NDArray[np.float64]:
     """Return the squared error at each light left out with its zone: see `KrigingModel.plain`."""
     predicted_gp, _ = krige_left_out(model.plain, trials.mean_gp, trials.zones)
-    return np.asarray(np.exp(model.gain) * trials.measure(predicted_gp, trials.mean_gp))
+    return trials.measure(predicted_gp, trials.mean_gp)
 
 
 def _judge(method: FitMethod, degree: int, error_g: NDArray[np.float64]) -> Candidate:
