@@ -1,5 +1,6 @@
 """What `spectrum` learns of the zenith: orders that differ, and the covariance that the samples' moments add."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +30,13 @@ def reference_kernel(first_t3, second_s3):
     """Return the prior's kernel of `LIMITED`."""
     a_l = reference.variances(0.4, 2.2, 0.05, 0.02, 6)
     variance_k = reference.coefficient_variances(a_l, -0.8, 1.7)[:49]
-    return real_harmonics(first_t3, 6) * variance_k @ real_harmonics(second_s3, 6).T
+    first_tk, second_sk = (np.array([harmonics_at(*point) for point in points]) for points in (first_t3, second_s3))
+    return first_tk * variance_k @ second_sk.T
+
+
+@functools.cache
+def harmonics_at(x, y, z):
+    return real_harmonics(np.array([[x, y, z]]), 6)[0]
 
 
 def reference_noise():

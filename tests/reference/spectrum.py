@@ -54,8 +54,8 @@ def coefficient_variances(a_l, azimuth, tilt):
 def moment_step(kernel, noise_i, lights_i3, moment_ii, first_t3, second_s3, turns=14):
     """Return what one step of EM adds to a kernel, averaged over turns about the zenith and over mirrors.
 
-    In functions, not coefficients: ``k(s, lights) (Q S Q / scale - Q) k(lights, t)``, both directions turned together. Turns more than twice the
-    degree are all turns.
+    In functions, not coefficients: ``k(s, lights) (Q S Q / scale - Q) k(lights, t)``, both directions turned together.
+    More turns than twice the degree are as good as all.
     """
     inverse = np.linalg.inv(kernel(lights_i3, lights_i3) + np.diag(noise_i))
     scale = np.trace(inverse @ moment_ii) / len(inverse)
