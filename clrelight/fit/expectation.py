@@ -25,7 +25,7 @@ _WIDEST, _WIDEST_OF_FEW, _FEW = 1.5, 3.0, 10
 _FARTHEST = 0.2
 _UNSEEN = (1.0 / 255.0) ** 2
 """A squared error of one 8-bit code value."""
-_KINDER = 0.3
+_KINDER = 0.1
 """Errors in the gaps of a few lights, in units of those at lights left out, at best."""
 _DB = 10.0 / np.log(10.0)
 _WIDE = 2.0
@@ -117,7 +117,7 @@ def expect_unseen(model: KrigingModel, trials: Trials, unseen_t3: NDArray[np.flo
     elif spread > widest:
         low, high = _find_range(psnr_t, weight_t)
         why = f"it depends on where the light is: mostly from {low:.0f} to {high:.0f} dB"
-    return Expectation(psnr, spread, why, 10.0 ** (-(psnr + max(carried, _WIDEST)) / 10.0))
+    return Expectation(psnr, spread, why, 10.0 ** (-(psnr + max(spread, widest)) / 10.0))
 
 
 def expect_at(model: KrigingModel, trials: Trials, targets_t3: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,10 +27,11 @@ MOST_PLACES = 192
 """Lights that the parameters are learnt from; the map is made of all."""
 _LIMITS = range(1, 13)
 """Degrees at which variances may end."""
-_LIMIT_LIGHTS = 1.5
-"""Lights for each coefficient that there then are at least: with fewer, what is left out tells nothing of a limit."""
-_LIMIT_GAIN = 5.0
-"""By which what is minimised must then be less: scenes that are band-limited gain far more."""
+_LIMIT_LIGHTS = 0.75
+"""Lights for each coefficient that there then are at least: the prior settles the rest."""
+_LIMIT_GAIN = 3.0
+"""By which what is minimised must then be less. Of log likelihoods that is strong evidence (a factor of 20: Kass and
+Raftery 1995, Bayes factors); scenes that are band-limited gain far more."""
 FEWEST = 3
 """With fewer lights, parameters are the prior's mean."""
 LEAST_SQUARE = 1e-8

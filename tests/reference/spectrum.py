@@ -51,7 +51,7 @@ def coefficient_variances(a_l, azimuth, tilt):
     return np.array(found)
 
 
-def moment_step(kernel, noise_i, lights_i3, moment_ii, first_t3, second_s3, turns=14):
+def moment_step(kernel, noise_i, lights_i3, moment_ii, first_t3, second_s3, turns=10):
     """Return what one step of EM adds to a kernel, averaged over turns about the zenith and over mirrors.
 
     In functions, not coefficients: ``k(s, lights) (Q S Q / scale - Q) k(lights, t)``, both directions turned together.
