@@ -159,6 +159,15 @@ def test_a_stack_of_black_takes_no_step(device):
     assert (fitted.coeffs_khwc == 0).all()
 
 
+def test_one_light_that_is_not_black():
+    lights = make_pattern("uniform", 12)
+    value_ip = np.zeros((12, 240))
+    value_ip[4] = 0.5
+    prepared = prepare_fit(as_stack(value_ip, lights), "spectrum", 6)
+    assert np.isfinite(prepared.method.share)
+    assert np.isfinite(collect_fit(prepared).coeffs_khwc).all()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

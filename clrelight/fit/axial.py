@@ -70,7 +70,8 @@ class _Lights:
         """Return the whole step in units of the prior, whose scale is the likeliest for these moments."""
         scaled_gk = self.basis_gk * self.variance_k
         inverse_gg = np.linalg.inv(scaled_gk @ self.basis_gk.T + np.diag(self.noise_g))
-        scale = float((inverse_gg * self.moment_gg).sum()) / len(inverse_gg)
+        # Nothing but black would divide by 0.
+        scale = max(float((inverse_gg * self.moment_gg).sum()) / len(inverse_gg), np.finfo(np.float64).tiny)
         middle_gg = inverse_gg @ self.moment_gg @ inverse_gg / scale - inverse_gg
         blocks = []
         for columns in _COLUMNS:
