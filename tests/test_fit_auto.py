@@ -266,7 +266,7 @@ def test_equal_photographs_change_nothing(device):
     one, six = (photograph_again(np.full(40, count), 0.0, 0.02) for count in (1, 6))
     for method, degree in AGAIN[1:]:
         first, second = (fit(stack, method, degree).coeffs_khwc for stack in (one, six))
-        assert np.abs(first - second).max() < 1e-4 * np.abs(first).max()
+        assert np.abs(first - second).max() < 3e-4 * np.abs(first).max()
 
 
 def test_the_mean_of_more_photographs_is_better(device):

@@ -5,10 +5,11 @@ import pytest
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import collect_fit, method_class, prepare_fit
+from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.left_out import PRIOR_MEAN, Objective, solve_zones
 from clrelight.fit.places import find_places, find_zones, spread_points
 from clrelight.fit.plan import make_lighting
-from clrelight.fit.zonal import Theta, ZonalModel, degree_variances
+from clrelight.fit.zonal import Theta, degree_variances
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.ingest import ingest_folder
 from clrelight.jobs.fit import fit
@@ -19,7 +20,8 @@ from clrelight.store import open_stack
 from tests.reference import spectrum as reference
 from tests.reference.basis import real_harmonics
 
-GIVEN = {"level": 0.4, "slope": 2.2, "edge": 0.05, "heat": 0.02, "noise": 1e-3}
+SPECTRUM = {"level": 0.4, "slope": 2.2, "edge": 0.05, "heat": 0.02, "noise": 1e-3}
+GIVEN = {**SPECTRUM, "azimuth": 0.0, "tilt": 1.0, "share": 0.0}
 
 
 def make_stack(n_light=40, noise=0.01, seed=0, directions=None, columns=240, dtype=np.uint8, peak=255.0, **fields):
@@ -43,11 +45,11 @@ def mean_psnr(fitted, tested):
 
 
 def test_variances_are_the_references_and_so_are_their_slopes():
-    logs = Theta(**GIVEN).to_logs()
+    logs = Theta(**SPECTRUM).to_logs()
     found, slopes = degree_variances(logs)
     np.testing.assert_allclose(found, reference.variances(0.4, 2.2, 0.05, 0.02), rtol=1e-12)
     for k in range(4):
-        step = np.zeros(5)
+        step = np.zeros(7)
         step[k] = 1e-6
         numeric = (degree_variances(logs + step)[0] - degree_variances(logs - step)[0]) / 2e-6
         np.testing.assert_allclose(slopes[k], numeric, rtol=1e-6, atol=1e-9)
@@ -59,10 +61,10 @@ def test_the_gradient_is_that_of_finite_differences():
     places = find_places(make_lighting(stack, "uniform", "hemisphere"))
     mean = places.mean_gi @ columns_of(stack)
     objective = Objective.make(places, mean @ mean.T / mean.shape[1] / np.mean(mean**2), 1e-5)
-    for logs in (PRIOR_MEAN, np.array([1.0, 0.5, -2.0, -2.0, -5.0])):
+    for logs in (PRIOR_MEAN, np.array([1.0, 0.5, -2.0, -2.0, -5.0, -0.7, 0.6])):
         _, gradient = objective.evaluate(logs)
-        for k in range(5):
-            step = np.zeros(5)
+        for k in range(7):
+            step = np.zeros(7)
             step[k] = 1e-5
             numeric = (objective.evaluate(logs + step)[0] - objective.evaluate(logs - step)[0]) / 2e-5
             assert gradient[k] == pytest.approx(numeric, rel=2e-4, abs=2e-4)
@@ -71,7 +73,7 @@ def test_the_gradient_is_that_of_finite_differences():
 def test_zones_are_left_out_exactly():
     stack = make_stack(23)
     sample_ip = columns_of(stack)
-    model = ZonalModel.make(find_places(make_lighting(stack, "uniform", "hemisphere")), Theta(**GIVEN))
+    model = KrigingModel.make(find_places(make_lighting(stack, "uniform", "hemisphere")), Theta(**SPECTRUM))
     zones = find_zones(stack.directions_i3, 0.7)
     assert len({len(zone) for zone in zones}) > 1
     errors_gz, _ = solve_zones(model.inverse_gg, zones)
@@ -205,8 +207,8 @@ def test_rendered_domes_are_foretold_better_than_by_splines(device, real_data, t
 def test_the_variance_of_errors_is_that_of_drawn_functions():
     """A smooth function without noise, foretold by a model that takes it for another."""
     lights, targets = make_pattern("uniform", 17), make_pattern("grid", 10)
-    model = ZonalModel.make(
-        find_places(make_lighting(make_stack(17, directions=lights), "uniform", "hemisphere")), Theta(**GIVEN)
+    model = KrigingModel.make(
+        find_places(make_lighting(make_stack(17, directions=lights), "uniform", "hemisphere")), Theta(**SPECTRUM)
     )
     degree_k = np.repeat(np.arange(26), 2 * np.arange(26) + 1)
     variance_k = np.where(degree_k > 0, degree_k * (degree_k + 1) / 2, 1.0) ** -3.0

@@ -9,11 +9,12 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.leave_out_error import LEAST_ERROR, Trials, krige_left_out
 from clrelight.fit.left_out import solve_zones
 from clrelight.fit.places import find_zones, list_unseen, mutual_angles, nearest_angles, spread_points
 from clrelight.fit.plan import is_sphere
-from clrelight.fit.zonal import LARGEST_DEGREE, ZonalModel
+from clrelight.fit.zonal import LARGEST_DEGREE
 from clrelight.harmonics.basis import evaluate_basis
 
 FEWEST_JUDGES = 6
@@ -24,7 +25,7 @@ _WIDEST, _WIDEST_OF_FEW, _FEW = 1.5, 3.0, 10
 _FARTHEST = 0.2
 _UNSEEN = (1.0 / 255.0) ** 2
 """A squared error of one 8-bit code value."""
-_KINDER = 0.3
+_KINDER = 0.1
 """Errors in the gaps of a few lights, in units of those at lights left out, at best."""
 _DB = 10.0 / np.log(10.0)
 _WIDE = 2.0
@@ -72,7 +73,7 @@ class Expectation:
     error: float
 
 
-def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float64] | None = None) -> Expectation:
+def expect_unseen(model: KrigingModel, trials: Trials, unseen_t3: NDArray[np.float64] | None = None) -> Expectation:
     """Return what a model will reach in the gaps between lights, or under unseen lights whose directions are given.
 
     Around a direction, ``log error = log e_i + gamma (log v - log v_i)``, averaged over the lights i nearby: errors
@@ -116,10 +117,10 @@ def expect_unseen(model: ZonalModel, trials: Trials, unseen_t3: NDArray[np.float
     elif spread > widest:
         low, high = _find_range(psnr_t, weight_t)
         why = f"it depends on where the light is: mostly from {low:.0f} to {high:.0f} dB"
-    return Expectation(psnr, spread, why, 10.0 ** (-(psnr + max(carried, _WIDEST)) / 10.0))
+    return Expectation(psnr, spread, why, 10.0 ** (-(psnr + max(spread, widest)) / 10.0))
 
 
-def expect_at(model: ZonalModel, trials: Trials, targets_t3: NDArray[np.float64]) -> NDArray[np.float64]:
+def expect_at(model: KrigingModel, trials: Trials, targets_t3: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the PSNR in dB that is expected under each of these directions, whatever it may be off by."""
     left_out = _LeftOut.make(model, trials)
     blocks = np.array_split(targets_t3, -(-len(targets_t3) // _BLOCK))
@@ -130,7 +131,7 @@ def expect_at(model: ZonalModel, trials: Trials, targets_t3: NDArray[np.float64]
 class _LeftOut:
     """Squared errors at lights that are left out, with those near them and in zones that are wider."""
 
-    model: ZonalModel
+    model: KrigingModel
     near: list[NDArray[np.intp]]
     wide: list[NDArray[np.intp]]
     error_g: NDArray[np.float64]
@@ -138,13 +139,14 @@ class _LeftOut:
     noise: float
 
     @classmethod
-    def make(cls, model: ZonalModel, trials: Trials) -> _LeftOut:
+    def make(cls, model: KrigingModel, trials: Trials) -> _LeftOut:
+        plain = model.plain
         near, wide = (find_zones(trials.places.directions_g3, part * trials.gap) for part in (_NEAR, _WIDE))
         errors = (
-            trials.measure(krige_left_out(model, trials.mean_gp, zones)[0], trials.mean_gp) for zones in (near, wide)
+            trials.measure(krige_left_out(plain, trials.mean_gp, zones)[0], trials.mean_gp) for zones in (near, wide)
         )
         error_g, wide_error_g = (np.maximum(each, LEAST_ERROR) for each in errors)
-        return cls(model, near, wide, error_g, wide_error_g, _find_noise(trials))
+        return cls(plain, near, wide, error_g, wide_error_g, _find_noise(trials))
 
     def carry(
         self, targets_t3: NDArray[np.float64], smooth: bool = False
@@ -215,7 +217,7 @@ def _weigh_neighbours(targets_t3: NDArray[np.float64], directions_g3: NDArray[np
     return np.asarray(weight_tg / weight_tg.sum(axis=1, keepdims=True))
 
 
-def least_degree(model: ZonalModel, trials: Trials, error: float, within: float) -> tuple[int, float]:
+def least_degree(model: KrigingModel, trials: Trials, error: float, within: float) -> tuple[int, float]:
     """Return the least degree whose series costs no more than `within` dB, and what it costs.
 
     The cost is that of the mean PSNR between the lights where the whole series' squared error is `error`.

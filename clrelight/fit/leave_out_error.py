@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.conventions import linear_to_srgb
+from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.left_out import solve_zones
 from clrelight.fit.places import Places, find_gap_radii, find_places, find_zones, pick_spread, stack_zones
 from clrelight.fit.plan import Lighting, make_lighting
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
-from clrelight.fit.zonal import ZonalModel
 from clrelight.harmonics.basis import evaluate_basis
 
 LEAST_FREEDOM = 0.02
@@ -107,7 +107,7 @@ class Trials:
 
 
 def krige_left_out(
-    model: ZonalModel, mean_gp: NDArray[np.float64], zones: list[NDArray[np.intp]]
+    model: KrigingModel, mean_gp: NDArray[np.float64], zones: list[NDArray[np.intp]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what a model says at each light without its zone, (n_place, P), and the variance it gives that."""
     errors_gz, variance_z = solve_zones(model.inverse_gg, zones)

@@ -9,28 +9,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.fit.places import Places, find_gap_radii, find_zones, pick_spread, stack_zones
-from clrelight.fit.zonal import LARGEST_DEGREE, SHARE, Theta, degree_variances, legendre_terms
+from clrelight.fit.zonal import LARGEST_DEGREE, SHARE, Theta, degree_variances, order_factors
+from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import degrees_of_coefficients
 
-PRIOR_MEAN = np.array([-1.0, 2.0, -3.0, -4.0, -8.0])
-"""Of log level, slope, log edge, log heat and log noise: photographs of many kinds lie around it."""
-PRIOR_SD = np.array([1.5, 1.5, 2.0, 2.0, 1.5])
-_LOW = np.array([-6.0, -3.0, -14.0, -9.0, np.log(1e-9)])
-_HIGH = np.array([8.0, 6.0, 6.0, 2.0, np.log(0.5)])
-_STARTS = np.array([[1.0, 2.5, -2.0, -4.0, -5.0], [1.0, 0.0, -5.0, -2.0, -5.0]])
+PRIOR_MEAN = np.array([-1.0, 2.0, -3.0, -4.0, -8.0, 0.0, 0.0])
+"""Of log level, slope, log edge, log heat, log noise, azimuth and log tilt: photographs of many kinds lie around it."""
+PRIOR_SD = np.array([1.5, 1.5, 2.0, 2.0, 1.5, 1.0, 1.5])
+_LOW = np.array([-6.0, -3.0, -14.0, -9.0, np.log(1e-9), -3.0, -4.0])
+_HIGH = np.array([8.0, 6.0, 6.0, 2.0, np.log(0.5), 3.0, 6.0])
+_STARTS = np.array([[1.0, 2.5, -2.0, -4.0, -5.0, 0.0, 0.0], [1.0, 0.0, -5.0, -2.0, -5.0, 0.0, 0.0]])
 """A spectrum that falls, and a band: the energy of some scenes is at one degree."""
+_L_K = degrees_of_coefficients(LARGEST_DEGREE)
 _QUANTILES = 0.0, 0.5, 1.0
 """Of the gaps' radii: lights are left out with all their neighbours nearer than these."""
-_MOST_PLACES = 192
+MOST_PLACES = 192
 """Lights that the parameters are learnt from; the map is made of all."""
 _LIMITS = range(1, 13)
 """Degrees at which variances may end."""
-_LIMIT_LIGHTS = 1.5
-"""Lights for each coefficient that there then are at least: with fewer, what is left out tells nothing of a limit."""
-_LIMIT_GAIN = 5.0
-"""By which what is minimised must then be less: scenes that are band-limited gain far more."""
+_LIMIT_LIGHTS = 0.75
+"""Lights for each coefficient that there then are at least: the prior settles the rest."""
+_LIMIT_GAIN = 3.0
+"""By which what is minimised must then be less. Of log likelihoods that is strong evidence (a factor of 20: Kass and
+Raftery 1995, Bayes factors); scenes that are band-limited gain far more."""
 FEWEST = 3
 """With fewer lights, parameters are the prior's mean."""
-_LEAST_ERROR = 1e-8
+LEAST_SQUARE = 1e-8
 """Of the samples' mean square: a smaller squared error at a light that is left out counts as this."""
 
 
@@ -100,7 +104,7 @@ def measure_left_out(
 class Objective:
     """What is minimised: the mean log of the squared error at lights left out, and the prior of the parameters."""
 
-    terms_lg: NDArray[np.float64]
+    basis_gk: NDArray[np.float64]
     moment_gg: NDArray[np.float64]
     count_g: NDArray[np.float64]
     judged: Judged
@@ -110,21 +114,25 @@ class Objective:
     @classmethod
     def make(cls, places: Places, moment_gg: NDArray[np.float64], least: float) -> Objective:
         """Return the objective for samples of mean square 1."""
-        cosine = np.clip(places.directions_g3 @ places.directions_g3.T, -1.0, 1.0)
-        terms_lg = legendre_terms(cosine).reshape(LARGEST_DEGREE + 1, -1)
-        return cls(terms_lg, moment_gg, places.count_g, judge_zones(places.directions_g3), least)
+        basis_gk = evaluate_basis(places.directions_g3, LARGEST_DEGREE)
+        return cls(basis_gk, moment_gg, places.count_g, judge_zones(places.directions_g3), least)
 
     def evaluate(self, logs: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Return the value, and its gradient in the five parameters."""
+        """Return the value, and its gradient in the seven parameters."""
         variance_l, slopes_tl = degree_variances(logs, self.limit)
+        factor_k, turning_k = order_factors(logs[5])
+        variance_k = variance_l[_L_K] * factor_k
         noise, total = np.exp(logs[4]), SHARE @ variance_l
-        covariance_gg = (variance_l @ self.terms_lg).reshape(self.moment_gg.shape)
+        covariance_gg = (self.basis_gk * variance_k) @ self.basis_gk.T
         covariance_gg[np.diag_indices(len(covariance_gg))] += noise * total / self.count_g
         value, gradient_gg = measure_left_out(covariance_gg, self.moment_gg, self.judged, self.least)
         trace = float(np.sum(np.diag(gradient_gg) / self.count_g))
-        by_degree_l = self.terms_lg @ gradient_gg.ravel() + noise * trace * SHARE
+        by_k = np.einsum("gk,gk->k", gradient_gg @ self.basis_gk, self.basis_gk)
+        by_degree_l = np.bincount(_L_K, by_k * factor_k) + noise * trace * SHARE
+        of_azimuth = (by_k * variance_k) @ turning_k
+        of_tilt = by_degree_l[1] * variance_l[1]
         away = (logs - PRIOR_MEAN) / PRIOR_SD
-        gradient = np.append(slopes_tl @ by_degree_l, trace * noise * total) + away / PRIOR_SD
+        gradient = np.append(slopes_tl @ by_degree_l, [trace * noise * total, of_azimuth, of_tilt]) + away / PRIOR_SD
         return value + 0.5 * float(away @ away), gradient
 
 
@@ -154,12 +162,12 @@ def learn_theta(
     fixed = given or {}
     start_t = PRIOR_MEAN.copy()
     start_t[list(fixed)] = list(fixed.values())
-    some = pick_spread(places.directions_g3, _MOST_PLACES)
+    some = pick_spread(places.directions_g3, MOST_PLACES)
     moment_gg = moment_gg[np.ix_(some, some)]
     square = float(np.trace(moment_gg)) / max(len(some), 1)
     if not square > 0.0 or len(some) < FEWEST or (len(fixed) == len(PRIOR_MEAN)):
         return Theta.from_logs(start_t, LARGEST_DEGREE if limit is None else limit)
-    least = max(quantum**2 / 12.0 / square, _LEAST_ERROR)
+    least = max(quantum**2 / 12.0 / square, LEAST_SQUARE)
     chosen = Places(places.directions_g3[some], places.mean_gi[some], places.count_g[some])
     objective = Objective.make(chosen, moment_gg / square, least)
     low, high = _LOW.copy(), _HIGH.copy()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.fit.expectation import Expectation, expect_unseen, least_degree
+from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.leave_out_error import LEAST_ERROR, Trials, krige_left_out, try_method
 from clrelight.fit.registry import FitMethod
 from clrelight.fit.samples import Samples
@@ -160,8 +161,7 @@ def choose_model(
     model = settled.model(trials.lighting)
     expected = expect_unseen(model, trials)
     told = expected if unseen_t3 is None else expect_unseen(model, trials, unseen_t3)
-    predicted_gp, _ = krige_left_out(model, trials.mean_gp, trials.zones)
-    base = _judge((starts or [settled])[0], max(degrees), trials.measure(predicted_gp, trials.mean_gp))
+    base = _judge((starts or [settled])[0], max(degrees), _leave_out(model, trials))
     others = [
         candidate
         for method in methods
@@ -195,9 +195,14 @@ def _try_code_values(base: Candidate, trials: Trials) -> float | None:
     plain = Trials.make(Samples(replace(stack, transfer="linear")), trials.weights, trials.sampling)
     settled = SpectrumFit().settle(plain.lighting, DEGREES[-1], plain.samples)
     assert isinstance(settled, SpectrumFit)  # of its own class
-    predicted_gp, _ = krige_left_out(settled.model(plain.lighting), plain.mean_gp, plain.zones)
     # Both are measured in code values: a light's photographs are averaged in either way, so each has its own truth.
-    return _mean_gain(base, _judge(settled, DEGREES[-1], plain.measure(predicted_gp, plain.mean_gp)))
+    return _mean_gain(base, _judge(settled, DEGREES[-1], _leave_out(settled.model(plain.lighting), plain)))
+
+
+def _leave_out(model: KrigingModel, trials: Trials) -> NDArray[np.float64]:
+    """Return the squared error at each light left out with its zone: see `KrigingModel.plain`."""
+    predicted_gp, _ = krige_left_out(model.plain, trials.mean_gp, trials.zones)
+    return trials.measure(predicted_gp, trials.mean_gp)
 
 
 def _judge(method: FitMethod, degree: int, error_g: NDArray[np.float64]) -> Candidate:

@@ -2,39 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
+from clrelight.fit.axial import AxialStep, learn_step
+from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.left_out import FEWEST, learn_theta
 from clrelight.fit.places import find_places, spread_points
 from clrelight.fit.plan import FitPlan, Lighting, is_sphere
 from clrelight.fit.registry import FitMethod, register
 from clrelight.fit.samples import Samples
-from clrelight.fit.zonal import LARGEST_DEGREE, Theta, ZonalModel
+from clrelight.fit.zonal import LARGEST_DEGREE, Theta
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count
 from clrelight.threads import on_one_thread
 
-_SLOPES = -3.0, 6.0
-_LARGEST = 1e6
-_SMALLEST = 1e-12
+_RANGES = {"slope": (-3.0, 6.0), "azimuth": (-3.0, 3.0), "share": (0.0, 1.0)}
+_RANGE = 1e-12, 1e6
+"""Of the others."""
+_NAMES = "level", "slope", "edge", "heat", "noise", "azimuth", "tilt"
+"""In the order of `Theta.to_logs`."""
+_PLAIN = "slope", "azimuth"
+"""Those that are no logarithm there."""
 
 
 @register
 @dataclass(frozen=True)
 class SpectrumFit(FitMethod):
-    """``c = diag(a) Y' (Y diag(a) Y' + N)^-1 beta``, the posterior mean of coefficients with variance a_l.
+    """``c = A Y' (Y A Y' + N)^-1 beta``, the posterior mean of coefficients of covariance A.
 
-    Variances and noise are those of `clrelight.fit.zonal.Theta`, one set for a stack. One linear map for all pixels.
+    A is diagonal at first, with the variances of `clrelight.fit.zonal.Theta`, one set for a stack; to these a share of
+    what the samples' moments add is added (`clrelight.fit.axial`). One linear map for all pixels.
 
     Attributes
     ----------
-    level, slope, edge, heat, noise : float or None
+    level, slope, edge, heat, noise, azimuth, tilt : float or None
     limit : int or None
         As in `Theta`. None: learnt from the samples.
+    share : float or None
+        As in `AxialStep`. None: learnt from the samples.
     """
 
     id = "spectrum"
@@ -45,25 +55,30 @@ class SpectrumFit(FitMethod):
     edge: float | None = None
     heat: float | None = None
     noise: float | None = None
+    azimuth: float | None = None
+    tilt: float | None = None
     limit: int | None = None
+    share: float | None = None
+    step: ClassVar[AxialStep | None] = None
+    """Of an instance that is settled; no option, since it is thousands of numbers that the samples tell again."""
 
     def __post_init__(self) -> None:
         if self.limit is not None and (type(self.limit) is not int or not 1 <= self.limit <= LARGEST_DEGREE):
             raise InputError(f"limit must be a degree from 1 to {LARGEST_DEGREE}, got {self.limit!r}")
         for field in fields(self):
-            if field.name == "limit":
-                continue
             value = getattr(self, field.name)
-            low, high = _SLOPES if field.name == "slope" else (_SMALLEST, _LARGEST)
+            if field.name == "limit" or value is None:
+                continue
+            low, high = _RANGES.get(field.name, _RANGE)
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if value is not None and not (is_number and low <= value <= high):
+            if not (is_number and low <= value <= high):
                 raise InputError(f"{field.name} must be a number from {low:g} to {high:g}, got {value!r}")
-            if value is not None:
-                object.__setattr__(self, field.name, float(value))
+            object.__setattr__(self, field.name, float(value))
 
     def settle(self, lighting: Lighting, degree: int, samples: Samples) -> FitMethod:
         """Return the method with every parameter found that is not given."""
-        if None not in asdict(self).values():
+        values = asdict(self)
+        if None not in values.values() and (self.share == 0.0 or self.step is not None):
             return self
         places = find_places(lighting)
         # Scaled by the brightest: squares of samples far from the peak would leave float64.
@@ -73,22 +88,30 @@ class SpectrumFit(FitMethod):
         stack = samples.stack
         quantum = 1.0 / stack.peak / most if stack.images_ihwc.dtype.kind == "u" and most > 0.0 else 0.0
         given = {
-            k: value if name == "slope" else float(np.log(value))
-            for k, (name, value) in enumerate(asdict(self).items())
-            if value is not None and name != "limit"
+            k: float(values[name] if name in _PLAIN else np.log(values[name]))
+            for k, name in enumerate(_NAMES)
+            if values[name] is not None
         }
         with on_one_thread():
-            theta = learn_theta(places, mean_gp @ mean_gp.T / mean_gp.shape[1], quantum, given, self.limit)
-        return type(self)(**asdict(theta))
+            moment_gg = mean_gp @ mean_gp.T / mean_gp.shape[1]
+            theta = learn_theta(places, moment_gg, quantum, given, self.limit)
+            # Numbers that were given are told as they were, not as their logarithms' exponentials.
+            theta = replace(theta, **{name: values[name] for name in _NAMES if values[name] is not None})
+            step = learn_step(places, theta, moment_gg, self.share)
+        share = 0.0 if step is None and self.share is None else self.share
+        settled = type(self)(**asdict(theta), share=step.share if step is not None else share)
+        object.__setattr__(settled, "step", step)
+        return settled
 
-    def model(self, lighting: Lighting) -> ZonalModel:
+    def model(self, lighting: Lighting) -> KrigingModel:
         """Return the settled model of these lights."""
         values = asdict(self)
+        share = values.pop("share")
         if values["limit"] is None:  # as those that were learnt before there were limits
             values["limit"] = LARGEST_DEGREE
-        if None in values.values():
+        if None in values.values() or share is None:
             raise ValueError("parameters are not settled yet: settle the method, or give all of them")
-        return ZonalModel.make(find_places(lighting), Theta(**values))
+        return KrigingModel.make(find_places(lighting), Theta(**values), self.step)
 
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the matrices; any number of lights is legal."""
@@ -116,13 +139,14 @@ def _order_components(map_ki: NDArray[np.float64], degree: int, sphere: bool) ->
     return np.ascontiguousarray(turn_ir.T[::-1][: min(map_ki.shape)])
 
 
-def _describe(model: ZonalModel, degree: int) -> tuple[str, ...]:
+def _describe(model: KrigingModel, degree: int) -> tuple[str, ...]:
     theta, count = model.theta, len(model.places)
     photographs = model.places.mean_gi.shape[1]
     notes = [
         f"spectrum: slope {theta.slope:.2f}, heat {theta.heat:.2g}, edges {theta.edge:.2g}, level {theta.level:.2g}, "
-        f"noise {theta.noise:.2g} of the variance"
+        f"noise {theta.noise:.2g} of the variance, azimuth {theta.azimuth:.2g}, tilt {theta.tilt:.2g}"
         + (f", nothing above degree {theta.limit}" if theta.limit < LARGEST_DEGREE else "")
+        + (f", {100.0 * model.step.share:g}% of what moments add to the covariance" if model.step is not None else "")
     ]
     if count < FEWEST:
         notes.append(f"spectrum: {count} light(s) cannot tell how smooth a scene is: it is taken to be as most are")

@@ -1,17 +1,13 @@
-"""Functions on the sphere whose coefficients are Gaussian with a variance for each degree: the map that fits them."""
+"""Variances of the coefficients of functions on the sphere, by degree and by order, and their parameters."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.fit.places import Places, spread_points
-from clrelight.fit.plan import is_sphere
-from clrelight.harmonics.basis import evaluate_basis
-from clrelight.harmonics.index import coefficient_count, degrees_of_coefficients
+from clrelight.harmonics.index import degrees_of_coefficients
 
 LARGEST_DEGREE = 25
 """Degrees above have no variance."""
@@ -20,15 +16,16 @@ EDGE_SLOPE = 1.5
 
 _L = np.arange(LARGEST_DEGREE + 1.0)
 SHARE = (2.0 * _L + 1.0) / (4.0 * np.pi)
-"""Variance at a point that a unit of each degree's variance makes, shape (LARGEST_DEGREE + 1,)."""
+"""Variance at a point, in the mean over the sphere, that a unit of each degree's variance makes,
+shape (LARGEST_DEGREE + 1,)."""
 _ROUGH = (_L * (_L + 1.0) / 2.0)[1:]
 _LOG_ROUGH = np.log(_ROUGH)
 
-_SPREAD = 2000
-_RIDGE = 1e-9, 1e-6
-_LEAST_VARIANCE = 1e-4
-_LEAST_SHARE = 1e-12
-"""Of a function's variance: less is rounding."""
+_L_K = degrees_of_coefficients(LARGEST_DEGREE)
+ORDERS = np.arange(len(_L_K)) - _L_K * (_L_K + 1)
+"""m of each coefficient, shape (n_coeff,)."""
+_TURNING_K = 3.0 * ORDERS**2 / np.maximum(_L_K * (_L_K + 1.0), 1.0) - (_L_K > 0)
+"""``3 m^2 / (l (l + 1)) - 1``: 0 in the mean of a degree."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +44,11 @@ class Theta:
         tau of ``exp(-tau l (l + 1) / 2)``.
     noise : float
         Variance of one photograph's noise, in units of that of the function.
+    azimuth : float
+        k of ``exp(k (3 m^2 / (l (l + 1)) - 1))``: below 0 a light that is turned about the zenith changes less than
+        one that is raised. 0: the sphere knows no zenith.
+    tilt : float
+        Factor of the variance of degree 1.
     limit : int
         Degrees above have no variance: what a band-limited function is told by.
     """
@@ -56,19 +58,21 @@ class Theta:
     edge: float
     heat: float
     noise: float
+    azimuth: float = 0.0
+    tilt: float = 1.0
     limit: int = LARGEST_DEGREE
 
     @classmethod
     def from_logs(cls, values: NDArray[np.float64], limit: int = LARGEST_DEGREE) -> Theta:
-        """Return the parameters of the numbers that are searched: logarithms of the first five but the slope."""
-        level, edge, heat, noise = (float(np.exp(values[k])) for k in (0, 2, 3, 4))
-        return cls(level, float(values[1]), edge, heat, noise, limit)
+        """Return the parameters of the numbers that are searched: logarithms of all but slope and azimuth."""
+        level, edge, heat, noise, tilt = (float(np.exp(values[k])) for k in (0, 2, 3, 4, 6))
+        return cls(level, float(values[1]), edge, heat, noise, float(values[5]), tilt, limit)
 
     def to_logs(self) -> NDArray[np.float64]:
-        """Return what `from_logs` takes, shape (5,)."""
-        return np.array(
-            [np.log(self.level), self.slope, np.log(self.edge), np.log(self.heat), np.log(self.noise)], np.float64
-        )
+        """Return what `from_logs` takes, shape (7,)."""
+        logs = (np.log(value) for value in (self.level, self.edge, self.heat, self.noise, self.tilt))
+        level, edge, heat, noise, tilt = logs
+        return np.array([level, self.slope, edge, heat, noise, self.azimuth, tilt], np.float64)
 
 
 def degree_variances(
@@ -77,7 +81,8 @@ def degree_variances(
     """Return the variance of each degree's coefficients, and its derivatives in the first four parameters.
 
     ``a_l = (s_l + w r_l) / (1 + w)`` for l >= 1, with ``s ~ L^-p exp(-tau (L - 1))``, ``r ~ L^-1.5`` and
-    ``L = l (l + 1) / 2``, each 0 above the limit and scaled to variance 1 at a point; ``a_0 = 4 pi level``.
+    ``L = l (l + 1) / 2``, each 0 above the limit and scaled to variance 1 at a point; ``a_0 = 4 pi level``; a_1 times
+    `Theta.tilt` beside.
 
     Returns
     -------
@@ -98,119 +103,39 @@ def degree_variances(
     slopes_tl[1, 1:] = -s * (_LOG_ROUGH - (share * s) @ _LOG_ROUGH) / (1.0 + edge)
     slopes_tl[2, 1:] = edge * (r - s) / (1.0 + edge) ** 2
     slopes_tl[3, 1:] = -heat * s * (_ROUGH - (share * s) @ _ROUGH) / (1.0 + edge)
+    tilt = np.exp(logs[6])
+    variance_l[1] *= tilt
+    slopes_tl[:, 1] *= tilt
     return variance_l, slopes_tl
 
 
-def legendre_terms(cosine: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``(2 l + 1) / (4 pi) P_l``, shape (LARGEST_DEGREE + 1, ...): the kernel is their sum times a_l."""
-    terms = np.empty((LARGEST_DEGREE + 1, *cosine.shape))
-    terms[0], terms[1] = 1.0, cosine
-    for l in range(1, LARGEST_DEGREE):
-        terms[l + 1] = ((2 * l + 1) * cosine * terms[l] - l * terms[l - 1]) / (l + 1)
-    return terms * SHARE.reshape(-1, *[1] * cosine.ndim)
+def order_factors(azimuth: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return by what each coefficient's variance differs from its degree's mean, and the derivative of its logarithm.
 
-
-@dataclass(frozen=True)
-class ZonalModel:
-    """The model at the lights of one stack.
-
-    Attributes
-    ----------
-    places : Places
-    theta : Theta
-    variance_l : ndarray, shape (LARGEST_DEGREE + 1,)
-    noise : float
-        Variance of one photograph's noise.
-    covariance_gg : ndarray, shape (n_place, n_place)
-        C, of the means of each place's photographs.
-    inverse_gg : ndarray, shape (n_place, n_place)
+    ``exp(k (3 m^2 / (l (l + 1)) - 1))``, scaled to a mean of 1 over the orders of each degree.
     """
-
-    places: Places
-    theta: Theta
-    variance_l: NDArray[np.float64]
-    noise: float
-    covariance_gg: NDArray[np.float64]
-    inverse_gg: NDArray[np.float64]
-
-    @classmethod
-    def make(cls, places: Places, theta: Theta) -> ZonalModel:
-        """Return the model of these lights."""
-        variance_l, _ = degree_variances(theta.to_logs(), theta.limit)
-        noise = theta.noise * float(SHARE @ variance_l)
-        covariance_gg = _kernel(variance_l, places.directions_g3, places.directions_g3) + np.diag(
-            noise / places.count_g
-        )
-        return cls(places, theta, variance_l, noise, covariance_gg, np.asarray(np.linalg.inv(covariance_gg)))
-
-    @cached_property
-    def whole_ki(self) -> NDArray[np.float64]:
-        """The map at `LARGEST_DEGREE`, ``diag(a) Y' C^-1`` of the means, shape (n_coeff, n_light)."""
-        basis_gk = evaluate_basis(self.places.directions_g3, LARGEST_DEGREE)
-        variance_k = self.variance_l[degrees_of_coefficients(LARGEST_DEGREE)]
-        return np.asarray(variance_k[:, None] * (basis_gk.T @ self.inverse_gg @ self.places.mean_gi))
-
-    @cached_property
-    def _series(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Least squares over points spread evenly: the moments of the basis, and with the whole map."""
-        points = spread_points(_SPREAD, is_sphere(self.places.directions_g3))
-        basis_tk = evaluate_basis(points, LARGEST_DEGREE)
-        normal_kk = basis_tk.T @ basis_tk / len(points)
-        return normal_kk, normal_kk @ self.whole_ki
-
-    def weights_at(self, targets_t3: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the weight of each photograph in the value at each direction, shape (n_target, n_light)."""
-        kernel_tg = _kernel(self.variance_l, targets_t3, self.places.directions_g3)
-        return kernel_tg @ self.inverse_gg @ self.places.mean_gi
-
-    def variance_at(self, targets_t3: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the posterior variance of a photograph under each direction, noise included."""
-        kernel_tg = _kernel(self.variance_l, targets_t3, self.places.directions_g3)
-        explained_t = np.einsum("ij,jk,ik->i", kernel_tg, self.inverse_gg, kernel_tg)
-        return np.maximum(SHARE @ self.variance_l - explained_t, 0.0) + self.noise
-
-    def variance_of(self, sums_gz: NDArray[np.float64], slope: float) -> NDArray[np.float64]:
-        """Return the variance of sums over the lights of a function without noise whose variances are ``L^-slope``."""
-        variance_l = _power_variances(slope)
-        covariance_gg = _kernel(variance_l, self.places.directions_g3, self.places.directions_g3)
-        return _floored(np.einsum("iz,ij,jz->z", sums_gz, covariance_gg, sums_gz, optimize=True), variance_l)
-
-    def error_variance_at(self, targets_t3: NDArray[np.float64], slope: float) -> NDArray[np.float64]:
-        """Return the variance of this model's error at each direction for such a function."""
-        variance_l, directions_g3 = _power_variances(slope), self.places.directions_g3
-        weight_tg = _kernel(self.variance_l, targets_t3, directions_g3) @ self.inverse_gg
-        cross_t = np.einsum("ij,ij->i", weight_tg, _kernel(variance_l, targets_t3, directions_g3))
-        own_t = np.einsum("ij,ij->i", weight_tg @ _kernel(variance_l, directions_g3, directions_g3), weight_tg)
-        return _floored(SHARE @ variance_l - 2.0 * cross_t + own_t, variance_l)
-
-    def map_samples(self, degree: int) -> NDArray[np.float64]:
-        """Return the matrix from samples to coefficients, shape (n_coeff, n_light).
-
-        From the model's limit on it is ``diag(a) Y' C^-1``, further coefficients being 0. Below it is the series that
-        is nearest to that over the hemisphere (the sphere, where there are lights below the horizon): least squares
-        over points spread evenly, with a ridge that settles what they do not see.
-        """
-        if degree >= self.theta.limit:
-            kept_ki = self.whole_ki[: coefficient_count(degree)]
-            return np.pad(kept_ki, ((0, coefficient_count(degree) - len(kept_ki)), (0, 0)))
-        normal_kk, whole_ki = (moments[: coefficient_count(degree)] for moments in self._series)
-        relative_l = np.maximum(self.variance_l / self.variance_l.max(), _LEAST_VARIANCE)
-        relative_k = relative_l[degrees_of_coefficients(degree)]
-        ridge = float(np.clip(1e-3 * self.theta.noise, *_RIDGE))
-        return np.asarray(np.linalg.solve(normal_kk[:, : len(normal_kk)] + np.diag(ridge / relative_k), whole_ki))
+    factor_k = np.exp(azimuth * _TURNING_K)
+    count_l = 2.0 * _L + 1.0
+    factor_k /= (np.bincount(_L_K, factor_k) / count_l)[_L_K]
+    return factor_k, _TURNING_K - (np.bincount(_L_K, factor_k * _TURNING_K) / count_l)[_L_K]
 
 
-def _power_variances(slope: float) -> NDArray[np.float64]:
+def coefficient_variances(theta: Theta) -> NDArray[np.float64]:
+    """Return the variance of each coefficient up to `LARGEST_DEGREE`, shape (n_coeff,)."""
+    variance_l, _ = degree_variances(theta.to_logs(), theta.limit)
+    return np.asarray(variance_l[_L_K] * order_factors(theta.azimuth)[0])
+
+
+def power_variances(slope: float) -> NDArray[np.float64]:
     """Return ``L^-slope`` for each degree, that of degree 0 as that of 1."""
     return np.append(1.0, np.exp(-slope * _LOG_ROUGH))
 
 
-def _floored(variance: NDArray, variance_l: NDArray) -> NDArray[np.float64]:
-    return np.maximum(variance, _LEAST_SHARE * float(SHARE @ variance_l))
+def zonal_kernel(variance_l: NDArray, first_t3: NDArray, second_g3: NDArray) -> NDArray[np.float64]:
+    """Return the covariance of a function between directions where all orders of a degree have one variance.
 
-
-def _kernel(variance_l: NDArray, first_t3: NDArray, second_g3: NDArray) -> NDArray[np.float64]:
-    """Return the covariance of the function between directions: Clenshaw's sum, which holds no terms."""
+    Clenshaw's sum, which holds no terms.
+    """
     cosine = np.clip(first_t3 @ second_g3.T, -1.0, 1.0)
     after, next_after = np.zeros_like(cosine), np.zeros_like(cosine)
     for l in range(LARGEST_DEGREE, -1, -1):

@@ -154,8 +154,9 @@ def fit(
         Filled; without one, notes become warnings (`Note`).
     **options
         Of the method: ``energy``, ``iterations`` and ``solver`` (cls), ``energy`` (ceb), ``fill`` (project), ``lam``
-        and ``per`` (spline), ``level``, ``slope``, ``edge``, ``heat`` and ``noise`` (spectrum), ``energy``, ``lower``,
-        ``upper``, ``nonnegative`` and ``at`` (constrained). None means the default.
+        and ``per`` (spline), ``level``, ``slope``, ``edge``, ``heat``, ``noise``, ``azimuth``, ``tilt``, ``limit`` and
+        ``share`` (spectrum), ``energy``, ``lower``, ``upper``, ``nonnegative`` and ``at`` (constrained). None means
+        the default.
 
     Returns
     -------
