@@ -33,6 +33,8 @@ from clrelight.variation.circles import Circle
 WAYS = ("sphere", "object")
 KINDS = ("glossy", "matte")
 _NAMED = 6
+_LEAST_LOOKED_AT = 4
+"""Photographs below which little tells a sphere that is looked for from other things that are round."""
 _UNSURE = 0.5
 Path = str | os.PathLike[str]
 
@@ -133,6 +135,11 @@ def find_lights(
                 since = time.perf_counter()
                 circles = look_for_spheres(frames, whole(count, "count"), kind == "matte", progress)
                 kept.add("look", since)
+                if len(frames.names) < _LEAST_LOOKED_AT:
+                    kept.note(
+                        f"{len(frames.names)} photographs hardly tell a sphere from other things: look at --picture, "
+                        "or say where it is with --sphere"
+                    )
             is_given = spheres is not None
             told = [
                 lights_of_sphere(frames, each, is_given, kind == "matte", focal, budget // len(circles), progress, kept)
