@@ -1,7 +1,6 @@
 """Lights by spheres in photographs, and by objects: against photographs rendered by code of the tests alone."""
 
 import csv
-import warnings
 
 import numpy as np
 import pytest
@@ -12,11 +11,8 @@ from clrelight.images import read_image, write_image
 from clrelight.jobs import light_frames
 from clrelight.light_files import read_light_file
 from clrelight.sampling import make_pattern
-from clrelight.variation.circles import Circle
 from clrelight.variation.factoring import lights_from_surface
-from clrelight.variation.highlights import find_highlights
 from clrelight.variation.shading import lights_from_normals
-from clrelight.variation.spheres import view_sphere
 from tests.commands import call, contents, succeed
 from tests.reference.spheres import lamps, photograph_spheres, srgb_codes
 
@@ -286,19 +282,6 @@ def test_a_jpeg_goes_through_memory_not_a_pipe_that_may_fill(tmp_path, monkeypat
     monkeypatch.setattr(image_sink, "_pipe", refuse)
     write_image(tmp_path / "a.jpg", np.random.default_rng(0).integers(0, 255, (300, 420, 3)).astype(np.uint8))
     assert read_image(tmp_path / "a.jpg").shape == (300, 420, 3)
-
-
-def test_what_stands_out_of_nothing_is_no_highlight():
-    """Not above a hollow's surroundings: once all the rest of the sphere was taken for it, with negative weights."""
-    circle = Circle(24.0, 24.0, 20.0)
-    y_hw, x_hw = np.mgrid[:49, :49]
-    away_hw = np.hypot(x_hw - 24, y_hw - 24)
-    samples_ihw = np.zeros((3, 49, 49))
-    samples_ihw[0] = np.where(away_hw > 4.5, 0.5, np.where(away_hw < 1.5, 0.45, 0.0))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for each in find_highlights(samples_ihw, circle, view_sphere(circle, (49, 49)), 1.0, (0, 0)):
-            assert each is None or each.spread < 90.0
 
 
 def test_few_photographs_are_warned_of():

@@ -35,3 +35,9 @@ def claimed(
             if not claims.enter_context(claiming(name)):
                 report.note(no_locks(name))
         yield
+
+
+def check_new_folder(folder: str) -> None:
+    """Raise InputError where something is that is no empty folder: before long work, as `check_output` of a file."""
+    if os.path.lexists(folder) and not (os.path.isdir(folder) and not os.listdir(folder)):
+        raise InputError(f"cannot write {folder}: it is there, choose the name of a new folder")
