@@ -7,7 +7,6 @@ from pathlib import Path
 
 from clrelight.errors import InputError
 
-
 MOST_NUMBER = 1e9
 """Beyond which scales, biases and bases of such files make no sense, and their products would leave float32."""
 
