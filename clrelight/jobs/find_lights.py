@@ -135,11 +135,7 @@ def find_lights(
                 since = time.perf_counter()
                 circles = look_for_spheres(frames, whole(count, "count"), kind == "matte", progress)
                 kept.add("look", since)
-                if len(frames.names) < _LEAST_LOOKED_AT:
-                    kept.note(
-                        f"{len(frames.names)} photographs hardly tell a sphere from other things: look at --picture, "
-                        "or say where it is with --sphere"
-                    )
+                _note_few(len(frames.names), kept)
             is_given = spheres is not None
             told = [
                 lights_of_sphere(frames, each, is_given, kind == "matte", focal, budget // len(circles), progress, kept)
@@ -160,6 +156,14 @@ def find_lights(
         kept.add("write", since)
     kept.facts["files"] = [os.fsdecode(each) for each in (out, csv, picture) if each is not None]
     return kept
+
+
+def _note_few(count: int, report: Report) -> None:
+    if count < _LEAST_LOOKED_AT:
+        report.note(
+            f"{count} photograph{'s' * (count > 1)} hardly tell{'s' * (count == 1)} a sphere from other things: look at "
+            "--picture, or say where it is with --sphere"
+        )
 
 
 def _check(out, by, kind, spheres, count, normals, albedo, mask, csv, picture) -> None:  # type: ignore[no-untyped-def]
