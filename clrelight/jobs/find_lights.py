@@ -161,8 +161,8 @@ def find_lights(
 def _note_few(count: int, report: Report) -> None:
     if count < _LEAST_LOOKED_AT:
         report.note(
-            f"{count} photograph{'s' * (count > 1)} hardly tell{'s' * (count == 1)} a sphere from other things: look at "
-            "--picture, or say where it is with --sphere"
+            f"{count} photograph{'s' * (count > 1)} hardly tell{'s' * (count == 1)} a sphere from other things: look "
+            "at --picture, or say where it is with --sphere"
         )
 
 
