@@ -6,6 +6,7 @@ import ctypes
 import math
 import weakref
 from collections import deque
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -55,5 +56,6 @@ def _take(size: int) -> NDArray[np.uint8]:
 
 def _give_back(block: NDArray[np.uint8]) -> None:
     _unused.append(block)
-    while sum(each.size for each in list(_unused)) > _KEPT:
-        _unused.popleft()
+    with suppress(IndexError):  # other threads took the rest meanwhile
+        while sum(each.size for each in list(_unused)) > _KEPT:
+            _unused.popleft()

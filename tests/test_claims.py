@@ -81,3 +81,15 @@ def test_without_locks_it_goes_on_and_says_so(tmp_path, monkeypatch):
     ended = call("synth", "ring", tmp_path / "o.h5", "--size", 8, "--lights", 4)
     note = f"note: there are no file locks where {tmp_path / 'o.h5'} lies: let no second program write it\n"
     assert (ended.code, ended.err) == (0, note)
+
+
+def test_two_results_of_one_command_have_two_names(tmp_path):
+    succeed("synth", "ring", tmp_path / "ring.h5", "--size", 8, "--lights", 12)
+    (tmp_path / "sub").mkdir()
+    before = contents(tmp_path)
+    out, again = tmp_path / "n.exr", tmp_path / "sub" / ".." / "n.exr"
+    for beside in ("--albedo", "--confidence", "--height"):
+        ended = call("normals", tmp_path / "ring.h5", out, beside, again)
+        assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+        assert "twice" in ended.err
+    assert contents(tmp_path) == before

@@ -282,3 +282,8 @@ def test_a_jpeg_goes_through_memory_not_a_pipe_that_may_fill(tmp_path, monkeypat
     monkeypatch.setattr(image_sink, "_pipe", refuse)
     write_image(tmp_path / "a.jpg", np.random.default_rng(0).integers(0, 255, (300, 420, 3)).astype(np.uint8))
     assert read_image(tmp_path / "a.jpg").shape == (300, 420, 3)
+
+
+def test_few_photographs_are_warned_of():
+    _, report = find(photograph_spheres(lamps(6, 1)[:2], SIZE, [BALL]))
+    assert any("hardly tell a sphere" in note for note in report.notes)

@@ -5,6 +5,7 @@ import pytest
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
+from clrelight.fit import constrained
 from clrelight.fit.value_bounds import bound_directions, least_energy
 from clrelight.jobs.fit import fit
 from clrelight.light_files import write_lp
@@ -214,3 +215,14 @@ def test_the_command_takes_a_light_file(tmp_path):
     assert "has no option 'nonnegative'" in ended.err
     ended = call("fit", stack, lights, "--method", "constrained", "--bound-at", lights)
     assert ended.code == 2
+
+
+def test_a_tile_goes_in_pieces_between_which_it_can_be_interrupted(device, monkeypatch):
+    stack = make_stack(shape_hwc=(7, 11, 3))
+    whole = columns_of(fit(stack, "constrained", 4, device=device))
+    monkeypatch.setattr(constrained, "_MOST_WORK", 1)
+    monkeypatch.setattr(constrained, "_ITEMS_PER_UNIT", {"cpu": 1, "gpu": 1})
+    launched, launch = [], type(device).launch
+    monkeypatch.setattr(type(device), "launch", lambda *words, **more: launched.append(words) or launch(*words, **more))
+    np.testing.assert_array_equal(columns_of(fit(stack, "constrained", 4, device=device)), whole)
+    assert sum(words[2] == "fit_bounded_rq" for words in launched) >= 3

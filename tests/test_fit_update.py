@@ -145,3 +145,21 @@ def test_the_command(tmp_path):
     ended = call("fit", new, fitted, "--update", fitted)
     assert ended.code == 2
     assert cr.update_fit is update_fit
+
+
+def test_another_mask_is_no_silent_change(device):
+    stack = shuffled_stack(shape_hwc=(3, 5, 3))
+    mask = np.ones((3, 5), bool)
+    mask[1, 2] = False
+    old, new = stack.select(OLD), stack.select(NEW)
+    with pytest.raises(InputError, match="leaves out the pixel at row 1, column 2, which the fit has"):
+        update_fit(fit(old, "uls", 2), replace(new, mask_hw=mask))
+    with pytest.warns(match="1 pixels are 0 in the fit and not in the new photographs"):
+        update_fit(fit(replace(old, mask_hw=mask), "uls", 2), new)
+
+
+def test_coefficients_that_were_of_another_basis_are_refused_by_name(device):
+    stack = shuffled_stack(shape_hwc=(1, 5, 3))
+    made = cr.to_sh(fit(stack.select(OLD), "uls", 2, basis="gram-schmidt"))
+    with pytest.raises(InputError, match="this was a fit of basis gram-schmidt"):
+        update_fit(made, stack.select(NEW))

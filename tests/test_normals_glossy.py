@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import clrelight as cr
+from clrelight.errors import InputError
 from clrelight.sampling import make_pattern
 from clrelight.variation import maps
 from clrelight.variation.reflectance import Law, fit_law, view_vectors
@@ -185,3 +186,24 @@ def test_numpy_form_without_a_device():
     held = maps.map_normals(glossy_stack(mask_hw=mask_hw), "robust")
     assert np.median(angles(held.normals_hw3, dome(SIZE)[0])[mask_hw]) < 0.5
     assert not held.normals_hw3[~mask_hw].any()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 15), (3, 5)])
+def test_views_of_few_pixels(shape):
+    stack = glossy_stack(codes=True)
+    few = cr.LightStack(stack.images_ihwc[:, 20 : 20 + shape[0], 8 : 8 + shape[1]], stack.directions_i3, 255.0)
+    for transfer in ("stack", "auto"):
+        report = cr.Report()
+        found = cr.normals(few, transfer=transfer, report=report)
+        assert np.linalg.norm(found.normals_hw3, axis=2) == pytest.approx(1.0, abs=1e-5)
+        assert not any("better than" in note for note in report.notes)
+
+
+def test_few_lights_do_not_tell_the_curve():
+    stack = glossy_stack(codes=True, gloss=0.0)
+    few = stack.select(np.array([0, 12, 30]))
+    report = cr.Report()
+    cr.normals(few, report=report)
+    assert not any("better than" in note for note in report.notes)
+    with pytest.raises(InputError, match="3 lights do not tell the transfer curve, 5 would"):
+        cr.normals(few, transfer="auto", report=report)

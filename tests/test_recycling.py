@@ -2,6 +2,7 @@
 
 import gc
 import threading
+from collections import deque
 
 import numpy as np
 import pytest
@@ -78,3 +79,14 @@ def test_many_threads_share_no_memory():
     for thread in threads:
         thread.join()
     assert not faults
+
+
+def test_blocks_that_others_took_meanwhile_are_no_error(monkeypatch):
+    class Taken(deque):
+        def popleft(self):
+            self.clear()
+            return super().popleft()
+
+    monkeypatch.setattr(recycling, "_unused", Taken([np.empty(recycling._KEPT, np.uint8)]))
+    recycling._give_back(np.empty(1 << 20, np.uint8))
+    assert not recycling._unused

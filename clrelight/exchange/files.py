@@ -7,6 +7,9 @@ from pathlib import Path
 
 from clrelight.errors import InputError
 
+MOST_NUMBER = 1e9
+"""Beyond which scales, biases and bases of such files make no sense, and their products would leave float32."""
+
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
     """Return a file's content; InputError where it cannot be read."""

@@ -17,7 +17,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.exchange.coded_maps import CodedMap, Refit
-from clrelight.exchange.files import read_bytes
+from clrelight.exchange.files import MOST_NUMBER, read_bytes
 
 TERMS = 6
 _HEADER = re.compile(
@@ -81,8 +81,8 @@ def read_ptm(path: str | os.PathLike[str]) -> CodedMap:
         scale_t, bias_t = (np.array([float(word) for word in match[group].split()]) for group in (5, 6))
     except ValueError:
         raise InputError(f"{name}: its scales and biases are no numbers") from None
-    if not (np.isfinite(scale_t).all() and np.isfinite(bias_t).all()):
-        raise InputError(f"{name}: its scales and biases are not finite")
+    if not (np.abs([scale_t, bias_t]) <= MOST_NUMBER).all():
+        raise InputError(f"{name}: its scales and biases are not finite, or beyond {MOST_NUMBER:g}")
     codes = np.frombuffer(content, np.uint8, size, match.end())
     if kind == "PTM_FORMAT_RGB":
         whole_hwp = np.concatenate(list(codes.reshape(3, height, width, TERMS)), axis=2)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
+from scipy import linalg
 
 from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing_folder
@@ -139,8 +140,10 @@ def _make_table(values_nd: NDArray[np.float32], planes: int, resolution: int) ->
     codes_pd = np.empty((planes + 1, len(mean_d)), np.uint8)
     codes_pd[0] = np.rint(255.0 * mean_d)
     apart_nd = values_nd - (codes_pd[0] / 255.0).astype(np.float32)
-    _, vectors_dd = np.linalg.eigh((apart_nd.T @ apart_nd).astype(np.float64))
-    vectors_pd = vectors_dd[:, ::-1].T[:planes]
+    # The largest alone: half the time of all.
+    wanted = [len(mean_d) - planes, len(mean_d) - 1]
+    _, vectors_dp = linalg.eigh((apart_nd.T @ apart_nd).astype(np.float64), subset_by_index=wanted)
+    vectors_pd = vectors_dp[:, ::-1].T
     range_p = 127.0 / np.abs(vectors_pd).max(axis=1)
     codes_pd[1:] = np.rint(range_p[:, None] * vectors_pd) + 127.0
     table = Table(resolution, codes_pd, range_p, np.ones(planes), np.zeros(planes))

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.exchange.files import read_bytes
+from clrelight.exchange.files import MOST_NUMBER, read_bytes
 from clrelight.exchange.ptm import polynomial_terms
 from clrelight.exchange.relight_folder import INFO, MOST_PLANES
 from clrelight.exchange.rti import hemispherical_terms
 from clrelight.images import read_image
 
 _MOST_RESOLUTION = 256
+_LEAST_SIGMA = 1e-4
 _LEAST_WEIGHT = 1e-3
 """Of a light, below which OpenLIME leaves it out of radial bases."""
 # relight has 1, u, v, u², u v, v²; ours are u², v², u v, u, v, 1.
@@ -125,7 +126,9 @@ def read_relight_folder(path: str | os.PathLike[str]) -> RelightFolder:
         kind, space, planes = str(info["type"]), str(info["colorspace"]), len(scale_p)
         _check(info, kind, space, planes, len(bias_p))
         ending = str(info.get("format", "jpg"))
-    except (KeyError, IndexError, TypeError, ValueError, RecursionError) as error:
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError):
+        raise InputError(f"{folder / INFO} is no JSON") from None
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{folder / INFO} does not say what a relight folder says: {error!r}") from None
@@ -144,12 +147,28 @@ def _check(info: dict[str, Any], kind: str, space: str, planes: int, biases: int
         raise InputError(f"basis {kind!r} in {space!r} cannot be read; known are {sorted(known)}")
     if not 0 < planes <= 2 * MOST_PLANES or biases != planes:
         raise ValueError(f"{planes} scales and {biases} biases")
+    material = info["materials"][0]
+    for name in ("scale", "bias"):
+        _check_numbers(name, material[name])
     if space != "mrgb":
         return
+    _check_numbers("basis", info["basis"])
+    if not (_check_numbers("range", material["range"]) != 0.0).all():
+        raise ValueError("a range is 0")
     cells = int(info["resolution"]) ** 2 if kind == "bilinear" else len(info["lights"]) // 3
     if not 4 <= cells <= _MOST_RESOLUTION**2 or len(info["materials"][0]["range"]) != planes:
         raise ValueError(f"{cells} cells of the table")
     if len(info["basis"]) != (planes + 1) * cells * 3:
         raise ValueError(f"{len(info['basis'])} numbers in the table")
-    if kind == "rbf" and not float(info["sigma"]) > 0:
-        raise ValueError("sigma is not above 0")
+    if kind == "rbf":
+        _check_numbers("lights", info["lights"])
+        if not _LEAST_SIGMA <= float(info["sigma"]) <= MOST_NUMBER:
+            raise ValueError(f"sigma {float(info['sigma']):g}")
+
+
+def _check_numbers(name: str, values: Any) -> NDArray[np.float64]:
+    """Return a list of numbers as an array; ValueError or TypeError where it is none, or float32 does not hold them."""
+    numbers = np.array(values, np.float64)
+    if not (np.abs(numbers) <= MOST_NUMBER).all():  # NaN neither, which JSON has none of and Python reads
+        raise ValueError(f"{name} holds what is no finite number, or too large a one")
+    return numbers

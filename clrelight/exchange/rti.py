@@ -17,7 +17,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.exchange.coded_maps import CodedMap, Refit
-from clrelight.exchange.files import read_bytes
+from clrelight.exchange.files import MOST_NUMBER, read_bytes
 
 TERMS = 9
 _HEADER = re.compile(rb"(?:#[^\n]{0,200}\n)+(\d)\s+(\d{1,7}) (\d{1,7}) (\d)\s*?\n(\d{1,2}) (\d) (\d)\s*?\n")
@@ -86,8 +86,8 @@ def read_rti(path: str | os.PathLike[str]) -> CodedMap:
     if not width or not height or there < wanted:
         raise InputError(f"{name}: {width} × {height} pixels take {wanted} bytes, {there} are there")
     stored_2t = np.frombuffer(content, "<f4", 2 * terms, match.end()).reshape(2, terms)
-    if not np.isfinite(stored_2t).all():
-        raise InputError(f"{name}: its scales and biases are not finite")
+    if not (np.abs(stored_2t) <= MOST_NUMBER).all():
+        raise InputError(f"{name}: its scales and biases are not finite, or beyond {MOST_NUMBER:g}")
     codes = np.frombuffer(content, np.uint8, 3 * terms * width * height, match.end() + 8 * terms)
     scale_t, bias_t = _numbers(stored_2t)
     codes_hwp = codes.reshape(height, width, 3 * terms)

@@ -22,6 +22,8 @@ _LEAST_LAMBDA = {np.dtype(np.float64): 1e-15, np.dtype(np.float32): 1e-7}
 """Least lambda as a part of the largest sigma^2: the error of the image is below half its root times that of E_c."""
 _MORE_ACTIVE = 8
 _MOST_SCRATCH = 1 << 26
+_MOST_WORK = 1 << 33
+"""Of one launch: rank² times active bounds times columns, some seconds of a core."""
 _ITEMS_PER_UNIT = {"cpu": 8, "gpu": 256}
 
 
@@ -173,31 +175,29 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     if columns.exponent_p is not None:
         unit_q[:count] = np.ldexp(1.0, -columns.exponent_p)
     lambda_q, unmet_q = device.empty((padded,), np.float32), device.empty((padded,), np.int32)
-    device.launch(
-        "fit/constrained.cl",
-        "fit_bounded_rq",
-        (items,),
-        z_rq,
-        lambda_q,
-        unmet_q,
-        columns.energy_q,
-        *(device.upload(array) for array in (unit_q, plan.singular_r.astype(real), values, across)),
-        *(device.upload(array.astype(real)) for array in (low_t, high_t)),
-        device.empty((items, scratch), real),
-        float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2),
-        plan.least_energy,
-        groups,
-        len(plan.low_j),
-        *z_rq.shape,
-        defines={
-            "REAL_BITS": 8 * real.itemsize,
-            "Z_BITS": 8 * z_rq.dtype.itemsize,
-            "ROOM": private_room(rank),
-            "MAX_ACTIVE": active,
-            "WIDTH_R": wide_r,
-            "WIDTH_J": wide_j,
-        },
-    )
+    arrays = [device.upload(array) for array in (unit_q, plan.singular_r.astype(real), values, across)]
+    arrays += [device.upload(array.astype(real)) for array in (low_t, high_t)]
+    room = device.empty((items, scratch), real)
+    numbers = float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2), plan.least_energy
+    defines = {
+        "REAL_BITS": 8 * real.itemsize,
+        "Z_BITS": 8 * z_rq.dtype.itemsize,
+        "ROOM": private_room(rank),
+        "MAX_ACTIVE": active,
+        "WIDTH_R": wide_r,
+        "WIDTH_J": wide_j,
+    }
+    step = max(items, _MOST_WORK // (rank * rank * active * LANES))
+    for first in range(0, groups, step):
+        if first:
+            device.finish()  # nothing interrupts a kernel, and of high degrees a tile takes minutes
+        end = min(first + step, groups)
+        device.launch(
+            *("fit/constrained.cl", "fit_bounded_rq", (min(items, end - first),)),
+            *(z_rq, lambda_q, unmet_q, columns.energy_q, *arrays, room),
+            *(*numbers, first, end, len(plan.low_j), *z_rq.shape),
+            defines=defines,
+        )
     return Shrunk(lambda_q, unmet_q=unmet_q)
 
 

@@ -97,6 +97,11 @@ def _method_of(record: FitRecord) -> FitMethod:
             f"{', '.join(UPDATABLE)} do"
         )
     config = record.config
+    if "fitted_basis" in config:
+        raise InputError(
+            f"this was a fit of basis {config['fitted_basis']}, whose information matrix is not that of harmonics: "
+            "photographs are added to fits of harmonics"
+        )
     if config.get("weights", "uniform") != "uniform":
         raise InputError(
             "solid-angle weights of the old lights change with the new ones: only uniform weights can grow"

@@ -23,7 +23,7 @@ from clrelight.exchange.relight_folder import INFO, write_relight_folder
 from clrelight.exchange.relight_reading import RelightFolder, read_relight_folder
 from clrelight.exchange.rti import read_rti, write_rti
 from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, opened_on, path_text, paths_among, whole
-from clrelight.jobs.outputs import claimed
+from clrelight.jobs.outputs import check_new_folder, claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.sampling import make_pattern
 from clrelight.store import Sink, check_output, create_stack, read_light
@@ -85,7 +85,9 @@ def export_for_viewers(
     if format not in FORMATS:
         raise InputError(f"unknown format {format!r}; known are {', '.join(FORMATS)}")
     target, kept = path_text(out, "a folder or file to write"), report_for(report)
-    if format != "relight":
+    if format == "relight":
+        check_new_folder(target)
+    else:
         check_output(target, paths_among(source))
     since, files = time.perf_counter(), [Path(target)]
     facts: dict[str, object] = {}
@@ -167,7 +169,11 @@ def import_archive(
     if reader is None:
         raise InputError(f"{source}: folders of relight, and files that end in {' or '.join(_READERS)} can be imported")
     kept = report_for(report)
-    with claimed([target], [source], kept):
+    inputs = [source]
+    if is_folder:
+        place = Path(source).parent if Path(source).name == INFO else Path(source)
+        inputs += [str(each) for each in place.iterdir()]
+    with claimed([target], inputs, kept):
         since = time.perf_counter()
         found = reader(source)
         since = kept.add("read", since)

@@ -33,6 +33,8 @@ from clrelight.variation.circles import Circle
 WAYS = ("sphere", "object")
 KINDS = ("glossy", "matte")
 _NAMED = 6
+_LEAST_LOOKED_AT = 4
+"""Photographs below which little tells a sphere that is looked for from other things that are round."""
 _UNSURE = 0.5
 Path = str | os.PathLike[str]
 
@@ -133,6 +135,7 @@ def find_lights(
                 since = time.perf_counter()
                 circles = look_for_spheres(frames, whole(count, "count"), kind == "matte", progress)
                 kept.add("look", since)
+                _note_few(len(frames.names), kept)
             is_given = spheres is not None
             told = [
                 lights_of_sphere(frames, each, is_given, kind == "matte", focal, budget // len(circles), progress, kept)
@@ -153,6 +156,14 @@ def find_lights(
         kept.add("write", since)
     kept.facts["files"] = [os.fsdecode(each) for each in (out, csv, picture) if each is not None]
     return kept
+
+
+def _note_few(count: int, report: Report) -> None:
+    if count < _LEAST_LOOKED_AT:
+        report.note(
+            f"{count} photograph{'s' * (count > 1)} hardly tell{'s' * (count == 1)} a sphere from other things: look "
+            "at --picture, or say where it is with --sphere"
+        )
 
 
 def _check(out, by, kind, spheres, count, normals, albedo, mask, csv, picture) -> None:  # type: ignore[no-untyped-def]

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 
 from clrelight.durable import claiming, no_locks
+from clrelight.errors import InputError
 from clrelight.jobs.inputs import path_text
 from clrelight.jobs.report import Report
 from clrelight.store import check_output
@@ -18,13 +19,25 @@ def claimed(
 ) -> Iterator[None]:
     """Keep every other program from files while the block works for them.
 
-    InputError if one cannot be written as it looks now, or is one of the inputs. None is no file.
+    InputError if one cannot be written as it looks now, is one of the inputs, or is named twice. None is no file.
     """
     wanted = [name for name in names if name is not None]
+    places: set[str] = set()
     for name in wanted:
-        check_output(path_text(name, "a file to write"), inputs)
+        text = path_text(name, "a file to write")
+        check_output(text, inputs)
+        place = os.path.realpath(text)
+        if place in places:
+            raise InputError(f"cannot write {text} twice: two results of this command have that name")
+        places.add(place)
     with ExitStack() as claims:
         for name in wanted[:1]:  # and so the others: two programs share all of them, or none
             if not claims.enter_context(claiming(name)):
                 report.note(no_locks(name))
         yield
+
+
+def check_new_folder(folder: str) -> None:
+    """Raise InputError where something is that is no empty folder: before long work, as `check_output` of a file."""
+    if os.path.lexists(folder) and not (os.path.isdir(folder) and not os.listdir(folder)):
+        raise InputError(f"cannot write {folder}: it is there, choose the name of a new folder")

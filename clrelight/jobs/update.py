@@ -77,12 +77,19 @@ def update_fit(
                 sink = files.enter_context(create_fit(out, record, old.image_shape))
                 step = sink.coeffs_khwc.chunks[1]
             with stage(progress, "updating") as tell:
-                for first, tile_khwc in _tiles(old, stack, update, budget, step):
+                doubtful = 0
+                for first, tile_khwc, lit in _tiles(old, stack, update, budget, step):
+                    doubtful += lit
                     if out is None:
                         coeffs_khwc[:, first : first + tile_khwc.shape[1]] = tile_khwc
                     else:
                         sink.write_rows(first, tile_khwc, None, None)
                     tell(first + tile_khwc.shape[1], old.image_shape[0])
+            if doubtful:
+                kept.note(
+                    f"{doubtful} pixels are 0 in the fit and not in the new photographs: right where the old ones were "
+                    "black, wrong where a mask left them out: then give the new photographs that mask"
+                )
             made = record.to_map(coeffs_khwc if out is None else sink.coeffs_khwc)
             if (out is not None or report is not None) if measure is None else measure:
                 every = np.arange(stack.n_light)
@@ -134,8 +141,12 @@ def _tell(report: Report, record: FitRecord, update: Update, old: CoefficientMap
 
 def _tiles(
     old: CoefficientMap, stack: LightStack, update: Update, budget: int, step: int
-) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    """Yield updated rows from top to bottom, as many at a time as the budget has room for."""
+) -> Iterator[tuple[int, NDArray[np.float32], int]]:
+    """Yield updated rows from top to bottom, as many at a time as the budget has room for.
+
+    With their first one, and the number of pixels that are 0 in the fit, as what a mask leaves out is, and not in the
+    photographs. InputError where the photographs' mask leaves out a pixel that the fit has.
+    """
     height, width, channel = old.image_shape
     n_coeff, n_light = old.n_coeff, stack.n_light
     # Coefficients twice as float32 and three times as float64; samples as they are, as float64, and less the fit's.
@@ -153,6 +164,15 @@ def _tiles(
         radiance_ip = srgb_to_linear(samples_ip) if stack.transfer == "srgb" else samples_ip
         made_kp = update.apply(held_khwc.reshape(n_coeff, -1).astype(np.float64), radiance_ip)
         made_khwc = made_kp.astype(np.float32).reshape(held_khwc.shape)
+        held_hw, lit_hw = held_khwc.any(axis=(0, 3)), samples_ip.reshape(n_light, *held_khwc.shape[1:]).any(axis=(0, 3))
         if stack.mask_hw is not None:
-            made_khwc[:, ~stack.mask_hw[first:end]] = 0.0
-        yield first, made_khwc
+            outside_hw = ~stack.mask_hw[first:end]
+            lost_n2 = np.argwhere(outside_hw & held_hw)
+            if len(lost_n2):
+                raise InputError(
+                    f"the mask of the new photographs leaves out the pixel at row {first + lost_n2[0, 0]}, column "
+                    f"{lost_n2[0, 1]}, which the fit has: expected the same pixels"
+                )
+            made_khwc[:, outside_hw] = 0.0
+            lit_hw &= ~outside_hw
+        yield first, made_khwc, int(np.count_nonzero(lit_hw & ~held_hw))

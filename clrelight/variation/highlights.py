@@ -123,8 +123,12 @@ class _Search:
             if not top > _LEAST_NOISE * noise / max(1.0, 2.0 * np.sqrt(np.pi) * narrow) or top <= 0.0:
                 break
             blob_hw, weight_hw, base = self._blob(moved_hw, int(row), int(column), top)
-            measured = self._measure(blob_hw, weight_hw, samples_hw, base, moved_hw, most)
-            tops.append((top, float(weight_hw.sum()), measured))
+            if weight_hw[blob_hw].min() <= 0.0:  # no pixel is above the edge: the bump is a hollow's rim, no highlight
+                blob_hw = np.zeros_like(blob_hw)
+                blob_hw[row, column] = True
+            else:
+                measured = self._measure(blob_hw, weight_hw, samples_hw, base, moved_hw, most)
+                tops.append((top, float(weight_hw.sum()), measured))
             bumps_hw[ndimage.binary_dilation(blob_hw, iterations=max(2, int(0.05 * self.circle.radius)))] = -np.inf
         if not tops:
             return None
@@ -184,7 +188,7 @@ class _Search:
             float(weight_p @ y_p / weight_p.sum()),
             light_3,
             float(moved_hw[blob_hw].max() - base),
-            float(np.sqrt(np.average(off_p**2, weights=weight_p))),
+            float(np.sqrt(weight_p @ off_p**2 / weight_p.sum())),
             0.0,
             bool(samples_hw[blob_hw].max() >= most),
         )

@@ -23,6 +23,8 @@ _CHOSEN_PIXELS = 1024
 _GAIN_PIXELS = 2048
 _CLEARLY = 0.9
 """Share of the error that another curve than the stack's has to leave to be believed."""
+_LEAST_TOLD_BY = 5
+"""Lights of which three or more are left, and each is determined by others, when a fourth is left out."""
 MOST_FIELD = 150.0
 
 
@@ -146,7 +148,12 @@ def settle(
     pixels = _Pixels(read_probe(stack), heights_hw)
     curves: dict[str, float] = {}
     is_suspect = wanted.transfer == "stack" and method == "robust" and stack.images_ihwc.dtype == np.uint8
-    if transfer == "auto" or is_suspect:
+    tells = stack.n_light >= _LEAST_TOLD_BY
+    if transfer == "auto" and not tells:
+        raise InputError(
+            f"{stack.n_light} lights do not tell the transfer curve, {_LEAST_TOLD_BY} would: name linear or srgb"
+        )
+    if transfer == "auto" or (is_suspect and tells):
         curves = {name: _curve_error(stack, pixels, name, wanted, device) for name in TRANSFERS}
     if transfer == "auto":
         other = _other(stack.transfer)

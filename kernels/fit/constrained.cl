@@ -105,7 +105,7 @@ __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict
                              __global const REAL *restrict rows_js, __global const REAL *restrict across_rt,
                              __global const REAL *restrict low_t, __global const REAL *restrict high_t,
                              __global REAL *restrict scratch_wn, const REAL least, const REAL least_energy,
-                             const int groups, const int size_j, const int size_r, const int size_q)
+                             const int first, const int end, const int size_j, const int size_r, const int size_q)
 {
     __global REAL *scratch = scratch_wn + (long)get_global_id(0) * SCRATCH;
     column_state c = {scratch + GRAM_PLACE, scratch + FACTOR_PLACE, scratch + ROWS_PLACE,
@@ -115,7 +115,7 @@ __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict
                       scratch + SMALL_PLACE + 3 * MAX_ACTIVE, scratch + SMALL_PLACE + 4 * MAX_ACTIVE,
                       rows_js, across_rt, low_t, high_t, 1.0f, 0, size_j, size_r};
     for (int n = 0; n < 3 * WIDTH_R + WIDTH_J; n++) scratch[COLUMN_PLACE + n] = 0.0f;
-    for (int group = get_global_id(0); group < groups; group += get_global_size(0)) {
+    for (int group = first + get_global_id(0); group < end; group += get_global_size(0)) {
         const int q = group * LANES;
         lanes b[ROOM], t[ROOM];
         for (int r = 0; r < size_r; r++)
