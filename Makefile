@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install bench test lint types speed growth trade clean
+.PHONY: install bench test lint types docs speed growth trade clean
 
 install: $(VENV)/installed
 
@@ -34,6 +34,11 @@ lint: install
 types: install
 	$(BIN)/mypy
 
+# The site, with the examples run: build/docs/html/index.html. Any warning fails.
+docs: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs/html
+
 speed: install
 	$(BIN)/python -m benchmarks.stages --markdown docs/performance.md
 
@@ -47,4 +52,4 @@ trade: install
 	$(BIN)/python -m benchmarks.trade_page
 
 clean:
-	rm -rf $(VENV) results build dist
+	rm -rf $(VENV) results build dist docs/gallery

@@ -5,16 +5,13 @@
 
 from __future__ import annotations
 
-import sys
+import re
 import warnings
-from pathlib import Path
+from typing import Any
 
 import clrelight
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(Path(__file__).resolve().parent / "_ext"))
-
-warnings.simplefilter("ignore", clrelight.Note)  # what the commands say on standard error, with paths of this machine
+warnings.simplefilter("ignore", clrelight.Note)  # of the examples: lines that name paths of this machine
 
 project = "clrelight"
 author = "The clrelight authors"
@@ -28,16 +25,13 @@ extensions = [
     "sphinx.ext.mathjax",
     "sphinx_click",
     "sphinx_gallery.gen_gallery",
-    "site_pages",
 ]
-exclude_patterns = ["_ext", "**/README.md"]
-suppress_warnings = ["config.cache"]  # a function of sphinx-gallery's settings cannot be pickled; all is built anew then
-nitpicky = False
 
 # Pages are read as GitHub reads them: headings have its anchors, a line of code without a language is plain.
 myst_enable_extensions = ["dollarmath", "fieldlist"]
 myst_heading_anchors = 4
 highlight_language = "none"
+smartquotes = False  # -- of options stays two signs
 default_role = "code"
 
 autodoc_member_order = "bysource"
@@ -47,7 +41,7 @@ napoleon_use_rtype = False
 napoleon_use_ivar = True
 
 sphinx_gallery_conf = {
-    "examples_dirs": str(ROOT / "examples"),
+    "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
     "filename_pattern": r"\.py$",
     "within_subsection_order": "FileNameSortKey",
@@ -64,8 +58,22 @@ html_title = f"clrelight {release}"
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
+    "header_links_before_dropdown": 8,
     "show_prev_next": True,
     "secondary_sidebar_items": ["page-toc"],
 }
 html_show_sourcelink = False
 html_show_copyright = False
+
+_ABOVE = re.compile(r"\[([^\]]*)\]\(\.\./([^)\s]+)\)")
+"""A link from a page to a file above docs/."""
+
+
+def _stay_inside(app: Any, docname: str, source: list[str]) -> None:
+    """Leave the words of links to files of the repository that the site has not."""
+    source[0] = _ABOVE.sub(r"\1", source[0])
+
+
+def setup(app: Any) -> None:
+    """Register with sphinx."""
+    app.connect("source-read", _stay_inside)

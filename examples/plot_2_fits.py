@@ -2,8 +2,9 @@
 Which fit
 =========
 
-Lights are above the horizon only, where spherical harmonics are nearly dependent. Coefficients of plain least squares are
-then huge: they meet the photographs, and fall apart as soon as they are compressed or asked for a light between the others.
+Lights are above the horizon only, where spherical harmonics are nearly dependent. Coefficients of plain least squares
+are then huge: they meet the photographs, and fall apart as soon as they are compressed or asked for a light between the
+others.
 """
 
 import matplotlib.pyplot as plt

@@ -35,10 +35,7 @@ plate = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=-1)
 
 surface = cr.Surface(
     np.concatenate([torus, plate]),
-    np.array(
-        grid_faces(64, 32, 0, closed=True) + grid_faces(49, 49, len(torus), closed=False),
-        np.int32,
-    ),
+    np.array(grid_faces(64, 32, 0, closed=True) + grid_faces(49, 49, len(torus), closed=False), np.int32),
     np.concatenate([torus_normals, np.tile([0.0, 0.0, 1.0], (len(plate), 1))]),
     albedo_vc=np.array([[0.8, 0.25, 0.15]] * len(torus) + [[0.7, 0.7, 0.7]] * len(plate), np.float32),
 )
@@ -50,8 +47,13 @@ functions = cr.transfer(surface, kind="interreflected", bounces=2, samples=400, 
 print(functions.coeffs_khwc.shape)
 
 sky = cr.sky_light("clear", 35, 200, degree=4)
-views = {
-    "clear sky": sky,
-    "the same, turned": cr.rotate_light(sky, cr.parse_rotation("z:120")) if hasattr(cr, "parse_rotation") else sky,
-    "a lamp": (1, 0.5, 1),
-}
+turned = cr.rotate_light(sky, cr.rotation_matrix("axis", (0, 0, 1, 120)))
+lights = {"clear sky": sky, "the same, turned": turned, "a lamp": (1, 0.5, 1)}
+figure, axes = plt.subplots(1, 3, figsize=(11, 3))
+for axis, (title, light) in zip(axes, lights.items(), strict=True):
+    image = cr.render(functions, light, size=(240, 180), camera=(-0.2, -1, 0.9))
+    axis.imshow(np.clip(image[..., :3] / np.percentile(image, 99), 0, 1) ** (1 / 2.2))
+    axis.set_title(title)
+    axis.axis("off")
+figure.tight_layout()
+plt.show()
