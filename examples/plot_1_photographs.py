@@ -17,7 +17,8 @@ import clrelight as cr
 from datasets_synth.ring import render_ring
 
 scene = render_ring(size=64, lights=80)
-folder = Path(tempfile.mkdtemp())
+place = tempfile.TemporaryDirectory()
+folder = Path(place.name)
 photos = folder / "photos"
 photos.mkdir()
 lines = [str(scene.n_light)]
@@ -33,7 +34,7 @@ for i, (image_hwc, (x, y, z)) in enumerate(zip(scene.images_ihwc, scene.directio
 # for those of a camera it is ``transfer="srgb"``.
 
 report = cr.pack(photos, folder / "view.h5", lights=photos / "dome.lp", holdout=5)
-print(report.psnr)
+print(f"{report.psnr['mean_holdout']:.2f} dB at lights left out, {report.psnr['mean_fitted']:.2f} dB at the others")
 print(report.facts["bytes_on_disk"], "bytes for", 80 * 64 * 64 * 3, "of samples")
 
 # %%

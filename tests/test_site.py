@@ -140,14 +140,19 @@ def code_values(linear_hwc):
     return np.rint(255 * np.clip(linear_hwc, 0, 1) ** (1 / 2.2)).astype(np.uint8)
 
 
-@pytest.mark.parametrize(
-    ("page", "made"),
-    [
-        ("start.md", ("view.h5", "relit.png", "viewer.html", "ring.png")),
-        ("photographs.md", ("small.h5", "found.lp", "under_sky.png")),
-        ("capture.md", ("plan.lp", "fewer.lp")),
-    ],
-)
+MADE = {
+    "start.md": ("view.h5", "relit.png", "viewer.html", "ring.png"),
+    "photographs.md": ("small.h5", "found.lp", "under_sky.png"),
+    "capture.md": ("plan.lp", "fewer.lp"),
+}
+"""What the commands of each page with blocks of sh leave in the folder."""
+
+
+def test_every_page_with_commands_to_run_is_run():
+    assert {page.name for page in PAGES if blocks(page, "sh")} == set(MADE)
+
+
+@pytest.mark.parametrize(("page", "made"), MADE.items())
 def test_blocks_of_the_first_pages_run_in_a_folder_of_photographs(page, made, folder, monkeypatch):
     monkeypatch.chdir(folder)
     lines = [line for text in blocks(DOCS / page, "sh") for line in text.strip().split("\n")]
