@@ -29,7 +29,7 @@ FLOORS = [
     },
     {"jobs"},
     {"experiment", "view"},
-    {"report", "speed"},
+    {"report", "speed", "batch"},
     {"cli"},
     {"__main__"},
 ]

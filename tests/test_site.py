@@ -5,11 +5,14 @@ import json
 import re
 import runpy
 import shlex
+import sys
 import tomllib
+import types
 import warnings
 import zlib
 from collections import Counter
 from pathlib import Path
+from unittest import mock
 
 import click
 import h5py
@@ -211,10 +214,18 @@ WITH_PYTHON = [page for page in LINKING if blocks(page, "python") and page.name 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
 def test_python_of_the_pages_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    if page.name == "batches.md":  # one stack, and a cluster that is not there
+        cr.write_stack(tmp_path / "one.h5", ring())
+        (tmp_path / "museum.toml").write_text('job = "fit"\nstacks = ["*.h5"]\n')
+        slurm = types.SimpleNamespace(SLURMCluster=mock.Mock())
+        monkeypatch.setitem(sys.modules, "dask_jobqueue", slurm)
     names = names_of(page.name, tmp_path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cr.Note)
         exec(compile("".join(blocks(page, "python")), page.name, "exec"), names)
+    if page.name == "batches.md":
+        assert not names["batch"].failed
+        assert list((tmp_path / "packed").glob("one*"))
     if page.name == "files.md":
         assert len(names["codes"]) == 20
 

@@ -11,7 +11,9 @@ import click
 
 from clrelight import __version__
 from clrelight.cli import (
+    batch,
     coding,
+    completion,
     experiments,
     export,
     files,
@@ -24,6 +26,7 @@ from clrelight.cli import (
     operators,
     pack,
     plan_lights,
+    preview,
     psnr,
     reflectance,
     reflection,
@@ -65,7 +68,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights, to_sh, view),
+    *(operators, transfer, normals, variation, find_lights, to_sh, view, preview, batch, completion),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
@@ -87,6 +90,8 @@ def run(arguments: list[str] | None = None) -> int:
 def _run(words: list[str]) -> tuple[int, str]:
     """Run a command; return its exit code and what is to be said of it."""
     try:
+        if (answered := completion.answer_shell(cli)) is not None:
+            return answered, ""
         # Not cli.main, which ends the program by itself at a broken pipe.
         with cli.make_context("clrelight", words) as context:
             cli.invoke(context)
