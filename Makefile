@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install bench test lint types speed growth trade fuzz clean
+.PHONY: install bench test lint types docs speed growth trade fuzz clean
 
 install: $(VENV)/installed
 
@@ -34,6 +34,11 @@ lint: install
 types: install
 	$(BIN)/mypy
 
+# The site, with the examples run: build/docs/html/index.html. Any warning fails.
+docs: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs/html
+
 speed: install
 	$(BIN)/python -m benchmarks.stages --markdown docs/performance.md
 
@@ -52,4 +57,4 @@ fuzz: install
 	$(BIN)/python -m tests.python_fuzz --seconds 60
 
 clean:
-	rm -rf $(VENV) results build dist
+	rm -rf $(VENV) results build dist docs/gallery

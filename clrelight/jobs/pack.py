@@ -31,6 +31,7 @@ from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import IMAGE_MEMORY
 from clrelight.perception import check_perception
+from clrelight.remote import is_remote
 from clrelight.store import check_output, write_encoded
 from clrelight.store.scratch import scratch_workspace
 
@@ -124,6 +125,10 @@ def pack(
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     look = _looking(size, rule, metric, perceptual, (method, wanted, basis))
+    for path in paths_among(source):
+        name = os.fsdecode(path)
+        if not is_remote(name) and "\0" not in name and not os.path.lexists(name):
+            raise InputError(f"there is no file or folder {name}")  # before drivers are tested, which takes a minute
     with (
         claimed([out, keep_stack], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
