@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.paper_parts import Part, cls_norms, name_of, prose, ring_columns, table
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.hemisphere import hemisphere_autocorrelation
 from clrelight.harmonics.index import coefficient_index
+from clrelight.reproduction.parts import Part, cls_norms, name_of, prose, ring_columns, table
 from clrelight.threads import on_one_thread
 
 LIGHTS = 256

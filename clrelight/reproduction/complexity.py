@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.paper_parts import Part, lighting_of, prose, table
 from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.fit import prepare_fit
 from clrelight.fit.cls import plan_constrained
 from clrelight.fit.prepare import FitReport, PreparedFit
 from clrelight.fit.run import collect_fit
+from clrelight.reproduction.parts import Part, lighting_of, prose, table
 from clrelight.sampling import make_pattern
 from clrelight.threads import on_one_thread
 
@@ -63,9 +63,9 @@ def table_two(device: Device, rounds: int) -> Part:
     for round_ in range(rounds + 1):  # the first builds the kernels
         for row, slope in enumerate(slopes):
             for column, run in enumerate(slope.runs):
-                seconds = run()
+                taken = run()
                 if round_:
-                    best[row][column] = min(best[row][column], seconds)
+                    best[row][column] = min(best[row][column], taken)
     lines, verdicts = [], {}
     for slope, seconds in zip(slopes, best, strict=True):
         found = float(np.polyfit(np.log(slope.sizes), np.log(seconds), 1)[0])

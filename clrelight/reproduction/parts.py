@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import exact
 from clrelight.fit.cls import plan_constrained
 from clrelight.fit.plan import Lighting
+from clrelight.reproduction import exact
 from clrelight.speed.tables import markdown_table
 from datasets_synth.ring import render_ring
 
