@@ -66,11 +66,12 @@ def table_two(device: Device, rounds: int) -> Part:
                 taken = run()
                 if round_:
                     best[row][column] = min(best[row][column], taken)
-    lines, verdicts = [], {}
+    lines, verdicts, numbers = [], {}, {}
     for slope, seconds in zip(slopes, best, strict=True):
         found = float(np.polyfit(np.log(slope.sizes), np.log(seconds), 1)[0])
         near = abs(found - slope.paper) <= TOLERANCE
-        verdicts[f"{slope.method}, {slope.step} with {slope.variable}"] = near
+        name = f"{slope.method}, {slope.step} with {slope.variable}"
+        verdicts[name], numbers[name] = near, found
         sizes = ", ".join(f"{size:g}" for size in slope.sizes)
         times = ", ".join(f"{1e9 * value / _columns(slope):.0f}" for value in seconds)
         said = "yes" if near else "no"
@@ -101,7 +102,7 @@ def table_two(device: Device, rounds: int) -> Part:
         a spline of the same sizes: they themselves are cut where float32 cannot hold their coefficients.
         CLS is the bisection, 32 steps unless it says otherwise."""),
     ]
-    return Part("table II", "\n".join(text), verdicts)
+    return Part("table II", "\n".join(text), verdicts, numbers=numbers)
 
 
 def _columns(slope: Slope) -> int:

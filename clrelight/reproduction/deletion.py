@@ -63,7 +63,17 @@ def deletion() -> Part:
         "more than 200 000 sets of 4": four["sets"] > 200_000,
         "deleting y10 does much for 25 functions": _cut(one, "25") > 10.0,
     }
-    return Part("deletion", "\n".join(text), {what: bool(holds) for what, holds in verdicts_of.items()})
+    numbers = {
+        "pairs": float(verdicts[1]["sets"]),
+        "alike": float(pair["alike"]),
+        "apart": float(pair["apart"]),
+        "fours": float(four["sets"]),
+        "y10": _cut(one, "25"),
+        "y10 of 49": _cut(one, "49"),
+    }
+    return Part(
+        "deletion", "\n".join(text), {what: bool(holds) for what, holds in verdicts_of.items()}, numbers=numbers
+    )
 
 
 def _cut(lines: list[list[str]], count: str) -> float:
