@@ -26,7 +26,7 @@ FLOORS = [
     {"store", "export", "ingest", "results", "selftest", "selftest_packing", "selftest_photographs", "truth"},
     {"jobs"},
     {"experiment"},
-    {"report", "speed"},
+    {"report", "speed", "reproduction"},
     {"cli"},
     {"__main__"},
 ]

@@ -29,6 +29,7 @@ from clrelight.cli import (
     reflection,
     relight,
     render,
+    reproduce,
     sampled,
     shader,
     to_sh,
@@ -64,7 +65,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights, to_sh),
+    *(operators, transfer, normals, variation, find_lights, to_sh, reproduce),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

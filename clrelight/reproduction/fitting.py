@@ -186,5 +186,3 @@ PAPER = Paper(
         Out("figure 1", "torus and table at 4 bits", "its scene is not published; figures 5 and 13 show ours"),
     ),
 )  # fmt: skip
-
-

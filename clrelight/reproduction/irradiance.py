@@ -84,8 +84,7 @@ def _grace(bench: Bench) -> Found:
 
 
 def _natural(bench: Bench) -> Found:
-    """Return errors of nine coefficients under each probe, and figure 3: both irradiance maps, and 20 times their gap.
-    """
+    """Return errors of nine coefficients under each probe, and figure 3: both maps, and 20 times their gap."""
     device = bench.open_device()
     normals_n3, weights_n = layouts.texel_geometry("latlong", MAP, 2 * MAP)
     values, rows = {}, []
