@@ -183,6 +183,6 @@ PAPER = Paper(
         ), _of_part(lambda bench: vector_codecs(bench.open_device())), takes=LONG, surfaces=True),
     ),
     (
-        Out("figure 1", "torus and table at 4 bits", "its scene is not published; figures 5 and 13 show ours"),
+        Out("web pages", "further pictures that the article names", "not part of the article"),
     ),
 )  # fmt: skip

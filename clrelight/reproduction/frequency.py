@@ -183,7 +183,7 @@ PAPER = Paper(
                 "the worst of three channels; P = 5 misses .02"),
             Row("section 7.1", "fibres (Kajiya-Kay), s = 32, P = 8: energy missed", "ε < .03", "section 7.1", "fibres",
                 Between(0.0, 0.03)),
-        ), _formulas, takes=SHORT),
+        ), _formulas),
         Work("accuracy", (
             Row("figure 6", "both estimates are conservative", "yes", "figure 6", "careful", Holds()),
             Row("figure 6", "part of F above 1 at which the reflectance alone decides", "almost always",
@@ -231,7 +231,7 @@ PAPER = Paper(
                 "over", Between(-50.0, 1.0)),
             Row("figure 5", "correlation of both in logarithms", "approximately", "figure 5", "together",
                 Between(0.9, 1.0)),
-        ), partial(_figure, "5", _of_5), takes=SHORT, needs=(GRACE,), pictures={"shrm_figure5.jpg": "figure 5"}),
+        ), partial(_figure, "5", _of_5), needs=(GRACE,), pictures={"shrm_figure5.jpg": "figure 5"}),
         Work("figure 7", (
             Row("figure 7", "P = 2: energy missed", "ε < .03", "figure 7", "97", Between(0.0, 0.03)),
             Row("figure 7", "RMS error falls with P = 0 … 5", "yes", "figure 7", "falls", Holds()),

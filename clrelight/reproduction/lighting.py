@@ -202,7 +202,7 @@ PAPER = Paper(
                 "sampled", Between(0.0, 0.02)),
             Row("two lobes", "power of the number of stratified samples by which errors fall", "-1/2 or faster",
                 "Monte Carlo integration", "fall", Between(-1.2, -0.4)),
-        ), _lobes, takes=SHORT),
+        ), _lobes),
         Work("products", (
             Row("figure 9", "part of the 25 × 25 matrix of y22 that is not 0", "mostly sparse", "figure 9", "filled",
                 Between(0.01, 0.25)),
@@ -210,7 +210,7 @@ PAPER = Paper(
                 Between(0.0, 1e-12)),
             Row("figure 10", "matrix times light and projection of the product, apart", "exactly the same",
                 "equation 9", "product", Between(0.0, 1e-10)),
-        ), _products, takes=SHORT, surfaces=True, pictures={"surface_product.jpg": "figures 9 and 10"}),
+        ), _products, surfaces=True, pictures={"surface_product.jpg": "figures 9 and 10"}),
         Work("transfer", (
             Row("figure 11", "coefficients of a function", "25", "figure 11", "smooth", Near(25.0, 0.0)),
             Row("figure 11", "RMS of unshadowed transfer off the irradiance's formula", "geometric term", "figure 11",

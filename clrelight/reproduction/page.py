@@ -15,7 +15,7 @@ from clrelight.reproduction.rows import Paper
 from clrelight.reproduction.run import Outcome, Reproduction
 from clrelight.speed.tables import markdown_table
 
-HEADERS = ("item", "what", "printed", "ours", "tolerance", "verdict", "why")
+HEADERS = ("item", "what", "printed", "where", "ours", "tolerance", "verdict", "why")
 _INTRO = """\
 # What the papers print, recomputed
 
@@ -39,7 +39,7 @@ writes. FOLDER holds `probes`, `meshes` and `brdf`; without it the rows that nee
 def page(made: Reproduction, papers: Sequence[Paper], pictures: str) -> str:
     """Return the page in Markdown; pictures are linked from the folder `pictures`, none where it is empty."""
     counts = ", ".join(f"{count} {name}" for name, count in made.counts().items())
-    parts = [_INTRO, f"{len(made.outcomes)} rows: {counts}."]
+    parts = [_INTRO, f"{len(made.outcomes)} rows: {counts}. They took {sum(made.seconds.values()) / 60.0:.1f} minutes."]
     for paper in papers:
         rows = [each for each in made.outcomes if each.paper == paper.id]
         parts.append(f"## {paper.citation}\n\n`clrelight reproduce {paper.id}`")
@@ -52,7 +52,7 @@ def page(made: Reproduction, papers: Sequence[Paper], pictures: str) -> str:
 
 def _cells(outcome: Outcome) -> list[str]:
     cells = (
-        *(outcome.item, outcome.what, outcome.printed, outcome.ours, outcome.tolerance, outcome.verdict),
+        *(outcome.item, outcome.what, outcome.printed, outcome.where, outcome.ours, outcome.tolerance, outcome.verdict),
         outcome.reason,
     )
     return [cell.replace("|", "\\|") for cell in cells]

@@ -110,7 +110,8 @@ def _rotation(bench: Bench) -> Found:
 def _harmonics(bench: Bench) -> Found:
     """Return figure 5: the nine real functions seen from the front, green where positive, blue where negative."""
     at = evaluate_basis(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]), 2)
-    values = {"count": float(at.shape[1]), "axes": tuple(float(each) for each in (at[0, 1], at[1, 2], at[2, 3]))}
+    values: dict[str, Any] = {"count": float(at.shape[1])}
+    values["axes"] = tuple(float(each) for each in (at[0, 1], at[1, 2], at[2, 3]))
     if not bench.draws:
         return Found(values)
     ball = plain("ball")
@@ -205,7 +206,7 @@ PAPER = Paper(
                 Near(90.0, 4.0), Between(80.0, 98.0), "rendered heads under 64 lamps of a hemisphere, with shadows"),
             Row("section 0.2.2", "first five components, %", "94", "Epstein et al.", "five", Near(94.0, 4.0),
                 Between(85.0, 99.0), "rendered heads under 64 lamps of a hemisphere, with shadows"),
-        ), _faces, takes=SHORT, pictures={"variation_figure1.jpg": "figure 1"}),
+        ), _faces, pictures={"variation_figure1.jpg": "figure 1"}),
         Work("harmonics", (
             Row("figure 5", "functions of the first three orders", "9", "figure 5", "count", Near(9.0, 0.0)),
             Row("figure 5", "order 1 is y, z, x: at their axes", "0.489 (√(3/4π))", "equation 12", "axes",
