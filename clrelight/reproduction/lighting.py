@@ -35,7 +35,7 @@ PAGE = (
 """The page's fifteen numbers, each beside its own of ours; None is the one that it lacks."""
 
 NAMES = tuple(f"c{k + 1}" for k in range(16))
-RAYS = 529
+RAYS = 1024
 
 
 def _turned() -> NDArray[np.float64]:

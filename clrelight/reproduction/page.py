@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from clrelight.durable import replacing
 from clrelight.images import write_image
-from clrelight.report.canvas import save
+from clrelight.report.canvas import DPI, save
 from clrelight.reproduction.rows import Paper
 from clrelight.reproduction.run import Outcome, Reproduction
 from clrelight.speed.tables import markdown_table
@@ -72,5 +74,16 @@ def write_pictures(folder: Path, made: Reproduction) -> list[str]:
         if isinstance(picture, np.ndarray):
             write_image(folder / name, picture)
         else:
-            save(picture, folder / name)
+            _save(picture, folder / name)
     return list(made.pictures)
+
+
+def _save(figure: Any, path: Path) -> None:
+    """Write a chart as PNG, photographs below each other as JPEG."""
+    if path.suffix != ".jpg":
+        save(figure, path)
+        return
+    content = io.BytesIO()
+    figure.savefig(content, format="jpg", dpi=DPI, pil_kwargs={"quality": 85})
+    with replacing(path) as part:
+        part.write(content.getvalue())

@@ -14,7 +14,6 @@ from clrelight.experiment.run import run_experiment
 from clrelight.fit import method_class
 from clrelight.report import paper
 from clrelight.report.charts import figure_7, figure_15
-from clrelight.report.contact_sheet import contact_sheet
 from clrelight.report.paper_figures import figure_1, figure_of_method
 from clrelight.report.rows import rows_by_key, scene_names, scene_rows
 from clrelight.reproduction.rows import LONG, Bench, Between, Found, Near, Row, Work
@@ -22,6 +21,7 @@ from clrelight.results import Results
 
 RING, SURFACE = 128, 64
 LIGHTS = 256
+RING_FIGURES = {"uls": 4, "sloan": 8, "cls": 12}
 TITLES = {"uls": "ULS", "sloan": "Sloan ULS", "cls": "CLS", "ceb": "CEB"}
 _OTHER_RING = (
     "the paper's ring is not published: ours has harder shadows and sharper highlights, which 49 coefficients do not "
@@ -69,15 +69,18 @@ def _measure(scene: str, size: int, bench: Bench) -> Found:
 def _draw(scene: str, results: Results, name: str) -> dict[str, Any]:
     if scene == "ring":
         return {
-            "fitting_figure4.png": contact_sheet(results, name, paper.DEGREE),
+            **{
+                f"fitting_figure{number}.jpg": figure_of_method(results, name, paper.DEGREE, method)
+                for method, number in RING_FIGURES.items()
+            },
             "fitting_figure7.png": figure_7(results, name, paper.DEGREE),
             "fitting_figure15.png": figure_15(results, name, paper.DEGREE),
         }
-    drawn = {"fitting_figure1.png": figure_1(results, name, paper.DEGREE)} if scene == "torus" else {}
+    drawn = {"fitting_figure1.jpg": figure_1(results, name, paper.DEGREE)} if scene == "torus" else {}
     for method, number in paper.FIGURES[scene].items():
         figure = figure_of_method(results, name, paper.DEGREE, method)
         if figure is not None:
-            drawn[f"fitting_figure{number}.png"] = figure
+            drawn[f"fitting_figure{number}.jpg"] = figure
     return drawn
 
 
@@ -151,7 +154,7 @@ def _surface_rows(scene: str) -> tuple[Row, ...]:
 
 
 def _pictures(scene: str) -> dict[str, str]:
-    return {f"fitting_figure{number}.png": f"figure {number}" for number in paper.FIGURES[scene].values()}
+    return {f"fitting_figure{number}.jpg": f"figure {number}" for number in paper.FIGURES[scene].values()}
 
 
 FIGURE_1_ROWS = (
@@ -164,10 +167,11 @@ FIGURE_1_ROWS = (
 
 WORKS = (
     Work("ring", RING_ROWS, partial(_measure, "ring", RING), takes=LONG, surfaces=True,
-         pictures={"fitting_figure4.png": "figures 4, 8 and 12", "fitting_figure7.png": "figure 7",
+         pictures={**{f"fitting_figure{number}.jpg": f"figure {number}" for number in RING_FIGURES.values()},
+                   "fitting_figure7.png": "figure 7",
                    "fitting_figure15.png": "figure 15"}),
     Work("torus", (*FIGURE_1_ROWS, *_surface_rows("torus")), partial(_measure, "torus", SURFACE), takes=LONG,
-         surfaces=True, pictures={"fitting_figure1.png": "figure 1", **_pictures("torus")}),
+         surfaces=True, pictures={"fitting_figure1.jpg": "figure 1", **_pictures("torus")}),
     Work("dama", _surface_rows("dama"), partial(_measure, "dama", SURFACE), takes=LONG, surfaces=True,
          pictures=_pictures("dama")),
 )  # fmt: skip
