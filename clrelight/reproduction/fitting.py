@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from clrelight.experiment.portraits import portrait_of
+from clrelight.experiment.scenes import survey_stack
 from clrelight.fit.cls import plan_constrained
 from clrelight.harmonics.hemisphere import hemisphere_autocorrelation
 from clrelight.report import paper
@@ -24,6 +26,7 @@ from datasets_synth.scenes import SCENES as RENDERED
 
 PATTERNS = ("uniform", "grid", "scattered")
 ROUNDS = 1
+FIGURE_3_SIZE = {"ring": 256, "torus": 64, "dama": 64}
 _SIGMA = 0.01
 
 
@@ -75,16 +78,21 @@ def _noise(bench: Bench) -> Found:
 
 
 def _scenes(bench: Bench) -> Found:
-    """Return figure 3: the three scenes by their brightest photograph, and that their functions are hemispherical."""
+    """Return figure 3: pictures of the three scenes, and that their functions are hemispherical."""
     values, panels = {}, []
     for name in ("ring", "torus", "dama"):
-        stack = RENDERED[name].render({"size": 96, "lights": 64})
+        stack = RENDERED[name].render({"size": FIGURE_3_SIZE[name], "lights": 64})
         values[name] = float(stack.directions_i3[:, 2].min())
-        picture_hwc = np.asarray(stack.images_ihwc[int(np.argmax(stack.directions_i3 @ (0.5, 0.5, 0.7)))])
-        picture_hwc = picture_hwc.astype(np.float32) / stack.peak
-        picture_hwc = np.repeat(picture_hwc, 3, axis=2) if picture_hwc.shape[2] == 1 else picture_hwc
-        panels.append((255.0 * np.clip(picture_hwc / max(float(picture_hwc.max()), 1e-9), 0.0, 1.0)).astype(np.uint8))
-    return Found(values, {"fitting_figure3.png": np.concatenate(panels, axis=1)} if bench.draws else {})
+        if bench.draws:
+            panels.append(portrait_of(stack, survey_stack(stack), bench.open_device()).reference)
+    return Found(values, {"fitting_figure3.jpg": _beside(panels)} if panels else {})
+
+
+def _beside(panels: list[np.ndarray]) -> np.ndarray:
+    """Return pictures of any height side by side, on white."""
+    height = max(len(panel) for panel in panels)
+    rest = [((0, height - len(panel)), (0, 0), (0, 0)) for panel in panels]
+    return np.concatenate([np.pad(p, width, constant_values=255) for p, width in zip(panels, rest, strict=True)], 1)
 
 
 def _of_part(make: Callable[[Bench], Part]) -> Callable[[Bench], Found]:
@@ -162,7 +170,7 @@ PAPER = Paper(
         Work("scenes", tuple(
             Row("figure 3", f"{name}: least height of a light", "hemispherical", "figure 3", name, Between(0.0, 1.0))
             for name in ("ring", "torus", "dama")
-        ), _scenes, takes=SHORT, surfaces=True, pictures={"fitting_figure3.png": "figure 3"}),
+        ), _scenes, takes=SHORT, surfaces=True, pictures={"fitting_figure3.jpg": "figure 3"}),
         Work("noise", (
             *(Row("equation 11", f"extra error of {name.upper()} over σ²‖c‖²/2", "1", "equation 11", name,
                   Near(1.0, 0.15)) for name in ("uls", "cls")),
