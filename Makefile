@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install bench test lint types speed growth trade clean
+.PHONY: install bench test lint types speed growth trade fuzz clean
 
 install: $(VENV)/installed
 
@@ -45,6 +45,11 @@ growth: install
 trade: install
 	rm -rf results/trade
 	$(BIN)/python -m benchmarks.trade_page
+
+fuzz: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[fuzz]'
+	# A minute for each of some forty targets, with up to a million executions.
+	$(BIN)/python -m tests.python_fuzz --seconds 60
 
 clean:
 	rm -rf $(VENV) results build dist

@@ -1,8 +1,8 @@
 """Print how far normals are from those that were scanned or rendered, and how long they take.
 
 ``python -m benchmarks.normals`` takes the stacks of CLRELIGHT_DATA whose normals are known: DiLiGenT's (scanned) and
-SynthRTI's (rendered; the photographs are taken as sRGB). ``--megapixels 24`` times a stack of that size beside a fit of
-degree 4, both from file to file.
+SynthRTI's (rendered); the transfer curve is told from the samples. ``--megapixels 24`` times a stack of that size, from
+file to file, beside a fit of degree 4.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from benchmarks.lighting import Table, show_parts
 from clrelight.images import read_image
 from clrelight.sampling import make_pattern
 from clrelight.store import create_stack
-from clrelight.variation.normals import METHODS
 
 DATA_VARIABLE = "CLRELIGHT_DATA"
 SCANNED = ("cat", "bear", "pot1")
@@ -52,7 +51,7 @@ def angles(found_hw3: NDArray[np.float32], known_hw3: NDArray[np.floating]) -> N
 
 
 def error_table(root: Path) -> Table:
-    """Return mean and median errors of both methods, and their ratio."""
+    """Return mean and median errors of the methods, and ratios to plain least squares."""
     rows, ratios, medians = [], [], []
     for name in SCANNED:
         folder = root / "diligent" / f"{name}PNG"
@@ -61,35 +60,39 @@ def error_table(root: Path) -> Table:
         row, ratio, _ = _row(f"DiLiGenT {name}", stack, known_hw3, stack.mask_hw)
         ratios.append(ratio)
         rows.append(row)
-    rows.append(["DiLiGenT, mean of the ratios", "", "", "", "", f"{np.mean(ratios):.3f}", ""])
-    for folder in sorted(root.glob("synthrti/Single/*/*/Dome")):
-        material, body = folder.parent.name, folder.parents[1].name
-        stack = cr.ingest(folder, lights=folder / "dirs.lp", transfer="srgb", report=cr.Report())
-        codes_hw3 = read_image(folder / "normals.png")
-        known_hw3 = codes_hw3.astype(np.float64) * (2.0 / np.iinfo(codes_hw3.dtype).max) - 1.0
-        name = f"SynthRTI {body} {material}" + (" (shines)" if material in SHINING else "")
-        row, _, median = _row(name, stack, known_hw3, None)
-        medians.append(median)
-        rows.append(row)
+    rows.append(["DiLiGenT, greatest ratio", *[""] * 5, f"{max(ratios):.3f}", "", ""])
+    for kind in ("Single", "Multi"):
+        for folder in sorted(root.glob(f"synthrti/{kind}/*/*/Dome")):
+            material, body = folder.parent.name, folder.parents[1].name
+            stack = cr.ingest(folder, lights=folder / "dirs.lp", report=cr.Report())
+            codes_hw3 = read_image(folder / "normals.png")
+            known_hw3 = codes_hw3.astype(np.float64) * (2.0 / np.iinfo(codes_hw3.dtype).max) - 1.0
+            name = f"SynthRTI {kind} {body} {material}"
+            row, _, median = _row(name + (" (shines)" if material in SHINING else ""), stack, known_hw3, None)
+            rows.append(row)
+            if kind == "Single":
+                medians.append(median)
     if medians:
-        rows.append(["SynthRTI, median of the medians", "", "", "", f"{np.median(medians):.2f}", "", ""])
-    headers = ["stack", "least squares, mean °", "median °", "robust, mean °", "median °", "robust / least squares"]
-    return [*headers, "shadows hold"], rows
+        told = f"{np.median(medians):.2f}; greatest {max(medians):.2f}"
+        rows.append(["SynthRTI Single, median of the medians", *[""] * 4, told, "", "", ""])
+    headers = ["stack", "least squares, mean °", "median °", "quick, mean °", "robust, mean °", "median °"]
+    return [*headers, "robust / least squares", "curve told", "law"], rows
 
 
 def _row(
     name: str, stack: cr.LightStack, known_hw3: NDArray[np.floating], mask_hw: NDArray[np.bool_] | None
 ) -> tuple[list[str], float, float]:
     inside = np.ones(stack.image_shape[:2], bool) if mask_hw is None else mask_hw
-    error, floor = {}, 0.0
-    for method in METHODS:
-        found = cr.normals(stack, method=method, report=cr.Report())
+    error = {}
+    for method in ("least-squares", "quick", "auto"):
+        found = cr.normals(stack, method=method, transfer="auto", report=cr.Report())
         error[method] = angles(found.normals_hw3, known_hw3)[inside]
-        floor = max(floor, found.floor)
-    robust, plain = error["robust"], error["least-squares"]
+    robust, plain = error["auto"], error["least-squares"]
     ratio = float(robust.mean() / plain.mean())
-    cells = [f"{plain.mean():.2f}", f"{np.median(plain):.2f}", f"{robust.mean():.2f}", f"{np.median(robust):.2f}"]
-    return [name, *cells, f"{ratio:.3f}", f"{floor:.1%}"], ratio, float(np.median(robust))
+    cells = [f"{plain.mean():.2f}", f"{np.median(plain):.2f}", f"{error['quick'].mean():.2f}"]
+    cells += [f"{robust.mean():.2f}", f"{np.median(robust):.2f}", f"{ratio:.3f}"]
+    law = found.found.law.text if found.found.law is not None else ""
+    return [name, *cells, found.found.transfer, law], ratio, float(np.median(robust))
 
 
 def time_table(megapixels: float) -> Table:
@@ -106,7 +109,10 @@ def time_table(megapixels: float) -> Table:
             for first in range(0, height, step):
                 sink[:, first : min(first + step, height)] = strip_ihwc[:, : min(step, height - first)]
         for name, run in {
-            "`normals`, robust": lambda: cr.normals(path, out=Path(folder, "n.exr"), report=cr.Report()),
+            "`normals` (quick)": lambda: cr.normals(path, out=Path(folder, "n.exr"), report=cr.Report()),
+            "`normals --method robust`": lambda: cr.normals(
+                path, out=Path(folder, "n.exr"), method="robust", report=cr.Report()
+            ),
             "`fit --degree 4 --no-measure`": lambda: cr.fit(
                 path, degree=4, out=Path(folder, "f.h5"), measure=False, report=cr.Report()
             ),

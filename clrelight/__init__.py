@@ -29,6 +29,8 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.ingest import ingest_folder as ingest_folder
     from clrelight.jobs.decode import decode as decode
     from clrelight.jobs.encode import encode as encode
+    from clrelight.jobs.exchange import export_for_viewers as export_for_viewers
+    from clrelight.jobs.exchange import import_archive as import_archive
     from clrelight.jobs.export import export as export
     from clrelight.jobs.find_lights import find_lights as find_lights
     from clrelight.jobs.fit import fit as fit
@@ -94,6 +96,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.transfer.near_lights import PointLight as PointLight
     from clrelight.transfer.near_lights import PolygonLight as PolygonLight
     from clrelight.transfer.near_lights import SphereLight as SphereLight
+    from clrelight.view.session import write_viewer as write_viewer
 
 __version__ = "0.1.0"
 
@@ -109,6 +112,7 @@ _MODULES = {
     "ingest": "ingest_folder",
     "jobs.decode": "decode",
     "jobs.encode": "encode",
+    "jobs.exchange": "export_for_viewers import_archive",
     "jobs.export": "export",
     "jobs.find_lights": "find_lights",
     "jobs.fit": "fit",
@@ -152,6 +156,7 @@ _MODULES = {
     "transfer.local_light": "LocalLights",
     "transfer.mesh_files": "read_mesh",
     "transfer.near_lights": "PointLight PolygonLight SphereLight",
+    "view.session": "write_viewer",
 }
 _HOMES = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names.split()}
 

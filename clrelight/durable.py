@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from clrelight.errors import InputError
+from clrelight.errors import BusyError, InputError
 from clrelight.interrupts import at_end, forget, holding
 from clrelight.streaming import one_thread
 
@@ -111,7 +111,7 @@ def _lend_sibling(target: Path, ending: str) -> Iterator[Part]:
     lent: Part | None = None
     try:
         with holding(), naming(target):
-            lent = _open_locked(target.with_name(_sibling_stem(target) + ending), target)
+            lent = _open_locked(target.with_name(sibling_stem(target.name) + ending), target)
             key = at_end(partial(_remove_sibling, lent))
         yield lent
     finally:
@@ -122,14 +122,14 @@ def _lend_sibling(target: Path, ending: str) -> Iterator[Part]:
                 os.close(lent.descriptor)
 
 
-def _sibling_stem(target: Path) -> str:
+def sibling_stem(name: str) -> str:
     """Return ``.NAME``, or something else in place of a name that is no text, or leaves no room for an ending."""
-    name = os.fsencode(target.name)
+    encoded = os.fsencode(name)
     try:
-        is_plain = len(name) <= STEM_BYTES and name.decode("utf-8") == target.name
+        is_plain = len(encoded) <= STEM_BYTES and encoded.decode("utf-8") == name
     except UnicodeDecodeError:
         is_plain = False
-    return f".{target.name if is_plain else hashlib.sha256(name).hexdigest()[:32]}"
+    return f".{name if is_plain else hashlib.sha256(encoded).hexdigest()[:32]}"
 
 
 def _remove_sibling(part: Part) -> None:
@@ -200,7 +200,7 @@ def folder_aside(target: Path) -> Iterator[Path]:
     sibling: Path | None = None
     try:
         with holding():
-            prefix = _sibling_stem(target) + "."
+            prefix = sibling_stem(target.name) + "."
             sibling = Path(tempfile.mkdtemp(prefix=prefix, suffix=".part", dir=target.parent))
             key = at_end(partial(shutil.rmtree, sibling, ignore_errors=True))
         yield sibling
@@ -278,7 +278,7 @@ def _lock(descriptor: int, target: Path) -> bool:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise InputError(
+        raise BusyError(
             f"cannot write {target}: another program is writing it; wait for its end, or choose another name"
         ) from None
     except OSError as error:

@@ -17,6 +17,10 @@ class RemoteError(InputError):
     """A file on another machine cannot be fetched; nothing is said of what it holds."""
 
 
+class BusyError(InputError):
+    """Another program is writing the file."""
+
+
 class PayloadError(InputError):
     """Encoded bytes are damaged, cut short, or not ours."""
 

@@ -23,10 +23,13 @@ FLOORS = [
         *("image_sink", "images", "radiance_header", "surface"),
     },
     {"fit", "codec", "lighting", "brdf", "shrm", "transfer", "variation", "metrics", "perception", "relight"},
-    {"store", "export", "ingest", "results", "selftest", "selftest_packing", "selftest_photographs", "truth"},
+    {
+        *("store", "exchange", "export", "ingest", "results"),
+        *("selftest", "selftest_packing", "selftest_photographs", "truth"),
+    },
     {"jobs"},
-    {"experiment"},
-    {"report", "speed", "reproduction"},
+    {"experiment", "view"},
+    {"report", "speed", "batch", "reproduction"},
     {"cli"},
     {"__main__"},
 ]

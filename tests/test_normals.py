@@ -12,7 +12,7 @@ from clrelight.variation.heights import integrate_normals
 from clrelight.variation.kernel import NormalSolver
 from clrelight.variation.normals import find_normals
 from tests.commands import call, contents, succeed
-from tests.styles import both_styles
+from tests.styles import every_width
 
 ALBEDO = np.array([0.8, 0.5, 0.3])
 
@@ -51,7 +51,7 @@ def picture(path):
     return np.asarray(oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT))
 
 
-@pytest.mark.parametrize("method", ["robust", "least-squares"])
+@pytest.mark.parametrize("method", ["quick", "least-squares"])
 def test_matte_and_unshadowed_is_exact(method):
     directions_i3 = make_pattern("uniform", 60)
     directions_i3 = directions_i3[directions_i3[:, 2] > 0.75]
@@ -210,14 +210,14 @@ def test_photographs_beside_least_squares(real_data, tmp_path):
         expected = scipy.io.loadmat(folder / "Normal_gt.mat")["Normal_gt"]
         errors = [
             angles(cr.normals(stack, method=method, report=cr.Report()).normals_hw3, expected)[stack.mask_hw].mean()
-            for method in ("robust", "least-squares")
+            for method in ("auto", "least-squares")
         ]
         ratios.append(errors[0] / errors[1])
-    assert np.mean(ratios) <= 0.7
+    assert max(ratios) <= 0.7
 
 
-@both_styles
-@pytest.mark.parametrize("count", [8, 56, 104])
+@every_width
+@pytest.mark.parametrize("count", [16, 112])
 @pytest.mark.parametrize(("lights", "channel"), [(3, 1), (7, 3), (49, 3), (70, 1)])
 def test_kernel_is_the_numpy_form(device, count, lights, channel):
     rng, directions_i3 = np.random.default_rng(count), make_pattern("uniform", lights)
@@ -226,7 +226,7 @@ def test_kernel_is_the_numpy_form(device, count, lights, channel):
     albedo_c = ALBEDO[:channel, None, None]
     samples_cip = (albedo_c * shade_ip + 0.01).astype(np.float32)
     samples_cip[:, :, 3] = 0.0
-    held = find_normals(samples_cip, directions_i3, "robust", np.any(samples_cip >= 0.7, axis=0), 0.05)
+    held = find_normals(samples_cip, directions_i3, "quick", np.any(samples_cip >= 0.7, axis=0), 0.05)
     found = NormalSolver(device, directions_i3, 0.05)(samples_cip, 0.7)
     apart = angles(found.normals_p3, held.normals_p3)[np.arange(count) != 3]
     assert not found.normals_p3[3].any()

@@ -72,6 +72,13 @@ def test_a_wheel_holds_every_module(wheel):
     assert packed == modules
 
 
+def test_a_wheel_holds_the_page_of_the_viewer(wheel):
+    packed = set(zipfile.ZipFile(wheel).namelist())
+    parts = {path.relative_to(ROOT).as_posix() for path in (ROOT / "clrelight" / "view" / "page").iterdir()}
+    assert len(parts) > 15
+    assert packed >= parts | {"clrelight/view/skies.npy", "clrelight/codec/entropy/units.tables"}
+
+
 def test_a_wheel_says_whose_it_is_and_that_it_has_types(wheel):
     packed = zipfile.ZipFile(wheel)
     assert "clrelight/py.typed" in packed.namelist()

@@ -11,6 +11,7 @@ import click
 
 from clrelight import __version__
 from clrelight.cli import (
+    batch,
     coding,
     experiments,
     export,
@@ -36,6 +37,7 @@ from clrelight.cli import (
     trade,
     transfer,
     variation,
+    view,
 )
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.interrupts import end_watch, watch_interrupts
@@ -65,7 +67,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights, to_sh, reproduce),
+    *(operators, transfer, normals, variation, find_lights, to_sh, view, batch, reproduce),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

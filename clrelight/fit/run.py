@@ -92,7 +92,13 @@ def rows_per_tile(
 
 
 def fit_tiles(
-    prepared: PreparedFit, *, memory_bytes: int = DEFAULT_MEMORY, held: int = 1, row_step: int = 1, beside: int = 0
+    prepared: PreparedFit,
+    *,
+    memory_bytes: int = DEFAULT_MEMORY,
+    held: int = 1,
+    row_step: int = 1,
+    beside: int = 0,
+    rows: tuple[int, int] | None = None,
 ) -> Generator[FittedTile, None, None]:
     """Yield the fitted rows from top to bottom; times go to ``prepared.report``.
 
@@ -111,6 +117,8 @@ def fit_tiles(
         Tiles have a multiple of this many rows where the budget has room: those of a chunk of where they are written.
     beside : int
         Bytes that the caller takes of the budget for each pixel and channel of a tile.
+    rows : (first, end), optional
+        Only these; their coefficients are those that they have in the whole image.
 
     Raises
     ------
@@ -121,19 +129,20 @@ def fit_tiles(
     scaling = TileScaling(stack, prepared.plan, compute_dtype(prepared.precision))
     height, width, channel = stack.image_shape
     step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step, beside=beside)
-    tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
+    top, bottom = rows or (0, height)
+    tiles = [(first, min(first + step, bottom)) for first in range(top, bottom, step)]
     work = TileFit(prepared, scaling.curve, [Buffer() for _ in tiles[:held]])
     samples_of = itertools.cycle([Buffer() for _ in tiles[:2]])
 
-    def read(rows: tuple[int, int]) -> ScaledTile:
+    def read(part: tuple[int, int]) -> ScaledTile:
         if len(tiles) == 1:
-            return scaling.load(*rows)
-        shape = (stack.n_light, rows[1] - rows[0], width, channel)
-        return scaling.load(*rows, next(samples_of).lend(shape, stack.images_ihwc.dtype))
+            return scaling.load(*part)
+        shape = (stack.n_light, part[1] - part[0], width, channel)
+        return scaling.load(*part, next(samples_of).lend(shape, stack.images_ihwc.dtype))
 
     since = time.perf_counter()
     with reading_ahead(read, tiles) as samples:
-        for rows, scaled in zip(tiles, samples, strict=True):
+        for part, scaled in zip(tiles, samples, strict=True):
             since = report.add("read", since)
-            yield work.run(*rows, scaled, since)
+            yield work.run(*part, scaled, since)
             since = time.perf_counter()

@@ -21,6 +21,8 @@ from clrelight.threads import on_one_thread
 COLUMNS = 1 << 15
 SIDE = 256
 DEGREES = (7, 9, 11, 15)
+LARGE_DEGREES = (11, 15, 19, 23)
+"""Of what grows with n² or more: at lower ones the O(n) of writing coefficients is much of it."""
 LIGHTS = (512, 1024, 2048)
 STEPS = (32, 64, 128, 256)
 TOLERANCE = 0.2
@@ -117,13 +119,12 @@ def _slopes(device: Device, sampling: str) -> list[Slope]:
     for method, title in (("uls", "ULS"), ("sloan", "Sloan ULS"), ("cls", "CLS"), ("ceb", "CEB")):
         of_degrees = [_Timed(device, lights, method, degree, sampling) for degree in DEGREES]
         of_lights = [_Timed(device, _make_stack(sampling, count), method, ALIKE_DEGREE, sampling) for count in LIGHTS]
-        label = f"{title}, {name}"
+        of_large = [_Timed(device, lights, method, degree, sampling) for degree in LARGE_DEGREES]
+        label, large = f"{title}, {name}", [timed.rank for timed in of_large]
         sizes = [timed.rank for timed in of_degrees]
         rows.append(Slope(label, "Mn", "projection", "M", 1.0, LIGHTS, [timed.stage("project") for timed in of_lights]))
         rows.append(Slope(label, "Mn", "projection", "n", 1.0, sizes, [timed.stage("project") for timed in of_degrees]))
-        rows.append(
-            Slope(label, "n²", "synthesis", "n", 2.0, sizes, [timed.stage("synthesize") for timed in of_degrees])
-        )
+        rows.append(Slope(label, "n²", "synthesis", "n", 2.0, large, [timed.stage("synthesize") for timed in of_large]))
         if method == "cls":
             of_steps = [_Timed(device, lights, method, ALIKE_DEGREE, sampling, steps) for steps in STEPS]
             runs = [timed.stage("shrink") for timed in of_degrees]
@@ -133,8 +134,8 @@ def _slopes(device: Device, sampling: str) -> list[Slope]:
             runs = [timed.stage("shrink") for timed in of_degrees]
             rows.append(Slope(label, "n", "cut", "n", 1.0, sizes, runs))
     if sampling == "scattered":
-        counts = [(degree + 1) ** 2 for degree in DEGREES]
-        runs = [_paper_cut(lights, degree) for degree in DEGREES]
+        counts = [(degree + 1) ** 2 for degree in LARGE_DEGREES]
+        runs = [_paper_cut(lights, degree) for degree in LARGE_DEGREES]
         rows.append(Slope("CEB as printed, scattered", "n³", "cut", "n", 3.0, counts, runs, "numpy"))
     return rows
 

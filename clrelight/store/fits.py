@@ -18,8 +18,9 @@ from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.harmonics.index import coefficient_count
-from clrelight.store.opening import Opened, opening, parse_config, refusing
+from clrelight.store.opening import Opened, parse_config, refusing
 from clrelight.store.schemas import FIT, FIT_OF_BASIS, Schema
+from clrelight.store.shards import opening_fit
 from clrelight.store.surfaces import surface_bytes, surface_of, write_surface
 from clrelight.store.writing import Draft, Sink, chunk_shape, config_text, drafting, padded_bytes
 
@@ -191,7 +192,7 @@ def open_fit(path: str | os.PathLike) -> Iterator[CoefficientMap]:
     StoreFormatError
         If it holds no sound fit.
     """
-    with opening(path, "fit") as opened:
+    with opening_fit(path, "fit") as opened:
         with refusing(opened.path):
             coefficients = fit_of(opened, opened.arrays.get)
         yield coefficients
@@ -199,7 +200,7 @@ def open_fit(path: str | os.PathLike) -> Iterator[CoefficientMap]:
 
 def read_fit(path: str | os.PathLike) -> CoefficientMap:
     """Read a whole fit into memory; errors as of `open_fit`."""
-    with opening(path, "fit") as opened, refusing(opened.path):
+    with opening_fit(path, "fit") as opened, refusing(opened.path):
         return fit_of(opened, opened.optional)
 
 

@@ -15,6 +15,7 @@ from clrelight.store.fits import fit_of
 from clrelight.store.opening import Opened, opening, refusing
 from clrelight.store.schemas import ENCODED, FIT
 from clrelight.store.scratch import ScratchWorkspace
+from clrelight.store.shards import opening_fit
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def open_fitted(path: str | os.PathLike, *kinds: str, salvage: bool = False) -> 
     notes: tuple[str, ...] = ()
     with ExitStack() as stack:
         try:
-            opened = stack.enter_context(opening(path, *wanted))
+            opened = stack.enter_context(opening_fit(path, *wanted))
         except StoreFormatError as error:
             if not salvage:
                 raise

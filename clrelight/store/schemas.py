@@ -122,6 +122,13 @@ FIT = Schema(
 )
 FIT_OF_BASIS = replace(FIT, version=2)
 """Fits of other bases than spherical harmonics, which ``config`` names: who reads `FIT` alone must not take them."""
+TILES = Schema(
+    "tiles",
+    1,
+    {"directions": _DIRECTIONS},
+    {**_FIT_ATTRIBUTES, "config": str, "shards": str},
+)
+"""A fit whose rows lie in other files."""
 ENCODED_1 = Schema(
     "encoded",
     1,
@@ -177,7 +184,7 @@ SHRM = Schema(
     {"frame": str, "degree": int, "centre": str, "source": str, "axes": str, "config": str},
 )
 
-SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, ENCODED, RESULTS, LIGHT, SHRM)}
+SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, TILES, ENCODED, RESULTS, LIGHT, SHRM)}
 
 OTHERS = {schema.name: schema for schema in (ENCODED_1, FIT_OF_BASIS, ENCODED_OF_BASIS)}
 """Kinds of files in other versions that are read: older ones, and those of other bases."""

@@ -10,7 +10,8 @@ from clrelight.store.encodings import encoded_of, parts_of
 from clrelight.store.fits import fit_of
 from clrelight.store.lights import light_of
 from clrelight.store.opening import Opened, opening, parse_config, refusing
-from clrelight.store.schemas import STACK
+from clrelight.store.schemas import FIT, SCHEMAS, STACK, TILES
+from clrelight.store.shards import opening_fit
 from clrelight.store.shrms import shrm_of
 from clrelight.store.stacks import stack_of
 from clrelight.store.surfaces import describe_surface
@@ -42,7 +43,7 @@ def describe(path: str | os.PathLike) -> dict[str, Any]:
     StoreFormatError
         If it is not sound.
     """
-    with opening(path) as opened, refusing(opened.path):
+    with opening_fit(path, *SCHEMAS) as opened, refusing(opened.path):
         attributes = opened.attributes() if opened.sealed or opened.schema.kind != STACK.kind else {}
         for name in ("config", "fit_config"):
             if name in attributes:
@@ -65,7 +66,7 @@ def _checked(opened: Opened) -> dict[str, Any]:
     match opened.schema.kind:
         case "stack":
             return _stack_facts(opened)
-        case "fit":
+        case "fit" | "tiles":
             return _surface_facts(fit_of(opened, opened.arrays.get).surface)
         case "encoded":
             encoded, record = encoded_of(opened, *parts_of(opened), summed=opened.place.remote is None)
@@ -106,13 +107,14 @@ def _surface_facts(surface: Surface | None) -> dict[str, Any]:
 
 
 def _datasets(opened: Opened) -> dict[str, Any]:
+    fields = FIT.fields if opened.schema.kind == TILES.kind else opened.schema.fields
     return {
         name: {
             "shape": list(array.shape),
             "dtype": array.dtype.name if array.dtype.names is None else "row",
-            "axes": [axis for axis in opened.schema.fields[name].axes if axis],
+            "axes": [axis for axis in fields[name].axes if axis],
             "chunks": None if array.chunks is None else list(array.chunks),
         }
         for name, array in opened.arrays.items()
-        if name in opened.schema.fields
+        if name in fields
     }

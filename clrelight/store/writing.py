@@ -132,6 +132,11 @@ class Draft:
         self._sinks.append(Sink(target, dataset, self._wrote))
         return self._sinks[-1]
 
+    @property
+    def file(self) -> h5py.File:
+        """The file, for what no schema knows and no seal covers."""
+        return self._file
+
     def finish(self) -> None:
         """Write what is still in memory, and the seal; ValueError if a sink was not filled."""
         for sink in self._sinks:

@@ -1,4 +1,4 @@
-"""Robust normals of many pixels on a device: what ``variation/normals.cl`` needs, made once for all blocks."""
+"""Quick normals of many pixels on a device: what ``variation/normals.cl`` needs, made once for all blocks."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from clrelight.variation.normals import (
     order_limits,
 )
 
-LANES = 8
-"""Pixels of a work-item."""
+LANES = 16
+"""Pixels come in multiples of it, which is the most that a work-item takes."""
 _ROOM = 64
 """Lights are rounded up to so many, so that few programs are built."""
 
@@ -29,7 +29,7 @@ class NormalSolver:
     ----------
     device : Device
     directions_i3 : ndarray, shape (n_light, 3), float64
-        As of `clrelight.variation.normals.find_normals`, whose robust method this is.
+        As of `clrelight.variation.normals.find_normals`, whose quick method this is.
     floor : float
     """
 
@@ -56,7 +56,7 @@ class NormalSolver:
         device.launch(
             "variation/normals.cl",
             "solve_normals_dq",
-            (count // LANES,),
+            (count // device.info.lanes,),
             scaled_dq,
             albedo_cq,
             confidence_q,
@@ -67,6 +67,7 @@ class NormalSolver:
             *order_limits(n_light),
             *(n_light, count, len(SCALES)),
             defines={
+                "VECTOR": device.info.lanes,
                 "ROOM": -(-n_light // _ROOM) * _ROOM,
                 "CHANNELS": channel,
                 "DARK": f"{DARK}f",

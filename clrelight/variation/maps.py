@@ -4,27 +4,35 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.streaming import Buffer, reading_ahead
 from clrelight.threads import on_one_thread
-from clrelight.variation.kernel import LANES, NormalSolver
-from clrelight.variation.normals import METHODS, PixelNormals, find_normals, light_condition, shadow_floor
+from clrelight.variation.heights import integrate_normals
+from clrelight.variation.normals import METHODS, light_condition
+from clrelight.variation.reflectance_kernel import LANES
+from clrelight.variation.samples import SampleReader
+from clrelight.variation.solvers import BlockSolver
+from clrelight.variation.wanted import Found, Wanted, settle
 
 _BLOCK = 1 << 14
 """Pixels that go to the device together: enough to make a launch worth while."""
 _WORK = 3
 """Arrays of float32 as large as a block's samples that are alive at once: one being made, one on the device."""
-_PROBE_ROWS, _PROBE_PIXELS = 16, 1 << 13
+MOST_ROBUST = 300e6
+"""Samples of one channel up to which the robust method is what ``auto`` takes: 6 megapixels of 50 lights."""
+_ROUNDS, _SETTLED = 6, 0.02
+"""Rounds of normals and heights under near lights, and the mean turn in degrees at which they end."""
+
+__all__ = ["MOST_ROBUST", "NormalMap", "SampleReader", "Wanted", "map_normals"]
 
 
 @dataclass(frozen=True)
@@ -36,13 +44,17 @@ class NormalMap:
     normals_hw3 : ndarray, shape (height, width, 3), float32
         Unit vectors, x right, y up, z towards the camera; 0 outside the mask, and where nothing is seen.
     albedo_hwc : ndarray, shape (height, width, channel), float32
-        Linear radiance under a light along the normal, in units of the peak.
+        Linear radiance under a light along the normal, in units of the peak; of the robust method without gloss.
     confidence_hw : ndarray, shape (height, width), float32
         From 0 to 1: see `clrelight.variation.normals.PixelNormals`.
     condition : float
         Of the lights' directions.
     floor : float
         What shadows hold of light from elsewhere, as a share of the albedo.
+    method : str
+        What was done: ``"robust"``, ``"quick"`` or ``"least-squares"``.
+    found : Found
+        What was told from the samples on the way.
     """
 
     normals_hw3: NDArray[np.float32]
@@ -50,11 +62,14 @@ class NormalMap:
     confidence_hw: NDArray[np.float32]
     condition: float
     floor: float
+    method: str
+    found: Found
 
 
 def map_normals(
     stack: LightStack,
-    method: str = "robust",
+    method: str = "auto",
+    wanted: Wanted | None = None,
     *,
     device: Device | None = None,
     memory_bytes: int = DEFAULT_MEMORY,
@@ -66,11 +81,14 @@ def map_normals(
     Parameters
     ----------
     stack : LightStack
-        Lights of equal intensity.
+        Lights of equal intensity, unless their gains are wanted or given.
     method : str
-        ``"robust"`` or ``"least-squares"``.
+        ``"robust"``: each pixel's matte and glossy reflectance with its normal. ``"quick"``: gloss left out.
+        ``"least-squares"``: all samples as they are. ``"auto"``: robust, or quick of stacks beyond `MOST_ROBUST`.
+    wanted : Wanted, optional
+        The transfer curve, near lights, gains and the camera.
     device : Device, optional
-        Where the robust method is computed; without one, in NumPy, which takes four times as long.
+        Where normals are computed; without one, in NumPy, which takes several times as long.
     memory_bytes : int
         Bytes that samples may take, and what is made of them on the way.
     progress : callable, optional
@@ -86,10 +104,67 @@ def map_normals(
     """
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    condition = light_condition(stack.directions_i3)
+    asked = wanted or Wanted()
+    directions_i3 = stack.directions_i3 if asked.near is None else asked.near.directions_i3
+    condition = light_condition(directions_i3)
+    if method == "quick" and asked.near is not None:
+        raise InputError("the quick method takes lights as distant: with positions, use robust or least-squares")
     height, width, channel = stack.image_shape
-    tally = add_time or (lambda _, since: time.perf_counter())
+    if method == "auto":
+        is_large = stack.n_light * height * width > MOST_ROBUST and asked.near is None
+        method = "quick" if is_large else "robust"
     step, block = _plan(stack, memory_bytes)
+    tally = add_time or (lambda _, since: time.perf_counter())
+    result = NormalMap(
+        np.zeros((height, width, 3), np.float32),
+        np.zeros((height, width, channel), np.float32),
+        np.zeros((height, width), np.float32),
+        condition,
+        0.0,
+        method,
+        Found(stack.transfer, 0.0),
+    )
+    heights_hw = np.zeros((height, width), np.float32)
+    rounds = 1 if asked.near is None else _ROUNDS
+    for turn in range(rounds):
+        told = None if progress is None else _share(progress, turn, rounds)
+        since = time.perf_counter()
+        with on_one_thread():
+            found = settle(stack, method, asked, device, heights_hw)
+        tally("choose", since)
+        solver = BlockSolver(stack, directions_i3, asked.near, heights_hw, method, found, device)
+        before_hw3 = result.normals_hw3.copy() if rounds > 1 else result.normals_hw3
+        _pass(stack, _Filler(stack, result, solver, block), step, told, tally)
+        if turn + 1 == rounds or (turn and _mean_turn(before_hw3, result.normals_hw3) < _SETTLED):
+            break
+        since = time.perf_counter()
+        if result.normals_hw3.any():
+            heights_hw = integrate_normals(result.normals_hw3, stack.mask_hw)
+        tally("integrate", since)
+    return replace(result, floor=found.floor, found=replace(found, rounds=turn + 1))
+
+
+def _share(progress: Callable[[int, int], None], turn: int, rounds: int) -> Callable[[int, int], None]:
+    return lambda done, height: progress(turn * height + done, rounds * height)
+
+
+def _mean_turn(before_hw3: NDArray[np.float32], after_hw3: NDArray[np.float32]) -> float:
+    seen_hw = after_hw3.any(axis=2)
+    if not seen_hw.any():
+        return 0.0
+    apart_p = np.linalg.norm(after_hw3[seen_hw] - before_hw3[seen_hw], axis=1)
+    return float(np.degrees(2.0 * np.arcsin(np.minimum(apart_p / 2.0, 1.0))).mean())
+
+
+def _pass(
+    stack: LightStack,
+    filler: _Filler,
+    step: int,
+    progress: Callable[[int, int], None] | None,
+    tally: Callable[[str, float], float],
+) -> None:
+    """Send all rows through once."""
+    height, width, channel = stack.image_shape
     tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
     buffers = itertools.cycle([Buffer() for _ in tiles[:2]])
 
@@ -97,24 +172,14 @@ def map_normals(
         shape = (stack.n_light, rows[1] - rows[0], width, channel)
         return stack.read_rows(*rows, next(buffers).lend(shape, stack.images_ihwc.dtype))
 
-    curve = SampleReader(stack)
-    found = NormalMap(
-        np.zeros((height, width, 3), np.float32),
-        np.zeros((height, width, channel), np.float32),
-        np.zeros((height, width), np.float32),
-        condition,
-        0.0 if method == "least-squares" else _probe_floor(stack, curve),
-    )
-    solve = _Blocks(stack, curve, method, found, block, device)
     since = time.perf_counter()
     with on_one_thread(), reading_ahead(read, tiles) as samples:
         for (first, end), tile_ihwc in zip(tiles, samples, strict=True):
             since = tally("read", since)
-            solve.fill(first, end, tile_ihwc)
+            filler.fill(first, end, tile_ihwc)
             since = tally("solve", since)
             if progress is not None:
                 progress(end, height)
-    return found
 
 
 def _plan(stack: LightStack, memory_bytes: int) -> tuple[int, int]:
@@ -133,77 +198,19 @@ def _plan(stack: LightStack, memory_bytes: int) -> tuple[int, int]:
     return int(min(rows, height)), block
 
 
-class SampleReader:
-    """What turns a stack's code values into linear radiance in units of its peak."""
-
-    def __init__(self, stack: LightStack) -> None:
-        dtype = np.dtype(stack.images_ihwc.dtype)
-        self._peak, self._is_srgb = stack.peak, stack.transfer == "srgb"
-        self._is_integer = dtype.kind == "u"
-        codes = np.arange(np.iinfo(dtype).max + 1) if self._is_integer else np.zeros(1)
-        self._table = self._decode(codes)
-        self._most = min(np.iinfo(dtype).max, stack.peak) if self._is_integer else np.inf
-
-    def _decode(self, values: NDArray) -> NDArray[np.float32]:
-        radiance = values / np.float64(self._peak)
-        return (srgb_to_linear(radiance) if self._is_srgb else radiance).astype(np.float32)
-
-    @property
-    def most(self) -> float:
-        """Radiance from which on samples are at the end of an integer type's range; inf of floats."""
-        if not self._is_integer:
-            return np.inf
-        # Half a code below the last, whatever way radiance is rounded.
-        return float(self._decode(np.array([self._most - 0.5]))[0])
-
-    def linear(self, codes_ipc: NDArray) -> NDArray[np.float32]:
-        """Return radiance, (channel, n_light, P)."""
-        codes_cip = np.ascontiguousarray(codes_ipc.transpose(2, 0, 1))
-        if not self._is_integer:
-            return self._decode(codes_cip)
-        if self._is_srgb:
-            return np.take(self._table, codes_cip)
-        return np.multiply(codes_cip, np.float32(1.0 / self._peak), dtype=np.float32)
-
-
-def _probe_floor(stack: LightStack, curve: SampleReader) -> float:
-    """Return what shadows hold, from some rows of the stack."""
-    height, width, _ = stack.image_shape
-    rows = np.unique(np.linspace(0, height - 1, min(height, _PROBE_ROWS)).round().astype(int))
-    stride = -(-len(rows) * width // _PROBE_PIXELS)
-    kept = []
-    for row in rows.tolist():
-        row_ipc = stack.read_rows(row, row + 1)[:, 0]
-        if stack.mask_hw is not None:
-            row_ipc = row_ipc[:, stack.mask_hw[row]]
-        kept.append(row_ipc[:, ::stride])
-    samples_cip = curve.linear(np.concatenate(kept, axis=1))
-    with on_one_thread():
-        return shadow_floor(*_in_range(samples_cip)[:1], stack.directions_i3) if samples_cip.size else 0.0
-
-
-def _in_range(samples_cip: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
-    """Return samples by a power of two nearer to 1 where their squares would leave float32, and its exponent."""
-    exponent = int(np.frexp(samples_cip.max(initial=0.0))[1])
-    if abs(exponent) < 24:
-        return samples_cip, 0
-    return np.ldexp(samples_cip, -exponent), exponent
-
-
 @dataclass(frozen=True)
-class _Blocks:
+class _Filler:
     """Fills maps from tiles of samples, block by block; the next block is decoded while one is solved."""
 
     stack: LightStack
-    reader: SampleReader
-    method: str
-    found: NormalMap
+    result: NormalMap
+    solver: BlockSolver
     block: int
-    device: Device | None
+    buffers: Iterator[Buffer] = field(default_factory=lambda: itertools.cycle([Buffer(), Buffer()]))
 
     def fill(self, first: int, end: int, tile_ihwc: NDArray) -> None:
         """Fill rows first..end; pixels outside the mask stay 0."""
-        n_light, _, _, channel = tile_ihwc.shape
+        n_light, _, width, channel = tile_ihwc.shape
         columns_ipc = tile_ihwc.reshape(n_light, -1, channel)
         inside_p = None if self.stack.mask_hw is None else np.flatnonzero(self.stack.mask_hw[first:end])
         count = columns_ipc.shape[1] if inside_p is None else len(inside_p)
@@ -213,31 +220,17 @@ class _Blocks:
         ]
         normals_p3, albedo_pc, confidence_p = (
             each[first:end].reshape(-1, *each.shape[2:])
-            for each in (self.found.normals_hw3, self.found.albedo_hwc, self.found.confidence_hw)
+            for each in (self.result.normals_hw3, self.result.albedo_hwc, self.result.confidence_hw)
         )
 
         def decode(which: slice | NDArray[np.intp]) -> NDArray[np.float32]:
-            return self.reader.linear(columns_ipc[:, which])
+            codes_ipc = columns_ipc[:, which]
+            shape = (channel, n_light, codes_ipc.shape[1])
+            return self.solver.reader.linear(codes_ipc, next(self.buffers).lend(shape, np.dtype(np.float32)))
 
         with reading_ahead(decode, pixels) as samples:
             for which, samples_cip in zip(pixels, samples, strict=True):
-                solved = self._solve(samples_cip)
                 size = samples_cip.shape[2]
+                solved = self.solver(samples_cip, which, first * width)
                 normals_p3[which], albedo_pc[which] = solved.normals_p3[:size], solved.albedo_pc[:size]
                 confidence_p[which] = solved.confidence_p[:size]
-
-    def _solve(self, samples_cip: NDArray[np.float32]) -> PixelNormals:
-        samples_cip, exponent = _in_range(samples_cip)
-        directions_i3, floor = self.stack.directions_i3, self.found.floor
-        most = float(np.ldexp(self.reader.most, -exponent))
-        if self.device is None or self.method != "robust":
-            clipped_ip: NDArray[np.bool_] = np.any(samples_cip >= most, axis=0)
-            solved = find_normals(samples_cip, directions_i3, self.method, clipped_ip, floor)
-        else:
-            padding = -samples_cip.shape[2] % LANES
-            if padding:
-                samples_cip = np.pad(samples_cip, ((0, 0), (0, 0), (0, padding)))
-            solved = NormalSolver(self.device, directions_i3, floor)(samples_cip, most)
-        if not exponent:
-            return solved
-        return PixelNormals(solved.normals_p3, np.ldexp(solved.albedo_pc, exponent), solved.confidence_p)

@@ -2,7 +2,7 @@
 
 Illumination variation, eq. 1-2: where nothing shines and nothing is in shadow, a sample is ``rho l . n``, so that the
 scaled normal ``rho n`` is the least-squares solution of ``L (rho n) = b`` (Woodham 1980). What breaks that law is kept
-out in the robust method: lights behind the surface and in its shadow, clipped samples, and gloss, which only ever adds.
+out in the quick method: lights behind the surface and in its shadow, clipped samples, and gloss, which only ever adds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 
-METHODS = ("robust", "least-squares")
+METHODS = ("auto", "robust", "quick", "least-squares")
+"""Of stacks: `clrelight.variation.maps.map_normals` says what each is."""
 MOST_CONDITION = 100.0
 """Of the lights' directions: beyond, the samples' noise alone turns normals by more than they tell."""
 LEAST_LIGHTS = 3
@@ -81,7 +82,7 @@ def light_condition(directions_i3: NDArray[np.float64]) -> float:
 def find_normals(
     samples_cip: NDArray[np.float32],
     directions_i3: NDArray[np.float64],
-    method: str = "robust",
+    method: str = "quick",
     clipped_ip: NDArray[np.bool_] | None = None,
     floor: float = 0.0,
 ) -> PixelNormals:
@@ -94,11 +95,11 @@ def find_normals(
     directions_i3 : ndarray, shape (n_light, 3), float64
         Unit vectors to the lights, of equal intensity; `light_condition` accepts them.
     method : str
-        ``"robust"`` or ``"least-squares"``.
+        ``"quick"`` or ``"least-squares"``.
     clipped_ip : ndarray, shape (n_light, P), bool, optional
-        Samples at the end of their range, which are left out (robust).
+        Samples at the end of their range, which are left out (quick).
     floor : float
-        What shadows hold of light from elsewhere, as a share of the albedo: see `shadow_floor` (robust).
+        What shadows hold of light from elsewhere, as a share of the albedo: see `shadow_floor` (quick).
     """
     lights_i3 = directions_i3.astype(np.float32)
     grey_ip = samples_cip[0] if len(samples_cip) == 1 else samples_cip.mean(axis=0, dtype=np.float32)

@@ -1,6 +1,6 @@
 /* Scaled normals by iteratively reweighted least squares, rho n from rho n . l = b (illumination variation, eq. 1-2).
  *
- *   scaled_dq      (3, Q) float       out: rho n of the channels' mean; Q a multiple of 8
+ *   scaled_dq      (3, Q) float       out: rho n of the channels' mean; Q a multiple of VECTOR
  *   albedo_cq      (C, Q) float       out: radiance under a light along n
  *   confidence_q   (Q) float          out: 1 less the mean residual, each up to LOST of the albedo, over LOST
  *   sample_ciq     (C, I, Q) float    linear radiance
@@ -11,6 +11,7 @@
  *   share          float              what shadows hold, as a share of the albedo
  *   kept, dim      int                samples that count from the darkest; of them, those that the start leaves out
  *
+ *   VECTOR         pixels of a work-item: 4, 8 or 16
  *   ROOM           lights that a pixel has private memory for, at least I
  *   CHANNELS       C
  *   DARK, SHADOW, LOST, LEAST_DETERMINANT   as clrelight/variation/normals.py has them
@@ -18,7 +19,7 @@
  * clrelight.variation.normals does the same in NumPy, but that order statistics are bracketed here to 2^-8 of a pixel's
  * brightest sample, and systems solved in float: for directions of condition k, n is off by some k^2 eps32.
  */
-#include "common/lanes.clh"
+#include "variation/lit_pixels.clh"
 
 #if !defined(ROOM) || !defined(CHANNELS) || !defined(DARK) || !defined(SHADOW) || !defined(LOST)
 #error "ROOM, CHANNELS, DARK, SHADOW and LOST must be defined"
@@ -27,28 +28,19 @@
 #error "LEAST_DETERMINANT must be defined: of systems of trace 1"
 #endif
 
-#define LANES 8
-#define TINY 1e-12f
-#define LOAD(pointer) AT(__global const, float8, pointer)
-#define STORE(value, pointer) (AT(__global, float8, pointer) = (value))
-#define INLINE static inline __attribute__((always_inline))
 
 typedef struct {
-    float8 x, y, z;
-} vectors;
-
-typedef struct {
-    float8 xx, xy, xz, yy, yz, zz, x, y, z;
+    vecf xx, xy, xz, yy, yz, zz, x, y, z;
 } sums;
 
-INLINE float8 length_of(const vectors v)
+INLINE vecf length_of(const vectors v)
 {
     return root(v.x * v.x + v.y * v.y + v.z * v.z);
 }
 
-INLINE void add(sums *s, const float8 weight, const float8 value, const float x, const float y, const float z)
+INLINE void add(sums *s, const vecf weight, const vecf value, const float x, const float y, const float z)
 {
-    const float8 a = weight * x, b = weight * y, c = weight * z;
+    const vecf a = weight * x, b = weight * y, c = weight * z;
     s->xx += a * x;
     s->xy += a * y;
     s->xz += a * z;
@@ -62,14 +54,14 @@ INLINE void add(sums *s, const float8 weight, const float8 value, const float x,
 
 INLINE vectors solve(const sums s, const vectors before)
 {
-    const float8 trace = s.xx + s.yy + s.zz, unit = 1.0f / GREATER(trace, (float8)TINY);
-    const float8 a = s.xx * unit, b = s.xy * unit, c = s.xz * unit, d = s.yy * unit, e = s.yz * unit, f = s.zz * unit;
-    const float8 df = d * f - e * e, cb = c * e - b * f, be = b * e - c * d;
-    const float8 af = a * f - c * c, bc = b * c - a * e, ad = a * d - b * b;
-    const float8 determinant = a * df + b * cb + c * be;
-    const int8 sound = determinant > LEAST_DETERMINANT;
-    const float8 factor = unit / (sound ? determinant : (float8)1.0f);
-    const float8 x = s.x * factor, y = s.y * factor, z = s.z * factor;
+    const vecf trace = s.xx + s.yy + s.zz, unit = 1.0f / GREATER(trace, (vecf)TINY);
+    const vecf a = s.xx * unit, b = s.xy * unit, c = s.xz * unit, d = s.yy * unit, e = s.yz * unit, f = s.zz * unit;
+    const vecf df = d * f - e * e, cb = c * e - b * f, be = b * e - c * d;
+    const vecf af = a * f - c * c, bc = b * c - a * e, ad = a * d - b * b;
+    const vecf determinant = a * df + b * cb + c * be;
+    const veci sound = determinant > LEAST_DETERMINANT;
+    const vecf factor = unit / (sound ? determinant : (vecf)1.0f);
+    const vecf x = s.x * factor, y = s.y * factor, z = s.z * factor;
     vectors found;
     found.x = sound ? df * x + cb * y + be * z : before.x;
     found.y = sound ? cb * x + af * y + bc * z : before.y;
@@ -78,25 +70,25 @@ INLINE vectors solve(const sums s, const vectors before)
 }
 
 /* A bracket of the sample that `wanted` of them do not exceed. */
-INLINE void bracket(const float8 *grey, const int size_i, const int wanted, const float8 greatest, float8 *low, float8 *high)
+INLINE void bracket(const vecf *grey, const int size_i, const int wanted, const vecf greatest, vecf *low, vecf *high)
 {
     *low = 0.0f;
     *high = greatest;
     for (int step = 0; step < 8; step++) {
-        const float8 middle = 0.5f * (*low + *high);
-        int8 count = 0;
+        const vecf middle = 0.5f * (*low + *high);
+        veci count = 0;
         for (int i = 0; i < size_i; i++) count -= ABSOLUTE(grey[i]) <= middle;
-        const int8 enough = count >= wanted;
+        const veci enough = count >= wanted;
         *high = enough ? middle : *high;
         *low = enough ? *low : middle;
     }
 }
 
-INLINE float8 weight_of(const float8 lit, const float8 shade, const float8 length, const float8 inverse)
+INLINE vecf weight_of(const vecf lit, const vecf shade, const vecf length, const vecf inverse)
 {
-    const float8 off = (lit - shade) * inverse, above = off > 0.0f ? off : (float8)0.0f;
-    const float8 weight = 1.0f / ((off * off + 1.0f) * (above * above + 1.0f));
-    return ((shade > DARK * length) & (lit > SHADOW * length)) ? weight : (float8)0.0f;
+    const vecf off = (lit - shade) * inverse, above = off > 0.0f ? off : (vecf)0.0f;
+    const vecf weight = 1.0f / ((off * off + 1.0f) * (above * above + 1.0f));
+    return ((shade > DARK * length) & (lit > SHADOW * length)) ? weight : (vecf)0.0f;
 }
 
 __kernel void solve_normals_dq(__global float *restrict scaled_dq, __global float *restrict albedo_cq,
@@ -105,20 +97,20 @@ __kernel void solve_normals_dq(__global float *restrict scaled_dq, __global floa
                                __global const float *restrict scale_s, const float most, const float share, const int kept,
                                const int dim, const int size_i, const int size_q, const int size_s)
 {
-    const int q = get_global_id(0) * LANES;
+    const int q = get_global_id(0) * VECTOR;
     const sums none = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-    float8 lit[ROOM]; /* the channels' mean, negative where one is clipped; later less what shadows hold, or -1 */
-    float8 least = MAXFLOAT, greatest = 0.0f;
+    vecf lit[ROOM]; /* the channels' mean, negative where one is clipped; later less what shadows hold, or -1 */
+    vecf least = MAXFLOAT, greatest = 0.0f;
     vectors plain = {0.0f, 0.0f, 0.0f};
     for (int i = 0; i < size_i; i++) {
-        float8 total = 0.0f;
-        int8 clipped = 0;
+        vecf total = 0.0f;
+        veci clipped = 0;
         for (int c = 0; c < CHANNELS; c++) {
-            const float8 sample = LOAD(sample_ciq + ((long)c * size_i + i) * size_q + q);
+            const vecf sample = LOAD(sample_ciq + ((long)c * size_i + i) * size_q + q);
             total += sample;
             clipped |= sample >= most;
         }
-        const float8 grey = total * (1.0f / CHANNELS);
+        const vecf grey = total * (1.0f / CHANNELS);
         lit[i] = clipped ? -grey : grey;
         least = LESSER(least, grey);
         greatest = GREATER(greatest, grey);
@@ -126,55 +118,55 @@ __kernel void solve_normals_dq(__global float *restrict scaled_dq, __global floa
         plain.y += inverse_di[size_i + i] * grey;
         plain.z += inverse_di[2 * size_i + i] * grey;
     }
-    float8 low, bright, darkest = 0.0f, unused;
+    vecf low, bright, darkest = 0.0f, unused;
     bracket(lit, size_i, kept, greatest, &low, &bright);
     if (dim > 0) bracket(lit, size_i, dim + 1, greatest, &darkest, &unused);
     sums s = none;
     for (int i = 0; i < size_i; i++) {
-        const float8 grey = lit[i];
-        const float8 weight = ((grey >= darkest) & (grey <= bright)) ? (float8)1.0f : (float8)0.0f;
+        const vecf grey = lit[i];
+        const vecf weight = ((grey >= darkest) & (grey <= bright)) ? (vecf)1.0f : (vecf)0.0f;
         add(&s, weight, grey, light_id[3 * i], light_id[3 * i + 1], light_id[3 * i + 2]);
     }
     vectors found = solve(s, plain);
-    const float8 held = share * length_of(found), offset = LESSER(least, held);
-    for (int i = 0; i < size_i; i++) lit[i] = ((lit[i] >= 0.0f) & (lit[i] <= bright)) ? lit[i] - offset : (float8)-1.0f;
+    const vecf held = share * length_of(found), offset = LESSER(least, held);
+    for (int i = 0; i < size_i; i++) lit[i] = ((lit[i] >= 0.0f) & (lit[i] <= bright)) ? lit[i] - offset : (vecf)-1.0f;
     for (int step = 0; step < size_s; step++) {
-        const float8 length = length_of(found), inverse = 1.0f / GREATER(scale_s[step] * length, (float8)TINY);
+        const vecf length = length_of(found), inverse = 1.0f / GREATER(scale_s[step] * length, (vecf)TINY);
         s = none;
         for (int i = 0; i < size_i; i++) {
             const float x = light_id[3 * i], y = light_id[3 * i + 1], z = light_id[3 * i + 2];
-            const float8 shade = x * found.x + y * found.y + z * found.z;
+            const vecf shade = x * found.x + y * found.y + z * found.z;
             add(&s, weight_of(lit[i], shade, length, inverse), lit[i], x, y, z);
         }
         found = solve(s, found);
     }
-    const float8 length = length_of(found), inverse = 1.0f / GREATER(length, (float8)TINY);
-    const float8 last = inverse / scale_s[size_s - 1];
-    float8 whole = 0.0f, shaded = 0.0f, lost = 0.0f, sum[CHANNELS];
+    const vecf length = length_of(found), inverse = 1.0f / GREATER(length, (vecf)TINY);
+    const vecf last = inverse / scale_s[size_s - 1];
+    vecf whole = 0.0f, shaded = 0.0f, lost = 0.0f, sum[CHANNELS];
     for (int c = 0; c < CHANNELS; c++) sum[c] = 0.0f;
     for (int i = 0; i < size_i; i++) {
         const float x = light_id[3 * i], y = light_id[3 * i + 1], z = light_id[3 * i + 2];
-        const float8 shade = x * found.x + y * found.y + z * found.z;
-        const float8 seen = shade > 0.0f ? shade : (float8)0.0f;
-        const float8 weight = weight_of(lit[i], shade, length, last) * seen * inverse;
+        const vecf shade = x * found.x + y * found.y + z * found.z;
+        const vecf seen = shade > 0.0f ? shade : (vecf)0.0f;
+        const vecf weight = weight_of(lit[i], shade, length, last) * seen * inverse;
         whole += weight * seen * inverse;
         shaded += weight;
-        float8 total = 0.0f;
+        vecf total = 0.0f;
         for (int c = 0; c < CHANNELS; c++) {
-            const float8 sample = LOAD(sample_ciq + ((long)c * size_i + i) * size_q + q);
+            const vecf sample = LOAD(sample_ciq + ((long)c * size_i + i) * size_q + q);
             sum[c] += weight * sample;
             total += sample;
         }
-        const float8 off = ABSOLUTE(total * (1.0f / CHANNELS) - offset - seen) * inverse;
-        lost += LESSER(off, (float8)LOST);
+        const vecf off = ABSOLUTE(total * (1.0f / CHANNELS) - offset - seen) * inverse;
+        lost += LESSER(off, (vecf)LOST);
     }
-    const float8 unit = 1.0f / GREATER(whole, (float8)TINY);
+    const vecf unit = 1.0f / GREATER(whole, (vecf)TINY);
     for (int c = 0; c < CHANNELS; c++) {
-        const float8 albedo = (sum[c] - offset * shaded) * unit;
-        STORE(albedo > 0.0f ? albedo : (float8)0.0f, albedo_cq + (long)c * size_q + q);
+        const vecf albedo = (sum[c] - offset * shaded) * unit;
+        STORE(albedo > 0.0f ? albedo : (vecf)0.0f, albedo_cq + (long)c * size_q + q);
     }
     STORE(found.x, scaled_dq + q);
     STORE(found.y, scaled_dq + size_q + q);
     STORE(found.z, scaled_dq + 2L * size_q + q);
-    STORE(length > TINY ? 1.0f - lost * (1.0f / (LOST * size_i)) : (float8)0.0f, confidence_q + q);
+    STORE(length > TINY ? 1.0f - lost * (1.0f / (LOST * size_i)) : (vecf)0.0f, confidence_q + q);
 }

@@ -1,0 +1,119 @@
+"""Fits of large stacks in tiles of rows, each a task that writes a shard; then a task that makes one fit of them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from clrelight.batch.run import JOURNAL, Batch, run_batch
+from clrelight.batch.summary import write_summary
+from clrelight.batch.task import Task
+from clrelight.errors import InputError
+from clrelight.harmonics.index import coefficient_count
+from clrelight.jobs.report import Report, report_for
+from clrelight.store import open_stack
+from clrelight.store.shards import MOST_SHARDS, shard_name
+from clrelight.store.writing import IN_MEMORY_BYTES
+
+FOLDER = ".shards"
+"""Behind the name of a stack: where its shards lie."""
+_NOT_OF_ROWS = ("store", "confidence", "basis", "measure")
+_AUTO_DEGREE = 9
+"""Degree that shards are sized for where a fit chooses its own."""
+
+
+def run_tiles(
+    tasks: Sequence[Task],
+    out: str | os.PathLike[str],
+    *,
+    rows: int | None = None,
+    virtual: bool = False,
+    report: Report | None = None,
+    **given: Any,
+) -> Batch:
+    """Fit stacks in tiles, so that several workers share one stack; else as `run.run_batch`.
+
+    A stack's shards lie in ``NAME.shards`` beside its result, which is the file that a fit of the whole stack writes.
+    They are removed when it stands, unless it is `virtual`: then it only points to them (``tiles/1``).
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+        Of the job ``fit``.
+    out : path
+    rows : int, optional
+        Of a tile; default: as many as a shard that is built in memory holds.
+    virtual : bool
+    report : Report, optional
+    **given
+        As of `run.run_batch`.
+
+    Raises
+    ------
+    InputError
+        As of `run.run_batch`; or if the job is another one, or an option is not for tiles.
+    """
+    told = report_for(report)
+    joins, unreadable = [], []
+    for task in tasks:
+        if task.job != "fit":
+            raise InputError(f"tiles are for the job fit, not for {task.job}")
+        if other := [name for name in _NOT_OF_ROWS[:3] if name in task.options]:
+            raise InputError(f"{other[0]} is no option of fits in tiles")
+        try:
+            joins.append(_join_of(task, rows, virtual))
+        except InputError:
+            unreadable.append(task)  # fails as it does alone, with its line
+    kept = run_batch(joins, out, report=told, only_kept=True, **given) if joins else Batch(())
+    given = {**given, "anew": False}  # what was to be forgotten is
+    pending = [join for join in joins if join.name not in kept.kept]
+    tiles = {join.name: _tiles_of(join) for join in pending}
+    every = [*(tile for each in tiles.values() for tile in each), *unreadable]
+    fitted = run_batch(every, out, report=told, **given) if every else Batch(())
+    whole = {each.name for each in fitted.outcomes if each.is_done}
+    ready = [join for join in pending if all(tile.name in whole for tile in tiles[join.name])]
+    last = [join for join in joins if join in ready or join.name in kept.kept]
+    done = run_batch(last, out, report=told, **given) if last else Batch(())
+    for join in last:
+        if not virtual and any(each.name == join.name and each.is_done for each in done.outcomes):
+            shutil.rmtree(_shards(join), ignore_errors=True)
+    outcomes = (*fitted.failed, *done.outcomes)
+    left = (*(join.name for join in pending if join not in ready), *done.left)
+    files = write_summary(Path(os.path.abspath(out)), outcomes, done.kept, len(left))
+    return Batch(outcomes, kept.kept & done.kept, left, (str(Path(os.path.abspath(out), JOURNAL)), *files))
+
+
+def _join_of(task: Task, rows: int | None, virtual: bool) -> Task:
+    with open_stack(task.source) as stack:
+        height, width, channels = stack.image_shape
+    degree = task.options.get("degree", 6)
+    row_bytes = 4 * (coefficient_count(degree if isinstance(degree, int) else _AUTO_DEGREE) + 1) * width * channels
+    step = rows or max(1, IN_MEMORY_BYTES * 3 // 4 // row_bytes, -(-height // MOST_SHARDS))
+    ends = [*range(step, height, step), height]
+    fit = {name: value for name, value in task.options.items() if name not in _NOT_OF_ROWS}
+    measured = task.options.get("measure", True) is not False
+    options = {"shards": _shards(task), "ends": ends, "virtual": virtual, "measured": measured, "fit": fit}
+    return replace(task, job="fit-join", options=options)
+
+
+def _shards(task: Task) -> str:
+    return os.path.splitext(task.out)[0] + FOLDER
+
+
+def _tiles_of(join: Task) -> list[Task]:
+    ends = join.options["ends"]
+    return [
+        Task(
+            f"{join.name}@{first:06d}",
+            "fit-rows",
+            join.source,
+            os.path.join(_shards(join), shard_name(first, end)),
+            {**join.options["fit"], "rows": [first, end]},
+            join.inputs,
+        )
+        for first, end in zip([0, *ends], ends, strict=False)
+    ]

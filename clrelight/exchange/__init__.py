@@ -1,0 +1,1 @@
+"""Files of other programs for relightable pictures: written from fits, and read as photographs."""

@@ -1,0 +1,151 @@
+"""Batches in real processes: workers that die, hang or are ended, drivers that are, and what is found afterwards."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.batches import (
+    FIT,
+    are_gone,
+    await_line,
+    children_of,
+    finish_batch,
+    make_stacks,
+    results_in,
+    start_batch,
+    strays_in,
+)
+from tests.commands import call, command_line, environment
+
+ENGINES = ["local", "dask"]
+
+
+@pytest.fixture(scope="module", params=ENGINES)
+def engine(request):
+    if request.param == "dask":
+        pytest.importorskip("distributed", reason="the engines of Dask: pip install 'clrelight[cluster]'")
+    return ("--engine", request.param)
+
+
+@pytest.fixture(scope="module")
+def stacks(tmp_path_factory):
+    return make_stacks(tmp_path_factory.mktemp("stacks") / "in", ["a", "b", "c", "d"])
+
+
+@pytest.fixture(scope="module")
+def made(stacks):
+    """What one undisturbed process makes."""
+    out = stacks.parent / "made"
+    assert call("batch", stacks, out, *FIT).code == 0
+    return results_in(out)
+
+
+def test_a_poison_stack_fails_alone(stacks, made, tmp_path, engine):
+    out = tmp_path / "out"
+    words = (stacks, out, *FIT, *engine, "--jobs", 2, "--keep-going", "--json")
+    code, told, complaint = finish_batch(
+        *words, faults={"b": "kill", "d": "once"} if engine[1] == "local" else {"b": "kill"}
+    )
+    assert code == 2, complaint
+    rows = {row["stack"]: row for row in json.loads(told)["rows"]}
+    assert {name: row["state"] for name, row in rows.items()} == {"a": "done", "b": "failed", "c": "done", "d": "done"}
+    assert rows["b"]["error"].startswith("ends the process")
+    assert rows["b"]["error"].endswith("2 times")
+    assert rows["d"]["tries"] > 1 or engine[1] == "dask"
+    assert results_in(out) == {name: made[name] for name in ("a.h5", "c.h5", "d.h5")}
+    assert strays_in(out) == []
+    # The same command finishes it where nothing does harm, on whatever engine.
+    told = call("batch", stacks, out, *FIT, "--json").json
+    assert (told["kept"], told["done"]) == (3, 4)
+    assert results_in(out) == made
+
+
+def test_a_stack_that_hangs_and_one_with_a_bug(stacks, made, tmp_path):
+    out = tmp_path / "out"
+    words = (stacks, out, *FIT, "--jobs", 3, "--keep-going", "--timeout", 3, "--json")
+    code, told, _ = finish_batch(*words, faults={"a": "hang", "c": "bug"})
+    assert code == 1
+    rows = {row["stack"]: row for row in json.loads(told)["rows"]}
+    assert rows["a"]["error"] == "took longer than 3 s"
+    assert rows["c"]["error"] == "ZeroDivisionError: nobody expects this"
+    assert "nobody expects this" in (out / "journal.jsonl").read_text()
+    assert sorted(results_in(out)) == ["b.h5", "d.h5"]
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
+def test_a_driver_that_is_ended(stacks, made, tmp_path, engine, name):
+    out = tmp_path / "out"
+    words = (stacks, out, *FIT, *engine, "--jobs", 2 if engine[1] == "local" else 1)
+    started = start_batch(*words, faults={"[cd]": "hang"})
+    try:
+        await_line(out / "journal.jsonl", '"state":"done"')
+        time.sleep(0.2)
+        children = children_of(started)
+        started.send_signal(signal.Signals[name])
+        since = time.monotonic()
+        _, complaint = started.communicate(timeout=20)
+        assert are_gone(children, 5.0 - (time.monotonic() - since))
+    finally:
+        started.kill()
+    if name != "SIGKILL":
+        assert started.returncode == 128 + signal.Signals[name]
+        assert complaint.endswith("files that were not finished are discarded\n")
+        assert complaint.count("\n") == 1
+        assert strays_in(out) == []
+    found = results_in(out)
+    assert found
+    assert all(made[name] == content for name, content in found.items())
+    told = call("batch", stacks, out, *FIT, "--json").json
+    assert 1 <= told["kept"] <= len(found)  # one may stand of which the journal could not tell any more
+    assert told["done"] == 4
+    assert results_in(out) == made
+    assert strays_in(out) == []
+
+
+def test_a_worker_that_is_killed(stacks, made, tmp_path):
+    out = tmp_path / "out"
+    started = start_batch(stacks, out, *FIT, faults={"b": "slow"})
+    await_line(out / "journal.jsonl", '"name":"a"')
+    time.sleep(0.3)
+    for child in children_of(started):
+        os.kill(child, signal.SIGKILL)
+    assert started.wait(60) == 0
+    started.communicate()
+    assert results_in(out) == made
+    assert strays_in(out) == []
+
+
+def test_a_second_driver_is_refused(stacks, tmp_path):
+    out = tmp_path / "out"
+    started = start_batch(stacks, out, *FIT, faults={"b": "hang"})
+    try:
+        await_line(out / "journal.jsonl", '"name":"a"')
+        before = (out / "journal.jsonl").read_bytes()
+        ended = call("batch", stacks, out, *FIT)
+        assert ended.code == 2
+        assert "another program is writing it" in ended.err
+        assert (out / "journal.jsonl").read_bytes() == before
+    finally:
+        started.terminate()
+        started.communicate()
+
+
+def test_a_full_disk(tmp_path):
+    """Files may not become as large as results are; the journal's and compilers' may."""
+    stacks, out, limit = make_stacks(tmp_path / "in", ["a"], shape=(256, 256, 3)), tmp_path / "out", 3_000_000
+    code = f"import resource, runpy, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit})); "
+    code += f"sys.argv[:] = {['clrelight', *command_line('batch', stacks, out, *FIT)[3:]]!r}; "
+    code += "runpy.run_module('clrelight', run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith(f"note: a: cannot write {out}/a.h5: ")
+    assert done.stderr.count("\n") == 1
+    assert results_in(out) == {}
+    assert strays_in(out) == []
+    assert call("batch", stacks, out, *FIT).code == 0
+    assert len(results_in(out)["a.h5"]) > limit
