@@ -25,7 +25,7 @@ from clrelight.sampling import make_pattern
 from datasets_synth.scenes import SCENES as RENDERED
 
 PATTERNS = ("uniform", "grid", "scattered")
-ROUNDS = 1
+ROUNDS = 3
 FIGURE_3_SIZE = {"ring": 256, "torus": 64, "dama": 64}
 _SIGMA = 0.01
 

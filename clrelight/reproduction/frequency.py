@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clrelight.brdf.analytic import KajiyaKay, Microfacet
 from clrelight.brdf.coefficients import brdf_coefficients
 from clrelight.brdf.lafortune import SKIN
 from clrelight.brdf.radial import Phong
-from clrelight.images import read_image
 from clrelight.jobs.reflection_bench import (
     EXPONENTS,
     SIGMAS,
@@ -84,11 +82,12 @@ def _accuracy(bench: Bench) -> Found:
                  if bench.draws else {})  # fmt: skip
 
 
-def _as_picture(write: Callable[[Path], None], name: str = "picture.png") -> NDArray[Any]:
+def _as_picture(write: Callable[[Path], None], name: str = "picture.png") -> bytes:
+    """Return the file that a function writes."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         write(path)
-        return np.asarray(read_image(path))
+        return path.read_bytes()
 
 
 def _costs(bench: Bench) -> Found:

@@ -73,6 +73,9 @@ def write_pictures(folder: Path, made: Reproduction) -> list[str]:
     for name, picture in made.pictures.items():
         if isinstance(picture, np.ndarray):
             write_image(folder / name, picture)
+        elif isinstance(picture, bytes):
+            with replacing(folder / name) as part:
+                part.write(picture)
         else:
             _save(picture, folder / name)
     return list(made.pictures)

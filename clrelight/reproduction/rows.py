@@ -105,7 +105,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Found:
-    """What a work found: numbers by name, pictures by file name (arrays of codes, or figures of matplotlib)."""
+    """What a work found: numbers by name, pictures by file name (codes, figures of matplotlib, or files)."""
 
     values: Mapping[str, Number]
     pictures: Mapping[str, Any] = field(default_factory=dict)
