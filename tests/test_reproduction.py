@@ -76,6 +76,16 @@ def test_verdicts():
     assert replace(row, expected=None, reason="").judge(25.5) == FAILS
 
 
+def test_every_tolerance_can_fail():
+    for paper in PAPERS.values():
+        for row in (row for work in paper.works for row in work.rows):
+            count = len(row.agrees.numbers) if isinstance(getattr(row.agrees, "numbers", 0), tuple) else 1
+            wrong = [value if count == 1 else (value,) * count for value in (math.nan, 1e9, -1e9)]
+            nothing, *far = (row.judge(value) for value in wrong)
+            assert nothing == FAILS, row.what
+            assert FAILS in far, row.what
+
+
 @pytest.fixture(scope="module")
 def quick():
     return reproduce(choose(None, quick=True), draws=False)

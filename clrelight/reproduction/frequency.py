@@ -241,8 +241,8 @@ PAPER = Paper(
         Work("figure 8", (
             Row("figure 8", "part of measured reflectances with 90% at F = 30, P = 5", "56 of 61 (.92)", "figure 8",
                 "paints", Between(0.9, 1.0), Between(0.0, 0.2),
-                "CURET's files are not at hand; five car paints of Cornell have a mirror-like peak at grazing angles, "
-                "which CURET's 205 angles do not reach"),
+                "CURET's files are not at hand; five paints of Cornell have most of their energy in a mirror-like peak "
+                "at grazing angles"),
             Row("figure 8", "part of models (skin, microfacets, fibres) with 85%", "almost all", "section 7.2",
                 "others", Between(0.99, 1.0)),
         ), partial(_figure, "8", _of_8), takes=SHORT, needs=PAINT_FILES, pictures={"shrm_figure8.png": "figure 8"}),

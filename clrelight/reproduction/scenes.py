@@ -24,8 +24,8 @@ LIGHTS = 256
 RING_FIGURES = {"uls": 4, "sloan": 8, "cls": 12}
 TITLES = {"uls": "ULS", "sloan": "Sloan ULS", "cls": "CLS", "ceb": "CEB"}
 _OTHER_RING = (
-    "the paper's ring is not published: ours has harder shadows and sharper highlights, which 49 coefficients do not "
-    "hold, so all plain fits are lower by about as much"
+    "the paper's ring is not published; ours has hard shadows and highlights, which 49 coefficients do not hold, so "
+    "that all fits are lower alike"
 )
 _BETTER_CODER = "our wavelet coder has an entropy coder and needs fewer bits for smooth maps; the noise comes at 1 bit"
 
