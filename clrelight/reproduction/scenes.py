@@ -13,7 +13,9 @@ from clrelight.experiment.grid import PAPER_METHODS, PAPER_RATES, CodecSetting, 
 from clrelight.experiment.run import run_experiment
 from clrelight.fit import method_class
 from clrelight.report import paper
+from clrelight.report.canvas import Page
 from clrelight.report.charts import figure_7, figure_15
+from clrelight.report.contact_sheet import picture_psnr
 from clrelight.report.paper_figures import figure_1, figure_of_method
 from clrelight.report.rows import rows_by_key, scene_names, scene_rows
 from clrelight.reproduction.rows import LONG, Bench, Between, Found, Near, Row, Work
@@ -21,6 +23,7 @@ from clrelight.results import Results
 
 RING, SURFACE = 128, 64
 LIGHTS = 256
+SHOWN = {"none": "32 bit", "half": "half", "s3tc": "S3TC", "uniform@8": "uniform 8 bit", "wavelet@4": "wavelet 4 bit"}
 RING_FIGURES = {"uls": 4, "sloan": 8, "cls": 12}
 TITLES = {"uls": "ULS", "sloan": "Sloan ULS", "cls": "CLS", "ceb": "CEB"}
 _OTHER_RING = (
@@ -69,10 +72,7 @@ def _measure(scene: str, size: int, bench: Bench) -> Found:
 def _draw(scene: str, results: Results, name: str) -> dict[str, Any]:
     if scene == "ring":
         return {
-            **{
-                f"fitting_figure{number}.jpg": figure_of_method(results, name, paper.DEGREE, method)
-                for method, number in RING_FIGURES.items()
-            },
+            **{f"fitting_figure{number}.jpg": _strip(results, name, method) for method, number in RING_FIGURES.items()},
             "fitting_figure7.png": figure_7(results, name, paper.DEGREE),
             "fitting_figure15.png": figure_15(results, name, paper.DEGREE),
         }
@@ -82,6 +82,21 @@ def _draw(scene: str, results: Results, name: str) -> dict[str, Any]:
         if figure is not None:
             drawn[f"fitting_figure{number}.jpg"] = figure
     return drawn
+
+
+def _strip(results: Results, name: str, method: str) -> Any:
+    """Return figure 4, 8 or 12: the ring as a method fits it, then coded, side by side."""
+    reference = results.pictures[f"{name}/reference"]
+    side, gap = 240, 8
+    page = Page(len(SHOWN) * (side + gap) + gap, side + 42)
+    for column, (setting, label) in enumerate(SHOWN.items()):
+        picture = results.pictures[f"{name}/{method}/{paper.DEGREE}/{setting}"]
+        x = gap + column * (side + gap)
+        axes = page.add_axes(x, 32, side, side)
+        axes.imshow(picture, interpolation="nearest")
+        axes.set_axis_off()
+        page.write(x, 22, f"{TITLES[method]}, {label}: {picture_psnr(picture, reference)}", fontsize=6.5)
+    return page.figure
 
 
 def _table_rows(ours: Mapping[str, tuple[float, float]]) -> tuple[Row, ...]:
