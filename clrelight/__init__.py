@@ -39,6 +39,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.normals import normals as normals
     from clrelight.jobs.operators import transfer_operators as transfer_operators
     from clrelight.jobs.pack import pack as pack
+    from clrelight.jobs.preview import preview as preview
     from clrelight.jobs.recognition import recognise as recognise
     from clrelight.jobs.reflect import reflect as reflect
     from clrelight.jobs.reflection import build_reflection as build_reflection
@@ -121,6 +122,7 @@ _MODULES = {
     "jobs.operators": "transfer_operators",
     "jobs.normals": "normals",
     "jobs.pack": "pack",
+    "jobs.preview": "preview",
     "jobs.recognition": "recognise",
     "jobs.reflect": "reflect",
     "jobs.reflection": "build_reflection",

@@ -336,7 +336,7 @@ def test_the_report_writes_every_part(ring, written):
         f"tables/{name}.{end}" for name in ("table_1", "table_3", "noise", "all_rows") for end in ("md", "csv", "tex")
     }
     pictures = {f"figures/{name}.png" for name in ("figure_7", "figure_15", "contact_sheet", "quality_vs_size")}
-    assert names == tables | pictures | {"report.md"}
+    assert names == tables | pictures | {"report.md", "report.html", "rows.csv"}
     assert [path.name for path in out.parent.iterdir()] == ["folder"]
     for name, columns, rows in (("table_1", 3, 2), ("table_3", 6, 4), ("noise", 8, 36), ("all_rows", 18, 40)):
         check_latex((out / "tables" / f"{name}.tex").read_text(encoding="utf-8"), columns, rows)

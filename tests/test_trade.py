@@ -169,7 +169,7 @@ def test_going_on_measures_nothing_again(swept):
     np.testing.assert_array_equal(read_results(folder / "t.h5").table.tobytes(), before.tobytes())
     assert f"rows     {len(told['trials'])}" in text
     made = {path.name for path in (folder / "report").iterdir()}
-    assert made == {"trade.md", "rows.csv", "trade.png"}
+    assert made == {"trade.md", "trade.html", "rows.csv", "trade.png"}
     assert len((folder / "report" / "rows.csv").read_text().splitlines()) == len(told["trials"]) + 1
     page = (folder / "report" / "trade.md").read_text()
     steps = ("bisection steps 32 → 4", "newton to its end → newton 2 steps", "mixed precision → double")

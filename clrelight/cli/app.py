@@ -13,6 +13,7 @@ from clrelight import __version__
 from clrelight.cli import (
     batch,
     coding,
+    completion,
     experiments,
     export,
     files,
@@ -25,6 +26,7 @@ from clrelight.cli import (
     operators,
     pack,
     plan_lights,
+    preview,
     psnr,
     reflectance,
     reflection,
@@ -67,7 +69,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights, to_sh, view, batch, reproduce),
+    *(operators, transfer, normals, variation, find_lights, to_sh, view, preview, batch, completion, reproduce),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
@@ -89,6 +91,8 @@ def run(arguments: list[str] | None = None) -> int:
 def _run(words: list[str]) -> tuple[int, str]:
     """Run a command; return its exit code and what is to be said of it."""
     try:
+        if (answered := completion.answer_shell(cli)) is not None:
+            return answered, ""
         # Not cli.main, which ends the program by itself at a broken pipe.
         with cli.make_context("clrelight", words) as context:
             cli.invoke(context)

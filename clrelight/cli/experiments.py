@@ -19,11 +19,14 @@ from clrelight.cli.options import (
     json_option,
     whole_number,
 )
-from clrelight.cli.output import print_facts, print_json, print_notes
+from clrelight.cli.output import make_report, print_facts, print_json, print_notes, print_report
 from clrelight.cli.progress import progress_bar
+from clrelight.cli.psnr import psnr_lines
 from clrelight.cli.speed import DEFAULT_OUT, bench_speed
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
+
+PAGE = "report.html"
 
 if TYPE_CHECKING:
     from clrelight.experiment import Experiment
@@ -230,19 +233,38 @@ def _notes(results: Results) -> list[str]:
 @click.command()
 @click.argument("results_file", metavar="RESULTS", type=click.Path())
 @click.option("--out", type=click.Path(), default="report", show_default=True, help="Folder for tables and pictures.")
+@click.option("--stack", type=click.Path(), help="Photographs that a fit or an encoding is compared with.")
+@click.option("--parquet", is_flag=True, help="Write all rows as rows.parquet too, beside rows.csv.")
+@device_option
 @json_option
-def report(results_file: str, out: str, as_json: bool) -> None:
-    """Write the tables (Markdown, CSV, LaTeX) and pictures (PNG) of a results file, or of what --speed measured.
+def report(results_file: str, out: str, stack: str | None, parquet: bool, device: str | None, as_json: bool) -> None:
+    """Write the tables and pictures of a results file, or of what --speed measured, and pages that show them.
+
+    Of a fit or an encoding, beside the photographs of --stack: PSNR by light, and pictures side by side.
+
+    report.html is one file that needs no other: tables that sort, charts, pictures side by side with their errors.
+    Tables are written as Markdown, CSV and LaTeX, pictures as PNG, all rows as rows.csv, and report.md shows them.
 
     \b
     Example:
       clrelight report results.h5 --out report
+      clrelight report results.h5 --out report --parquet
+      clrelight report view.h5 --stack stack.h5 --out view
       clrelight report speed.json --out speed
     """
+    if stack is not None:
+        if parquet:
+            raise InputError("--parquet is for results of experiments: leave out --stack")
+        _report_file(results_file, stack, out, device, as_json)
+        return
+    if device is not None:
+        raise InputError("--device is for a fit or an encoding beside its --stack: this computes nothing")
     if Path(results_file).suffix.lower() == ".json":
         from clrelight.speed.record import read_record
         from clrelight.speed.report import write_speed_report
 
+        if parquet:
+            raise InputError(f"--parquet is for results of experiments: {results_file} holds what --speed measured")
         files = write_speed_report(read_record(results_file), out)
     else:
         from clrelight.report import write_report
@@ -250,11 +272,22 @@ def report(results_file: str, out: str, as_json: bool) -> None:
 
         results = read_results(results_file)
         with progress_bar("drawing") as bar:
-            files = write_report(results, out, progress=bar)
+            files = write_report(results, out, parquet=parquet, progress=bar)
     if as_json:
         print_json({"folder": out, "files": [str(file) for file in files]})
         return
-    print_facts({"report": str(Path(out) / files[0].name), "files": len(files)})
+    pages = {"page": str(Path(out) / PAGE)} if any(file.name == PAGE for file in files) else {}
+    print_facts({"report": str(Path(out) / files[0].name), **pages, "files": len(files)})
+
+
+def _report_file(file: str, stack: str, out: str, device: str | None, as_json: bool) -> None:
+    from clrelight.report.file_page import write_file_report
+
+    told = make_report(as_json)
+    with progress_bar("measuring") as bar:
+        files = write_file_report(file, stack, out, device=device, progress=bar, report=told)
+    told.facts |= {"folder": out, "files": [str(each) for each in files]}
+    print_report(told, as_json, {"page": str(Path(out) / PAGE), "files": len(files), **psnr_lines(told.psnr)})
 
 
 COMMANDS = (bench, report)

@@ -19,6 +19,7 @@ from clrelight.cli.options import (
 )
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
+from clrelight.errors import InputError
 from datasets_synth.scenes import SCENES, Option, Scene
 
 _READING = (
@@ -150,22 +151,43 @@ for _scene in SCENES.values():
 
 @click.command()
 @click.argument("file", type=click.Path())
+@click.option("--no-thumbnail", is_flag=True, help="Print text alone, also on a terminal that shows pictures.")
 @json_option
-def info(file: str, as_json: bool) -> None:
+def info(file: str, no_thumbnail: bool, as_json: bool) -> None:
     """Say what a file of ours holds.
+
+    A terminal that can shows a small picture too: kitty, iTerm2 and those with sixels, or any of 24-bit colours.
 
     \b
     Example:
       clrelight info stack.h5
     """
+    from clrelight.cli.terminal import picture_form
     from clrelight.store import describe
 
     facts = describe(file)
     if as_json:
         print_json(facts)
-    else:
-        print_notes(facts.pop("notes", []))
-        print_facts(facts)
+        return
+    form = None if no_thumbnail or "fetched" in facts else picture_form()
+    if form is not None:
+        _print_thumbnail(file, form)
+    print_notes(facts.pop("notes", []))
+    print_facts(facts)
+
+
+def _print_thumbnail(file: str, form: str) -> None:
+    """Print a picture; where there is none for a reason, a note."""
+    from clrelight.cli.terminal import longest_side, picture_text
+    from clrelight.jobs.thumbnail import thumbnail
+
+    try:
+        picture = thumbnail(file, longest_side(form))
+    except InputError as error:  # the file was found sound: it may want a device
+        print_notes([f"no thumbnail: {error}"])
+        return
+    if picture is not None:
+        click.echo(picture_text(picture, form), nl=False, color=True)
 
 
 COMMANDS = (ingest, synth, info)

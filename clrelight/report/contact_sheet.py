@@ -53,13 +53,9 @@ def contact_sheet(results: Results, scene: str, degree: int) -> Any | None:
     InputError
         If a picture is not uint8 (height, width, 1 or 3) of the reference's shape, or its key makes no sense.
     """
-    pictures = _scene_pictures(results, scene, degree)
-    reference = results.pictures.get(f"{scene}/reference")
+    reference, pictures = scene_pictures(results, scene, degree)
     if reference is None or not pictures:
         return None
-    _check(f"{scene}/reference", reference, reference.shape)
-    for (method, setting), picture in pictures.items():
-        _check(f"{scene}/{method}/{degree}/{'@'.join(filter(None, setting))}", picture, reference.shape)
     settings = sorted({setting for _, setting in pictures}, key=lambda setting: setting.rank)[:MAX_SETTINGS]
     return _draw(results, scene, degree, reference, pictures, settings)
 
@@ -83,13 +79,21 @@ def lit_part(reference: NDArray[np.uint8]) -> Crop:
     return Crop(*slices)
 
 
-def _scene_pictures(results: Results, scene: str, degree: int) -> dict[tuple[str, Setting], NDArray[np.uint8]]:
+def scene_pictures(
+    results: Results, scene: str, degree: int
+) -> tuple[NDArray[np.uint8] | None, dict[tuple[str, Setting], NDArray[np.uint8]]]:
+    """Return the reference of a scene, if it has one, and its pictures at one degree; errors as of `contact_sheet`."""
     found = {}
     for key, picture in results.pictures.items():
         parts = parse_picture_key(key)
         if parts and (parts.scene, parts.degree) == (scene, degree):
             found[parts.method, parts.setting] = picture
-    return found
+    reference = results.pictures.get(f"{scene}/reference")
+    if reference is not None and found:
+        _check(f"{scene}/reference", reference, reference.shape)
+        for (method, setting), picture in found.items():
+            _check(f"{scene}/{method}/{degree}/{'@'.join(filter(None, setting))}", picture, reference.shape)
+    return reference, found
 
 
 def _check(key: str, picture: NDArray, shape: tuple[int, ...]) -> None:

@@ -59,7 +59,7 @@ def parts_of(results: Results) -> list[tuple[str, list[Part]]]:
 
 
 def _scene_parts(results: Results, scene: str, suffix: str) -> Iterator[Part]:
-    degrees = _degrees(results, scene)
+    degrees = degrees_of(results, scene)
     yield Part(
         f"table_1{suffix}",
         "Table I: what the constraint costs before compression",
@@ -155,7 +155,8 @@ def _surface_parts(results: Results, scene: str, degree: int, tail: str, title: 
         yield Part(f"figure_{number}{tail}", heading, how, make, missing)
 
 
-def _degrees(results: Results, scene: str) -> list[int]:
+def degrees_of(results: Results, scene: str) -> list[int]:
+    """Return the degrees that a scene was fitted at."""
     found = {int(row["degree"]) for row in scene_rows(results, scene)}
     found |= {p.degree for key in results.pictures if (p := parse_picture_key(key)) and p.scene == scene}
     found |= {degree for name, _, degree in map(parse_profile_key, results.profiles) if name == scene}
@@ -163,13 +164,13 @@ def _degrees(results: Results, scene: str) -> list[int]:
 
 
 def _distinct(values: np.ndarray | list[Any]) -> str:
-    """Return the distinct values as escaped, comma-separated words, in order of appearance."""
+    """Return the distinct values as comma-separated words, in order of appearance."""
     words = dict.fromkeys(text(v) if isinstance(v, bytes) else str(v) for v in values)
-    return ", ".join(escape_markdown(word) for word in words if word) or "not recorded"
+    return ", ".join(word for word in words if word) or "not recorded"
 
 
-def _measured(results: Results) -> Iterator[str]:
-    """Yield the lines that say what was measured, and on what."""
+def measured(results: Results) -> Iterator[tuple[str, str]]:
+    """Yield names and texts that say what was measured, scene by scene, and on what."""
     for scene in scene_names(results):
         rows = np.array(scene_rows(results, scene), dtype=results.table.dtype)
         sizes = sorted({(int(r["width"]), int(r["height"]), int(r["channel"])) for r in rows})
@@ -179,18 +180,26 @@ def _measured(results: Results) -> Iterator[str]:
             f"{d} ({n} coefficients)" for d, n in sorted({(int(r["degree"]), int(r["n_coeff"])) for r in rows})
         )
         yield (
-            f"- **{escape_markdown(scene)}**: {size}; {_distinct(rows['n_light'])} fitted lights, {held_out} held out; "
-            f"degree {degrees}; {len(rows)} rows"
+            scene,
+            f"{size}; {_distinct(rows['n_light'])} fitted lights, {held_out} held out; "
+            f"degree {degrees}; {len(rows)} rows",
         )
     table = results.table
-    yield f"- Device: {_distinct(table['device'])}"
-    yield f"- Versions: {_distinct(table['versions'])}"
-    yield f"- Commit: {_distinct(table['commit'])}; seed: {_distinct(table['seed'].tolist())}"
+    yield "Device", _distinct(table["device"])
+    yield "Versions", _distinct(table["versions"])
+    yield "Commit", f"{_distinct(table['commit'])}; seed: {_distinct(table['seed'].tolist())}"
     if repeated := repeated_rows(results):
         yield (
-            f"- {repeated} rows share scene, method, degree, codec and rate with an earlier row: all are in the full "
-            "table, tables I and III and figure 15 show the first of each"
+            f"{repeated} rows share scene, method, degree, codec and rate with an earlier row",
+            "all are in the full table, tables I and III and figure 15 show the first of each",
         )
+
+
+def _measured_lines(results: Results) -> Iterator[str]:
+    scenes = len(scene_names(results))
+    for i, (name, words) in enumerate(measured(results)):
+        mark = "**" if i < scenes else ""
+        yield f"- {mark}{escape_markdown(name)}{mark}: {escape_markdown(words)}"
 
 
 def document(results: Results, made: list[tuple[str, list[tuple[Part, Table | str | None]]]]) -> str:
@@ -203,7 +212,7 @@ def document(results: Results, made: list[tuple[str, list[tuple[Part, Table | st
     made : list of (scene, list of (Part, content))
         The content of a part is its Table, the path of its picture, or None where it was left out.
     """
-    lines = ["# Relighting experiment", "", "## What was measured", "", *_measured(results)]
+    lines = ["# Relighting experiment", "", "## What was measured", "", *_measured_lines(results)]
     for scene, parts in made:
         lines += ["", f"## Scene {escape_markdown(scene)}"]
         left_out = []
@@ -214,7 +223,7 @@ def document(results: Results, made: list[tuple[str, list[tuple[Part, Table | st
             lines += ["", f"### {part.heading}", "", part.how_to_read]
             if isinstance(content, Table):
                 files = f"As files: [CSV](tables/{part.name}.csv), [LaTeX](tables/{part.name}.tex)."
-                lines += _paper_note(content)
+                lines += ["", note] if (note := paper_note(content)) else []
                 lines += [
                     "",
                     escape_markdown(content.caption) + ".",
@@ -230,7 +239,8 @@ def document(results: Results, made: list[tuple[str, list[tuple[Part, Table | st
     return "\n".join(lines) + "\n"
 
 
-def _paper_note(table: Table) -> list[str]:
+def paper_note(table: Table) -> str:
+    """Return what must be said of a table that has the paper's numbers; empty of others."""
     if not any(column.key.endswith("_paper") for column in table.columns):
-        return []
-    return ["", f'The paper\'s numbers are those of its own "ring" ({paper.CITATION}); our scene only resembles it.']
+        return ""
+    return f'The paper\'s numbers are those of its own "ring" ({paper.CITATION}); our scene only resembles it.'

@@ -18,9 +18,11 @@ from clrelight.fit.cls import ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED
 from clrelight.report import canvas
 from clrelight.report.folder import fill_folder, write_text
+from clrelight.report.html import Section, page, plain, table_html
 from clrelight.report.markup import to_csv, to_markdown
 from clrelight.report.rows import method_label, method_rank
 from clrelight.report.tables import Cell, Column, Table, all_rows
+from clrelight.report.vector import to_svg
 from clrelight.results import Results
 
 CHART = "trade.png"
@@ -231,7 +233,7 @@ def _marker(trial: Trial) -> str:
 
 
 def write_trade_report(trials: Sequence[Trial], name: str, out_dir: str | os.PathLike[str]) -> list[Path]:
-    """Write the tables (Markdown; all rows as CSV) and the chart into a folder; the page's path comes first.
+    """Write the tables (Markdown, HTML; all rows as CSV) and the chart into a folder; the page's path comes first.
 
     Raises
     ------
@@ -241,15 +243,22 @@ def write_trade_report(trials: Sequence[Trial], name: str, out_dir: str | os.Pat
     canvas.require_matplotlib()
 
     def make(aside: Path) -> list[str]:
+        title = f"{name}: what each choice costs"
         with canvas.house_style():
-            canvas.save(trade_chart(trials, name), aside / CHART)
-        table = np.array([trial.row for trial in trials])
-        write_text(aside / "rows.csv", to_csv(all_rows(Results(table))))
-        parts = [f"# {name}: what each choice costs\n", f"![fronts]({CHART})\n"]
-        for made in (step_table(trials), front_table(trials), half_table(trials)):
-            if made.rows:
-                parts += [f"## {made.caption}\n", to_markdown(made)]
+            chart = trade_chart(trials, name)
+            canvas.save(chart, aside / CHART)
+            svg = to_svg(chart, "trade", plain(f"{title}: held-out PSNR, size and time of each setting"))
+        rows = all_rows(Results(np.array([trial.row for trial in trials])))
+        write_text(aside / "rows.csv", to_csv(rows))
+        tables = [made for made in (step_table(trials), front_table(trials), half_table(trials)) if made.rows]
+        parts = [f"# {title}\n", f"![fronts]({CHART})\n"]
+        for made in tables:
+            parts += [f"## {made.caption}\n", to_markdown(made)]
         write_text(aside / "trade.md", "\n".join(parts))
-        return [CHART, "rows.csv", "trade.md"]
+        sections = [Section("Fronts", 2, (), f"<figure>{svg}</figure>")]
+        sections += [Section(made.caption, 2, (), table_html(made)) for made in tables]
+        sections.append(Section("All settings that were tried", 2, (), table_html(rows, file="rows.csv")))
+        write_text(aside / "trade.html", page(title, [], sections))
+        return [CHART, "rows.csv", "trade.html", "trade.md"]
 
     return fill_folder(out_dir, make)

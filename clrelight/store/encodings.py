@@ -23,6 +23,7 @@ from clrelight.directions import MOST_PACKED, pack_directions, unpack_directions
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.store.attributes import MAX_TEXT_BYTES
 from clrelight.store.fits import check_version, read_record
+from clrelight.store.nexus import view_picture
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.places import Place
 from clrelight.store.schemas import ENCODED, ENCODED_1, ENCODED_OF_BASIS
@@ -57,7 +58,13 @@ _PIECE_BYTES = 4 * CHUNK_BYTES
 """Of a payload that are copied at a time."""
 
 
-def write_encoded(path: str | os.PathLike, encoded: Encoded, source: CoefficientMap | None = None) -> None:
+def write_encoded(
+    path: str | os.PathLike,
+    encoded: Encoded,
+    source: CoefficientMap | None = None,
+    *,
+    picture_hwc: NDArray[np.uint8] | None = None,
+) -> None:
     """Write encoded coefficients and the record of the fit they come from (its lambda and rank maps are not kept).
 
     Parameters
@@ -68,6 +75,8 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
         Its `info` becomes attributes of the payload.
     source : CoefficientMap, optional
         What was encoded. Default: the record that the encoding comes with.
+    picture_hwc : ndarray, shape (height, width, 1 or 3), uint8, optional
+        What other programs are to open the file on. No reader of ours looks at it.
 
     Raises
     ------
@@ -82,6 +91,8 @@ def write_encoded(path: str | os.PathLike, encoded: Encoded, source: Coefficient
     schema = ENCODED if record.basis == SH else ENCODED_OF_BASIS
     with drafting(path, schema, encoded.encoded_bytes + CHUNK_BYTES) as draft:
         _fill(draft, encoded, record.without_surface())
+        if picture_hwc is not None:
+            view_picture(draft.file, picture_hwc, record.name)
 
 
 def _fill(draft: Draft, encoded: Encoded, record: FitRecord) -> None:

@@ -19,6 +19,7 @@ from clrelight.errors import InputError
 from clrelight.store.attributes import text_bytes
 from clrelight.store.blocks import SUM_DTYPE, BlockReader, BlockWriter, box_of
 from clrelight.store.creating import create_compact, create_in_memory, create_on_disk
+from clrelight.store.nexus import describe
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
 from clrelight.store.seal import MOST_IN_TEXT, SEAL_ATTRIBUTE, TABLE, seal_of, sums_text, type_text
 
@@ -144,6 +145,8 @@ class Draft:
         while self._pending:
             writer, array = self._pending.pop(0)
             writer.write(writer.blocks.everything, array)
+        if self._schema.is_scaled:
+            describe(self._file, self._schema)
         self._seal()
 
     def _seal(self) -> None:

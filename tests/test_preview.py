@@ -1,0 +1,82 @@
+"""Pictures of files: as images, and within encodings, whose bytes stay what they were."""
+
+import h5py
+import numpy as np
+import pytest
+
+import clrelight as cr
+from clrelight.images import read_image
+from clrelight.jobs.thumbnail import thumbnail
+from tests.commands import call, contents, succeed
+from tests.test_store_nexus import default_group, make_fit, make_stack, signal_of, text
+
+
+@pytest.fixture(scope="module")
+def encoded(tmp_path_factory):
+    place = tmp_path_factory.mktemp("preview")
+    for channels in (1, 3):
+        cr.write_fit(place / f"fit{channels}.h5", make_fit(channels))
+        succeed("encode", place / f"fit{channels}.h5", place / f"enc{channels}.h5", "--codec", "half")
+    return place
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_copy_of_an_encoding_opens_on_its_picture(channels, encoded, tmp_path):
+    source, copy = encoded / f"enc{channels}.h5", tmp_path / "shown.h5"
+    told = succeed("preview", source, copy, "--json").json
+    assert told["size"] == [7, 5]
+    assert told["bytes_on_disk"] == copy.stat().st_size
+    expected = thumbnail(source)
+    with h5py.File(copy) as file, h5py.File(source) as before:
+        signal = signal_of(default_group(file))
+        assert text(signal.attrs["interpretation"]) == ("rgb-image" if channels == 3 else "image")
+        np.testing.assert_array_equal(signal[...].reshape(5, 7, channels), expected)
+        np.testing.assert_array_equal(file["payload"][...], before["payload"][...])
+        assert file.attrs["record"].tobytes() == before.attrs["record"].tobytes()
+        assert "default" not in before.attrs
+    one, other = (cr.read_encoded(path) for path in (source, copy))
+    assert one[0].to_bytes() == other[0].to_bytes()
+    np.testing.assert_array_equal(one[1].directions_i3, other[1].directions_i3)
+    np.testing.assert_array_equal(cr.decode(copy).coeffs_khwc, cr.decode(source).coeffs_khwc)
+    cr.preview(source, tmp_path / "again.h5")
+    assert (tmp_path / "again.h5").read_bytes() == copy.read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["stack", "fit"])
+def test_a_picture_of_any_file_becomes_an_image(kind, encoded, tmp_path):
+    source = tmp_path / "s.h5" if kind == "stack" else encoded / "fit3.h5"
+    if kind == "stack":
+        cr.write_stack(source, make_stack(3))
+    report = cr.preview(source, tmp_path / "p.png", size=4)
+    assert report.facts["size"] == [4, 3]
+    np.testing.assert_array_equal(read_image(tmp_path / "p.png"), thumbnail(source, 4))
+
+
+def test_what_makes_no_sense_is_refused_and_nothing_written(encoded, tmp_path):
+    before = contents(encoded)
+    for source, out, words in (
+        (encoded / "fit3.h5", tmp_path / "copy.h5", "is for encodings"),
+        (encoded / "enc3.h5", encoded / "enc3.h5", "input"),
+        (encoded / "none.h5", tmp_path / "p.png", "none.h5"),
+        (encoded / "enc3.h5", tmp_path / "p.xyz", "p.xyz"),
+    ):
+        ended = call("preview", source, out)
+        assert (ended.code, ended.err.count("\n")) == (2, 1)
+        assert words in ended.err
+    assert contents(encoded) == before
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_list_of_vertices_has_no_picture(tmp_path):
+    fitted = make_fit(1)
+    line = cr.CoefficientMap(
+        fitted.coeffs_khwc.reshape(4, 35, 1, 1),
+        degree=1,
+        method="uls",
+        peak=1.0,
+        transfer="linear",
+        directions_i3=fitted.directions_i3,
+    )
+    cr.write_fit(tmp_path / "f.h5", line)
+    assert thumbnail(tmp_path / "f.h5") is None
+    assert "holds no picture" in call("preview", tmp_path / "f.h5", tmp_path / "p.png").err
