@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 import clrelight as cr
 from benchmarks.pages import check_markdown, replace_block
-from benchmarks.paper_parts import table
 from clrelight.dataset import LightStack
 from clrelight.fit import collect_fit, prepare_fit
 from clrelight.fit.value_bounds import bound_directions
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.reproduction.parts import table
 from clrelight.threads import on_one_thread
 from datasets_synth.ring import render_ring
 

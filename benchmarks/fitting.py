@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from benchmarks import exact
 from benchmarks.workload import Workload
 from clrelight.dataset import CoefficientMap
 from clrelight.fit import PreparedFit, collect_fit, prepare_fit
 from clrelight.fit.plan import FitPlan
 from clrelight.matmul import SampleCurve, apply_operator, multiply_columns, pack_operator
+from clrelight.reproduction import exact
 from clrelight.speed.peers import NewtonFit
 from clrelight.speed.stage import Stage
 

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import click
 
-from benchmarks.deletion import deletion
-from benchmarks.eigenvectors import eigenvectors, figure_11
 from benchmarks.pages import check_markdown, replace_block
-from benchmarks.paper_parts import Part, table
-from benchmarks.table_two import table_two
-from benchmarks.vector_codecs import vector_codecs
 from clrelight.device import open_device
 from clrelight.report.canvas import save
+from clrelight.reproduction.complexity import table_two
+from clrelight.reproduction.deletion import deletion
+from clrelight.reproduction.eigenvectors import eigenvectors, figure_11
+from clrelight.reproduction.parts import Part, table
+from clrelight.reproduction.vector_codecs import vector_codecs
 
 PARTS: dict[str, Callable[[int], Part]] = {
     "deletion": lambda rounds: deletion(),

@@ -16,15 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.lighting import Table, show_parts
-from clrelight.harmonics.rotation import rotation_matrix
 from clrelight.lighting.environment import Environment, read_environment
-from clrelight.lighting.sky import sky_luminance
+from clrelight.reproduction.heads import lamps_at, photograph, sky_light_at, turned
 from clrelight.sampling import make_pattern
 from clrelight.variation.recognition import SPACES, spaces_of_normals
-from datasets_synth.heads import Head, make_head, photograph_head, shade_head
+from datasets_synth.heads import make_head, shade_head
 
-SIZE, DIRECTIONS, NOISE = 48, 400, 0.01
-SKIES = ("overcast", "partly-cloudy", "clear")
+SIZE, DIRECTIONS = 48, 400
 PROBES = ("beach_probe.hdr", "grace_cross.hdr", "galileo_cross.dds")
 DATA_VARIABLE = "CLRELIGHT_DATA"
 
@@ -48,7 +46,7 @@ def rate_table(count: int, photographs: int, size: int) -> Table:
     share_hw = np.stack([head.mask_hw for head in heads]).all(axis=0)
     directions_i3 = make_pattern("uniform", DIRECTIONS, sphere=True)
     gallery = [spaces_of_normals(head.normals_hw3[share_hw], head.albedo_hwc[share_hw]) for head in heads]
-    lights: dict[str, Make] = {"skies, turned": _sky, "one to five lamps": _lamps, **_probes()}
+    lights: dict[str, Make] = {"skies, turned": sky_light_at, "one to five lamps": lamps_at, **_probes()}
     right = {(name, space): 0 for name in lights for space in SPACES}
     off = {(name, space): 0.0 for name in lights for space in SPACES}
     rng = np.random.default_rng(0)
@@ -75,51 +73,6 @@ def rate_table(count: int, photographs: int, size: int) -> Table:
     return ["light", "photographs", *(f"right, {s}" for s in SPACES), *(f"own distance, {s}" for s in SPACES)], rows
 
 
-def photograph(
-    head: Head, shade_ip: NDArray[np.float32], radiance_ic: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.float32]:
-    """Return a head under light, exposed so that its brightest is 1, with noise."""
-    picture_hwc = photograph_head(head, shade_ip, radiance_ic)
-    picture_hwc /= max(float(np.quantile(picture_hwc, 0.999)), 1e-9)
-    return np.clip(picture_hwc + NOISE * rng.standard_normal(picture_hwc.shape).astype(np.float32), 0.0, 1.0)
-
-
-def _turned(rng: np.random.Generator, directions_i3: NDArray[np.float64], about: str = "any") -> NDArray[np.float64]:
-    """Return directions in the frame of light that is turned: any way, or about the upright axis y alone."""
-    if about == "any":
-        angles = (
-            rng.uniform(-180.0, 180.0),
-            float(np.degrees(np.arccos(rng.uniform(-1.0, 1.0)))),
-            rng.uniform(-180, 180),
-        )
-        return directions_i3 @ rotation_matrix("euler", angles)
-    angle = rng.uniform(0.0, 2.0 * np.pi)
-    c, s = np.cos(angle), np.sin(angle)
-    return directions_i3 @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _sky(rng: np.random.Generator, directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a sky over a ground of a fifth of the zenith; y of the picture is up, the head turned about it."""
-    x_i, y_i, z_i = _turned(rng, directions_i3, "y").T
-    up_i3 = np.stack([x_i, -z_i, y_i], axis=1)
-    value_i = np.full(len(directions_i3), 0.2)
-    above = up_i3[:, 2] > 0.0
-    sky = SKIES[rng.integers(len(SKIES))]
-    value_i[above] = sky_luminance(up_i3[above], sky, rng.uniform(10.0, 80.0))
-    return value_i[:, None] * rng.uniform(0.7, 1.0, 3)
-
-
-def _lamps(rng: np.random.Generator, directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return one to five lamps in front, each over a tenth of a steradian or so, with a dim room."""
-    radiance_ic = np.full((len(directions_i3), 3), 0.02)
-    for _ in range(rng.integers(1, 6)):
-        towards_3 = rng.standard_normal(3)
-        towards_3[2] = abs(towards_3[2])
-        cosine_i = directions_i3 @ (towards_3 / np.linalg.norm(towards_3))
-        radiance_ic += rng.uniform(0.3, 1.0, 3) * np.exp(80.0 * (cosine_i[:, None] - 1.0))
-    return radiance_ic
-
-
 def _probes() -> dict[str, Make]:
     root = os.environ.get(DATA_VARIABLE)
     if root is None:
@@ -129,7 +82,7 @@ def _probes() -> dict[str, Make]:
 
     def make(rng: np.random.Generator, directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
         probe = probes[rng.integers(len(probes))]
-        return gather(probe, _turned(rng, directions_i3))
+        return gather(probe, turned(rng, directions_i3))
 
     return {"real probes, turned any way": make}
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.reflection import AXES, PROBE, shown
-from benchmarks.reflection_scenes import Stage, paints, relative
 from clrelight.brdf.analytic import KajiyaKay, Microfacet
 from clrelight.brdf.centred import CentredBrdf
 from clrelight.brdf.coefficients import brdf_coefficients
@@ -18,6 +17,7 @@ from clrelight.brdf.radial import Lambert, Mirrored, Phong
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.lighting.light import Light
 from clrelight.lighting.sky import sky_light
+from clrelight.reproduction.reflection_stage import Stage, paints, relative
 from clrelight.shrm.convolution import complex_light, estimate_material, reflected_coefficients
 from clrelight.shrm.estimation import estimate_brdf
 from clrelight.shrm.lookup import view_sphere

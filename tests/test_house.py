@@ -29,7 +29,7 @@ FLOORS = [
     },
     {"jobs"},
     {"experiment", "view"},
-    {"report", "speed", "batch"},
+    {"report", "speed", "batch", "reproduction"},
     {"cli"},
     {"__main__"},
 ]

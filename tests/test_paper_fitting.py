@@ -3,10 +3,10 @@ import itertools
 import numpy as np
 import pytest
 
-from benchmarks.deletion import condition_numbers
-from benchmarks.eigenvectors import _paper_search, _solve
-from benchmarks.paper_parts import name_of
 from clrelight.harmonics.hemisphere import hemisphere_autocorrelation
+from clrelight.reproduction.deletion import condition_numbers
+from clrelight.reproduction.eigenvectors import _paper_search, _solve
+from clrelight.reproduction.parts import name_of
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -5,12 +5,12 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks.reflection_materials import balls
-from benchmarks.reflection_scenes import Shown, Stage, difference, relative
 from clrelight.brdf.analytic import KajiyaKay, Microfacet
 from clrelight.images import read_header
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
 from clrelight.lighting.projection import project_environment
+from clrelight.reproduction.reflection_stage import Shown, Stage, difference, relative
 from clrelight.shrm.observation import make_terms
 
 VIEW = (0.3, -1.0, 0.2)

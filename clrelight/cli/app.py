@@ -32,6 +32,7 @@ from clrelight.cli import (
     reflection,
     relight,
     render,
+    reproduce,
     sampled,
     shader,
     to_sh,
@@ -68,7 +69,7 @@ def cli() -> None:
 for module in (
     *(machines, pack, files, plan_lights, fit, coding, relight, render, shader, export),
     *(light, sampled, irradiance, reflection, reflectance, psnr, experiments, trade),
-    *(operators, transfer, normals, variation, find_lights, to_sh, view, preview, batch, completion),
+    *(operators, transfer, normals, variation, find_lights, to_sh, view, preview, batch, completion, reproduce),
 ):
     for command in module.COMMANDS:
         cli.add_command(command)

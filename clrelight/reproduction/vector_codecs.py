@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 import clrelight as cr
-from benchmarks.paper_parts import Part, prose, table
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.fit import collect_fit, prepare_fit
 from clrelight.metrics import measure_errors, summarize_errors
+from clrelight.reproduction.parts import Part, prose, table
 from datasets_synth.ring import render_ring
 
 SIZE, LIGHTS, DEGREE = 128, 256, 6
@@ -78,8 +80,8 @@ def vector_codecs(device: Device) -> Part:
     return Part("VQ and CPCA", "\n".join(text), {what: bool(holds) for what, holds in verdicts.items()})
 
 
-def _coded(coefficients: CoefficientMap, codec: str, options: dict[str, int], device: Device) -> CoefficientMap:
-    encoded = cr.encode(coefficients, codec, device=device, report=cr.Report(), **options)
+def _coded(coefficients: CoefficientMap, codec: str, options: dict[str, Any], device: Device) -> CoefficientMap:
+    encoded = cr.encode(coefficients, codec, out=None, device=device, report=cr.Report(), **options)
     return cr.decode(encoded, device=device, report=cr.Report())
 
 

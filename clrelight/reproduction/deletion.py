@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.paper_parts import Part, cls_norms, name_of, prose, ring_columns, table
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.hemisphere import hemisphere_autocorrelation
 from clrelight.harmonics.index import coefficient_index
+from clrelight.reproduction.parts import Part, cls_norms, name_of, prose, ring_columns, table
 from clrelight.threads import on_one_thread
 
 LIGHTS = 256
@@ -63,7 +63,17 @@ def deletion() -> Part:
         "more than 200 000 sets of 4": four["sets"] > 200_000,
         "deleting y10 does much for 25 functions": _cut(one, "25") > 10.0,
     }
-    return Part("deletion", "\n".join(text), {what: bool(holds) for what, holds in verdicts_of.items()})
+    numbers = {
+        "pairs": float(verdicts[1]["sets"]),
+        "alike": float(pair["alike"]),
+        "apart": float(pair["apart"]),
+        "fours": float(four["sets"]),
+        "y10": _cut(one, "25"),
+        "y10 of 49": _cut(one, "49"),
+    }
+    return Part(
+        "deletion", "\n".join(text), {what: bool(holds) for what, holds in verdicts_of.items()}, numbers=numbers
+    )
 
 
 def _cut(lines: list[list[str]], count: str) -> float:

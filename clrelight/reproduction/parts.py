@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import exact
 from clrelight.fit.cls import plan_constrained
 from clrelight.fit.plan import Lighting
+from clrelight.reproduction import exact
 from clrelight.speed.tables import markdown_table
 from datasets_synth.ring import render_ring
 
@@ -22,12 +22,13 @@ RING_SIZE = 48
 
 @dataclass(frozen=True)
 class Part:
-    """One experiment: its text, what the paper says that must hold here too, and its pictures by file name."""
+    """One experiment: its text, what the paper says that must hold here too, its pictures by file name, and numbers."""
 
     name: str
     text: str
     verdicts: Mapping[str, bool]
     figures: Mapping[str, Any] = field(default_factory=dict)
+    numbers: Mapping[str, float] = field(default_factory=dict)
 
 
 def table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

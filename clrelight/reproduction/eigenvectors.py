@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.paper_parts import Part, lighting_of, name_of, prose, ring_columns, table
 from clrelight.fit.cls import plan_constrained
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.hemisphere import hemisphere_autocorrelation
 from clrelight.report.canvas import house_style, new_figure
+from clrelight.reproduction.parts import Part, lighting_of, name_of, prose, ring_columns, table
 
 DEGREES = (2, 4, 6, 8, 10)
 _DISC = 201
@@ -138,7 +138,7 @@ def figure_11() -> Part:
 
 
 def _solve(matrix: NDArray[np.float64], right: NDArray[np.float64], value: float) -> NDArray[np.float64]:
-    return np.linalg.solve(matrix + value * np.eye(2), right)
+    return np.asarray(np.linalg.solve(matrix + value * np.eye(2), right), np.float64)
 
 
 def _paper_search(matrix: NDArray[np.float64], right: NDArray[np.float64], energy: float) -> list[float]:

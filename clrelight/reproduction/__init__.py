@@ -1,0 +1,1 @@
+"""What the five papers print, computed anew and told beside it."""
