@@ -286,7 +286,7 @@ def test_bash_completes(tmp_path):
 
     (tmp_path / "clrelight").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m clrelight "$@"\n')
     (tmp_path / "clrelight").chmod(0o755)
-    asked = 'eval "$(clrelight completion bash)"; COMP_WORDS=(clrelight rep); COMP_CWORD=1; '
+    asked = 'eval "$(clrelight completion bash)"; COMP_WORDS=(clrelight repo); COMP_CWORD=1; '
     asked += '_clrelight_completion clrelight; printf "%s\\n" "${COMPREPLY[@]}"'
     known = environment()
     known["PATH"] = f"{tmp_path}:{known['PATH']}"
