@@ -11,6 +11,7 @@ import json
 import os
 from contextlib import redirect_stdout
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -52,43 +53,66 @@ def to_table(headers: list[str], rows: list[list[str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
-def tables(probe: Path, paints: list[Path]) -> dict[str, str]:
-    """Return the blocks of the page."""
-    bench = ["shrm", "bench", str(probe), "--axes", AXES, "--table"]
+def orders_table(probe: Path, paint: Path) -> str:
+    """Return the energy up to some orders."""
     accuracy = shown(["shrm", "plan", str(probe), "--axes", AXES, "--brdf", "phong", "--exponent", "32"])
     degrees = (4, 6, 8, 10, 12, 16)
     columns = list(zip(*accuracy["accuracy"], strict=True))
     names = ("reflected", "light alone", "reflectance alone", "bound")
-    orders = [[name, *(f"{columns[i][f]:.4f}" for f in degrees)] for i, name in enumerate(names, start=1)]
-    lobes = shown([*bench, "phong"])
-    phong = [
+    rows = [[name, *(f"{columns[i][f]:.4f}" for f in degrees)] for i, name in enumerate(names, start=1)]
+    return to_table(["F", *map(str, degrees)], rows)
+
+
+def costs_table(probe: Path, paint: Path) -> str:
+    """Return table 3."""
+    found = benched(probe, "costs")["rows"]
+    rows = [[name, f"{each['theory']:g}", f"{each['slope']:.2f}"] for name, each in found.items()]
+    return to_table(["cost of", "theory", "measured"], rows)
+
+
+def phong_table(probe: Path, paint: Path) -> str:
+    """Return table 4."""
+    lobes = benched(probe, "phong")
+    rows = [
         [f"{r['s']}", f"{r['degree']}", f"{r['angular']:.3f}", f"{r['frequency']:.4f}", f"{r['ratio']:.0f}"]
         for r in lobes["rows"]
     ]
-    slopes = [
-        [name, f"{found['theory']:g}", f"{found['slope']:.2f}"]
-        for name, found in shown([*bench, "costs"])["rows"].items()
-    ]
-    facets = []
-    for r in shown([*bench, "microfacets"])["rows"]:
+    return f"Device: {lobes['device']}.\n\n" + to_table(["s", "F", "by angles, s", "by orders, s", "ratio"], rows)
+
+
+def microfacets_table(probe: Path, paint: Path) -> str:
+    """Return table 5."""
+    rows = []
+    for r in benched(probe, "microfacets")["rows"]:
         seconds = f"{r['image']:.2f}", f"{r['images']:.0f}", f"{r['frequency']:.3f}", f"{r['shrm']:.4f}"
-        facets.append([f"{r['sigma']:g}", f"{r['degree']}, {r['order']}", *seconds])
-    names = ["microfacet", "skin", "kajiya-kay", *map(str, paints)]
-    words = [word for name in names for word in ("--brdf", name)]
-    peers = []
-    for name, r in zip(names, shown([*bench, "peers", *words])["rows"], strict=True):
+        rows.append([f"{r['sigma']:g}", f"{r['degree']}, {r['order']}", *seconds])
+    headers = ["σ", "F, P", "one map by angles, s", "100 maps, s", "100 maps by orders, s", "whole SHRM, s"]
+    return to_table(headers, rows)
+
+
+def peers_table(probe: Path, paint: Path) -> str:
+    """Return errors beside those of two other ways."""
+    names = ["microfacet", "skin", "kajiya-kay", str(paint)]
+    found = benched(probe, "peers", *(word for name in names for word in ("--brdf", name)))["rows"]
+    rows = []
+    for name, r in zip(names, found, strict=True):
         errors = [*(r["orders"][str(p)]["error"] for p in range(6)), r["texture"], r["icosahedron"]]
-        peers.append([Path(name).stem.replace("_", " "), *(f"{error:.3f}" for error in errors)])
-    return {
-        "orders": to_table(["F", *map(str, degrees)], orders),
-        "costs": to_table(["cost of", "theory", "measured"], slopes),
-        "phong": f"Device: {lobes['device']}.\n\n"
-        + to_table(["s", "F", "by angles, s", "by orders, s", "ratio"], phong),
-        "microfacets": to_table(
-            ["σ", "F, P", "one map by angles, s", "100 maps, s", "100 maps by orders, s", "whole SHRM, s"], facets
-        ),
-        "peers": to_table(["RMS error", *(f"P = {p}" for p in range(6)), "3-D texture", "12 maps"], peers),
-    }
+        rows.append([Path(name).stem.replace("_", " "), *(f"{error:.3f}" for error in errors)])
+    return to_table(["RMS error", *(f"P = {p}" for p in range(6)), "3-D texture", "12 maps"], rows)
+
+
+def benched(probe: Path, table: str, *words: str) -> dict[str, Any]:
+    """Return what ``clrelight shrm bench`` finds."""
+    return shown(["shrm", "bench", str(probe), "--axes", AXES, "--table", table, *words])
+
+
+TABLES = {
+    "orders": orders_table,
+    "costs": costs_table,
+    "phong": phong_table,
+    "microfacets": microfacets_table,
+    "peers": peers_table,
+}
 
 
 def picture(probe: Path, paint: Path) -> np.ndarray:
@@ -122,7 +146,8 @@ def picture(probe: Path, paint: Path) -> np.ndarray:
 @click.command()
 @click.option("--markdown", type=click.Path(path_type=Path), help="Page whose blocks are renewed.")
 @click.option("--pictures", type=click.Path(path_type=Path), help="Folder of shrm_spheres.png and shrm_accuracy.png.")
-def main(markdown: Path | None, pictures: Path | None) -> None:
+@click.option("--only", type=click.Choice(list(TABLES)), multiple=True, help="These tables; repeatable.")
+def main(markdown: Path | None, pictures: Path | None, only: tuple[str, ...]) -> None:
     """Renew the tables and pictures of docs/shrm.md."""
     data = Path(os.environ.get("CLRELIGHT_DATA") or "../shared/data")
     probe, paint = data / "probes" / PROBE, data / "brdf" / "krylon_blue.brdf"
@@ -133,8 +158,8 @@ def main(markdown: Path | None, pictures: Path | None) -> None:
         run_command(["shrm", "plan", str(probe), "--axes", AXES, *chart])
         write_image(pictures / "shrm_spheres.png", picture(probe, paint))
     if markdown is not None:
-        for name, block in tables(probe, [paint]).items():
-            replace_block(markdown, block, f"<!-- {name} -->", f"<!-- /{name} -->")
+        for name in only or TABLES:
+            replace_block(markdown, TABLES[name](probe, paint), f"<!-- {name} -->", f"<!-- /{name} -->")
 
 
 if __name__ == "__main__":
