@@ -317,6 +317,10 @@ def test_a_light_as_nine_coefficients(tmp_path):
         (("export", "fit.h5", "no/x.rti"), "no/x.rti"),
         (("export", "fit.h5", "x.json"), "fit.h5"),
         (("export", "fit.h5", "fit.h5", "--format", "ktx2"), "that is the input fit.h5"),
+        (
+            ("export", "fit.h5", "x.rti", "--format", "ptm"),
+            "x.rti would be a file of format ptm",
+        ),
         (("import", "fit.h5", "y.h5"), "files that end in .ptm or .rti can be imported"),
         (("import", "none.ptm", "y.h5"), "cannot read none.ptm"),
         (("import", "jpeg.ptm", "y.h5"), "PTM_FORMAT_JPEG_LRGB"),

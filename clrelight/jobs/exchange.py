@@ -85,6 +85,9 @@ def export_for_viewers(
     if format not in FORMATS:
         raise InputError(f"unknown format {format!r}; known are {', '.join(FORMATS)}")
     target, kept = path_text(out, "a folder or file to write"), report_for(report)
+    ending = os.path.splitext(target)[1].lower()
+    if ending in (".ptm", ".rti", ".ktx2") and ending != f".{format}":
+        raise InputError(f"{target} would be a file of format {format} under another one's name: end it otherwise")
     if format == "relight":
         check_new_folder(target)
     else:
