@@ -185,5 +185,6 @@ def test_exit_code_is_1_where_a_verdict_fails(monkeypatch):
     row = Row("figure 8", "a number", "1", "figure 8", "a", Near(1.0, 0.1))
     work = Work("wrong", (row,), lambda bench: Found({"a": np.pi}))
     monkeypatch.setitem(registry.PAPERS, "variation", replace(paper, works=[work], out=[]))
+    monkeypatch.delenv("CLRELIGHT_DATA", raising=False)
     ended = call("reproduce", "variation", "--json")
     assert (ended.code, ended.json["verdicts"]) == (1, {"FAILS": 1})
