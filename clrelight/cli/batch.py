@@ -28,7 +28,7 @@ _SHOWN = 40
 @click.argument("out", metavar="OUTFOLDER", type=click.Path())
 @click.option("--job", help="pack, ingest, fit, encode, decode, unpack, relight, export, normals, bench or psnr.")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="An option of the job; may be repeated.")
-@click.option("--match", multiple=True, metavar="PATTERN", help="Only stacks with such names, such as coin-*.")
+@click.option("--match", multiple=True, metavar="PATTERN", help="Only stacks with such names, such as coin*.")
 @click.option(
     "--ending", metavar=".EXT", help="Of the files that are written, such as .exr (normals, relight, export)."
 )
