@@ -24,22 +24,7 @@
 #define EACH_LINE(DO) DO(0) DO(1) DO(2) DO(3) DO(4) DO(5) DO(6) DO(7) DO(8) DO(9) DO(10) DO(11)
 #define DECLARE_SUM(i) vecf sum_##i = 0.0f;
 #define ADD_TERM(i) sum_##i += factor * from[i * VECTORS + v];
-#define KEEP_SUM(i) line[i] = total(sum_##i);
-
-typedef vecf __attribute__((aligned(4))) vecf_at;
-
-static float total(const vecf v)
-{
-#if VECTOR == 16
-    const float8 eight = v.lo + v.hi;
-    const float4 four = eight.lo + eight.hi;
-#elif VECTOR == 8
-    const float4 four = v.lo + v.hi;
-#else
-    const float4 four = v;
-#endif
-    return (four.x + four.y) + (four.z + four.w);
-}
+#define KEEP_SUM(i) line[i] = total_of(sum_##i);
 
 /* Sums of columns for cosines and sines of even m, then of odd m; 0 of what FOLD leaves out. */
 #define FOLDED(to, stride, a, e, b, d)          \

@@ -21,19 +21,6 @@
 #define VECTORS (BLOCK / VECTOR)
 #define TINY 1e-32f
 
-static float total(const vecf v)
-{
-#if VECTOR == 16
-    const float8 eight = v.lo + v.hi;
-    const float4 four = eight.lo + eight.hi;
-#elif VECTOR == 8
-    const float4 four = v.lo + v.hi;
-#else
-    const float4 four = v;
-#endif
-    return (four.x + four.y) + (four.z + four.w);
-}
-
 /* part[t] = values[t] for t < filled, 0 for the rest of the block; a loop of fixed length is vectorised. */
 static void load_part(float *part, __global const float *values, const int filled)
 {
@@ -115,8 +102,8 @@ __kernel void project_texels_gkc(__global float *restrict partial_gkc, __global 
                     }
                 }
                 for (int c = 0; c < CHANNELS; c++) {
-                    sums[(k + m) * CHANNELS + c] += total(cosine[c]);
-                    if (m > 0) sums[(k - m) * CHANNELS + c] += total(sine[c]);
+                    sums[(k + m) * CHANNELS + c] += total_of(cosine[c]);
+                    if (m > 0) sums[(k - m) * CHANNELS + c] += total_of(sine[c]);
                 }
             }
         }

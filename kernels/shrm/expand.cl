@@ -16,8 +16,6 @@
 #error "CHANNELS (1 or 3) and FOLD (1, 2 or 4) must be defined"
 #endif
 
-typedef vecf __attribute__((aligned(4))) vecf_at;
-
 #if VECTOR >= 8
 #define GROUP 8
 typedef float8 group;

@@ -235,14 +235,8 @@ __kernel void solve_reflectance_dq(
     vecf lit[ROOM]; /* the channels' mean, negative where one is clipped; later in units of the reference */
     vecf least = MAXFLOAT, greatest = 0.0f;
     for (int i = 0; i < size_i; i++) {
-        vecf total = 0.0f;
-        veci clipped = 0;
-        for (int c = 0; c < CHANNELS; c++) {
-            const vecf sample = LOAD(sample_ciq + ((long)c * size_i + i) * size_q + q);
-            total += sample;
-            clipped |= sample >= most;
-        }
-        const vecf grey = total * (1.0f / CHANNELS);
+        veci clipped;
+        const vecf grey = grey_of(sample_ciq, i, q, size_i, size_q, most, &clipped);
         lit[i] = clipped ? -grey : grey;
         if (fitted_i[i]) {
             least = LESSER(least, grey);

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.arrays import Span
 from clrelight.codec.slabs import SLAB_BYTES
 from clrelight.codec.streams import Linear, Source
 from clrelight.codec.transforms.code_values import bend, code_values_of, node_matrices
 from clrelight.codec.transforms.lifting import padded_width, split_planes
-from clrelight.codec.transforms.whitening import Planes, Span, reshaped
+from clrelight.codec.transforms.whitening import Planes, reshaped
 from clrelight.device import Device
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, sample_defines
 from clrelight.memory import PIECE_BYTES

@@ -23,8 +23,6 @@ _SAMPLED_ROWS, _SAMPLED_PIXELS, _SAMPLED_VALUES = 256, 1 << 16, 1 << 24
 
 Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
-Span = tuple[int, int]
-"""The first of some rows or columns, and the one behind the last."""
 ReadRow = Callable[[int, slice], NDArray[np.float32]]
 """Returns some pixels of a row of all maps, (n_coeff, columns, channel)."""
 
