@@ -122,11 +122,8 @@ def render_reflection(
     """
     target = None if out is None else path_text(out, "an image to write")
     shown = Showing(None if exposure is None else count_stops(exposure), tonemap, transfer)
-    frames = SurfaceFrames(
-        1 if turntable is None else whole(turntable, "turntable"), turns, about, turntable is not None
-    )
     shown.check(target)
-    frames.check()
+    frames = SurfaceFrames.asked(turntable, turns, about)
     kept = report_for(report)
     names = picture_names(target, frames.count, background == "transparent")
     sides, held, clock = picture_size(size), count_bytes(memory), Clock()

@@ -121,11 +121,8 @@ def render(
     """
     target = None if out is None else path_text(out, "an image to write")
     shown = Showing(count_stops(exposure), tonemap, transfer)
-    frames = SurfaceFrames(
-        1 if turntable is None else whole(turntable, "turntable"), turns, about, turntable is not None
-    )
     shown.check(target)
-    frames.check()
+    frames = SurfaceFrames.asked(turntable, turns, about)
     kept = report_for(report)
     names = picture_names(target, frames.count, background == "transparent")
     held = count_bytes(memory)

@@ -13,6 +13,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
 from clrelight.harmonics.rotation import rotation_matrix
 from clrelight.jobs.frames import MAX_STEPS, Rotation, turn_light
+from clrelight.jobs.inputs import whole
 from clrelight.jobs.report import Report
 from clrelight.surface import Surface
 from clrelight.transfer.cameras import UP, Camera, Framing, middle_of
@@ -35,16 +36,19 @@ class SurfaceFrames:
     about: Sequence[float] | None
     is_turntable: bool
 
-    def check(self) -> None:
-        """Raise InputError where they cannot be."""
-        if not 1 <= self.count <= MAX_STEPS:
-            raise InputError(f"turntable must be 1 to {MAX_STEPS}, got {self.count}")
-        if self.turns not in TURNS:
-            raise InputError(f"what turns is one of {', '.join(TURNS)}, got {self.turns!r}")
-        if self.about is not None:
-            axis_3 = numbers_of(self.about, "--about")
-            if not self.is_turntable or axis_3.shape != (3,) or not axis_3.any():
+    @classmethod
+    def asked(cls, turntable: int | None, turns: str, about: Sequence[float] | None) -> SurfaceFrames:
+        """Return what `turntable` steps, or one picture where it is None, ask for; InputError where they cannot be."""
+        count = 1 if turntable is None else whole(turntable, "turntable")
+        if not 1 <= count <= MAX_STEPS:
+            raise InputError(f"turntable must be 1 to {MAX_STEPS}, got {count}")
+        if turns not in TURNS:
+            raise InputError(f"what turns is one of {', '.join(TURNS)}, got {turns!r}")
+        if about is not None:
+            axis_3 = numbers_of(about, "--about")
+            if turntable is None or axis_3.shape != (3,) or not axis_3.any():
                 raise InputError("--about X,Y,Z is the axis of --turntable N: three finite numbers, not all zero")
+        return cls(count, turns, about, turntable is not None)
 
     @property
     def axis(self) -> tuple[float, ...]:
