@@ -17,6 +17,8 @@ from clrelight.errors import InputError
 from tests.commands import ROOT, command_line, contents, environment, succeed
 from tests.kills import ENDINGS, await_handlers
 
+LONG = ("--degree", 12, "--precision", "double", "--memory", "3M")
+"""Of a fit that takes most of a second, part by part, and is not refused."""
 HANDLED = {name: signal.Signals[name] for name in ENDINGS}
 
 
@@ -24,6 +26,13 @@ HANDLED = {name: signal.Signals[name] for name in ENDINGS}
 def stack(tmp_path_factory):
     path = tmp_path_factory.mktemp("signals") / "ring.h5"
     succeed("synth", "ring", path, "--size", 32, "--lights", 60)
+    return path
+
+
+@pytest.fixture(scope="module")
+def large_stack(tmp_path_factory):
+    path = tmp_path_factory.mktemp("signals") / "large.h5"
+    succeed("synth", "ring", path, "--size", 256, "--lights", 60)
     return path
 
 
@@ -41,9 +50,9 @@ def wait_for(ready, started):
 
 
 @pytest.mark.parametrize("name", ENDINGS)
-def test_every_signal_cleans_up(stack, tmp_path, name):
+def test_every_signal_cleans_up(large_stack, tmp_path, name):
     (tmp_path / "o.h5").write_bytes(b"precious")
-    started = start(["fit", stack, "o.h5", "--iterations", 1000, "--memory", "20k"], tmp_path)
+    started = start(["fit", large_stack, "o.h5", *LONG], tmp_path)
     try:
         wait_for((tmp_path / ".o.h5.part").exists, started)
         assert (tmp_path / ".o.h5.lock").exists()
@@ -56,8 +65,8 @@ def test_every_signal_cleans_up(stack, tmp_path, name):
     assert contents(tmp_path) == {"o.h5": b"precious"}
 
 
-def test_two_signals_at_once(stack, tmp_path):
-    started = start(["fit", stack, "o.h5", "--iterations", 1000, "--memory", "20k"], tmp_path)
+def test_two_signals_at_once(large_stack, tmp_path):
+    started = start(["fit", large_stack, "o.h5", *LONG], tmp_path)
     try:
         wait_for((tmp_path / ".o.h5.part").exists, started)
         for _ in range(2):
