@@ -119,7 +119,7 @@ def prefilter_rows(threads: int, rounds: int) -> list[dict[str, Any]]:
 def share_rows(threads: int, rounds: int) -> list[dict[str, Any]]:
     """Return the time of a whole reflection map beside that of projecting and reconstructing its light's map."""
     from clrelight.device import open_device
-    from clrelight.jobs.reflection_bench import prefilter_works
+    from clrelight.jobs.reflection.bench import prefilter_works
 
     works = prefilter_works(sunny_map(), open_device(None))
     return [{"threads": threads, "ms": least_milliseconds(works, rounds)}]

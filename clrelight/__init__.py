@@ -32,33 +32,33 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.exchange import export_for_viewers as export_for_viewers
     from clrelight.jobs.exchange import import_archive as import_archive
     from clrelight.jobs.export import export as export
-    from clrelight.jobs.find_lights import find_lights as find_lights
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
     from clrelight.jobs.measure import measure as measure
-    from clrelight.jobs.normals import normals as normals
-    from clrelight.jobs.operators import transfer_operators as transfer_operators
     from clrelight.jobs.pack import pack as pack
     from clrelight.jobs.preview import preview as preview
-    from clrelight.jobs.recognition import recognise as recognise
-    from clrelight.jobs.reflect import reflect as reflect
-    from clrelight.jobs.reflection import build_reflection as build_reflection
-    from clrelight.jobs.reflection_estimate import estimate_reflectance as estimate_reflectance
-    from clrelight.jobs.reflection_estimate import recognise_material as recognise_material
-    from clrelight.jobs.reflection_plan import plan_reflection as plan_reflection
-    from clrelight.jobs.reflection_render import render_reflection as render_reflection
+    from clrelight.jobs.reflection.build import build_reflection as build_reflection
+    from clrelight.jobs.reflection.estimate import estimate_reflectance as estimate_reflectance
+    from clrelight.jobs.reflection.estimate import recognise_material as recognise_material
+    from clrelight.jobs.reflection.plan import plan_reflection as plan_reflection
+    from clrelight.jobs.reflection.render import render_reflection as render_reflection
     from clrelight.jobs.relight import relight as relight
-    from clrelight.jobs.render import render as render
     from clrelight.jobs.report import Note as Note
     from clrelight.jobs.report import Report as Report
-    from clrelight.jobs.subspaces import compare_subspaces as compare_subspaces
+    from clrelight.jobs.surface.operators import transfer_operators as transfer_operators
+    from clrelight.jobs.surface.reflect import reflect as reflect
+    from clrelight.jobs.surface.render import render as render
+    from clrelight.jobs.surface.transfer import transfer as transfer
     from clrelight.jobs.target import encode_to_quality as encode_to_quality
     from clrelight.jobs.to_sh import to_sh as to_sh
-    from clrelight.jobs.transfer import transfer as transfer
     from clrelight.jobs.unpack import unpack as unpack
     from clrelight.jobs.update import update_fit as update_fit
-    from clrelight.jobs.variation import inverse_lighting as inverse_lighting
-    from clrelight.jobs.variation import principal_components as principal_components
+    from clrelight.jobs.variation.components import inverse_lighting as inverse_lighting
+    from clrelight.jobs.variation.components import principal_components as principal_components
+    from clrelight.jobs.variation.find_lights import find_lights as find_lights
+    from clrelight.jobs.variation.normals import normals as normals
+    from clrelight.jobs.variation.recognition import recognise as recognise
+    from clrelight.jobs.variation.subspaces import compare_subspaces as compare_subspaces
     from clrelight.lighting.environment import Environment as Environment
     from clrelight.lighting.environment import read_environment as read_environment
     from clrelight.lighting.expressions import parse_expression as parse_expression
@@ -115,30 +115,30 @@ _MODULES = {
     "jobs.encode": "encode",
     "jobs.exchange": "export_for_viewers import_archive",
     "jobs.export": "export",
-    "jobs.find_lights": "find_lights",
+    "jobs.variation.find_lights": "find_lights",
     "jobs.fit": "fit",
     "jobs.ingest": "ingest",
     "jobs.measure": "measure",
-    "jobs.operators": "transfer_operators",
-    "jobs.normals": "normals",
+    "jobs.surface.operators": "transfer_operators",
+    "jobs.variation.normals": "normals",
     "jobs.pack": "pack",
     "jobs.preview": "preview",
-    "jobs.recognition": "recognise",
-    "jobs.reflect": "reflect",
-    "jobs.reflection": "build_reflection",
-    "jobs.reflection_estimate": "estimate_reflectance recognise_material",
-    "jobs.reflection_plan": "plan_reflection",
-    "jobs.reflection_render": "render_reflection",
+    "jobs.variation.recognition": "recognise",
+    "jobs.surface.reflect": "reflect",
+    "jobs.reflection.build": "build_reflection",
+    "jobs.reflection.estimate": "estimate_reflectance recognise_material",
+    "jobs.reflection.plan": "plan_reflection",
+    "jobs.reflection.render": "render_reflection",
     "jobs.relight": "relight",
-    "jobs.render": "render",
+    "jobs.surface.render": "render",
     "jobs.report": "Note Report",
-    "jobs.subspaces": "compare_subspaces",
+    "jobs.variation.subspaces": "compare_subspaces",
     "jobs.target": "encode_to_quality",
     "jobs.to_sh": "to_sh",
-    "jobs.transfer": "transfer",
+    "jobs.surface.transfer": "transfer",
     "jobs.unpack": "unpack",
     "jobs.update": "update_fit",
-    "jobs.variation": "inverse_lighting principal_components",
+    "jobs.variation.components": "inverse_lighting principal_components",
     "lighting.environment": "Environment read_environment",
     "lighting.expressions": "parse_expression",
     "lighting.lamps": "blend_lights cap_light cast_shadow directional_light",

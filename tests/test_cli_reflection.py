@@ -6,11 +6,11 @@ import pytest
 from clrelight.brdf.analytic import Microfacet
 from clrelight.errors import StoreFormatError
 from clrelight.images import read_header, read_image, write_image
-from clrelight.jobs.reflection import build_reflection
-from clrelight.jobs.reflection_bench import cost_slopes, frame_rates, prefilter_shares, time_microfacets, time_phong
-from clrelight.jobs.reflection_codecs import code_maps, principal_shares
-from clrelight.jobs.reflection_peers import compare_peers
-from clrelight.jobs.reflection_render import render_reflection
+from clrelight.jobs.reflection.bench import cost_slopes, frame_rates, prefilter_shares, time_microfacets, time_phong
+from clrelight.jobs.reflection.build import build_reflection
+from clrelight.jobs.reflection.codecs import code_maps, principal_shares
+from clrelight.jobs.reflection.peers import compare_peers
+from clrelight.jobs.reflection.render import render_reflection
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
 from clrelight.shrm.lookup import render_sphere, view_sphere

@@ -8,7 +8,7 @@ import pytest
 import clrelight as cr
 from clrelight import image_sink
 from clrelight.images import read_image, write_image
-from clrelight.jobs import light_frames
+from clrelight.jobs.variation import light_frames
 from clrelight.light_files import read_light_file
 from clrelight.sampling import make_pattern
 from clrelight.variation.factoring import lights_from_surface

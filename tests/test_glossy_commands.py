@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import clrelight as cr
-from clrelight.jobs.meshes import take_surface
+from clrelight.jobs.surface.meshes import take_surface
 from clrelight.surface import Surface
 from clrelight.transfer.brdfs import Phong
 from clrelight.transfer.operators import transfer_operators

@@ -15,9 +15,9 @@ from clrelight.brdf.radial import Lambert, Mirrored, Phong
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.quadrature import product_rule
-from clrelight.jobs.reflection import build_reflection
-from clrelight.jobs.reflection_estimate import estimate_reflectance, observe, recognise_material
-from clrelight.jobs.reflection_render import render_reflection
+from clrelight.jobs.reflection.build import build_reflection
+from clrelight.jobs.reflection.estimate import estimate_reflectance, observe, recognise_material
+from clrelight.jobs.reflection.render import render_reflection
 from clrelight.lighting.light import Light
 from clrelight.lighting.sky import sky_light
 from clrelight.shrm.angular import integrate_directions

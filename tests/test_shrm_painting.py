@@ -12,7 +12,7 @@ from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.quadrature import product_rule
 from clrelight.harmonics.rotation import rotation_matrix
-from clrelight.jobs.reflection_render import render_reflection
+from clrelight.jobs.reflection.render import render_reflection
 from clrelight.lighting.light import Light
 from clrelight.lighting.rotation import rotate_light
 from clrelight.shrm.angular import integrate_directions

@@ -9,8 +9,8 @@ import pytest
 
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
-from clrelight.jobs.render import render
-from clrelight.jobs.transfer import transfer
+from clrelight.jobs.surface.render import render
+from clrelight.jobs.surface.transfer import transfer
 from clrelight.transfer.cameras import Camera, frame_surface
 from clrelight.transfer.frames import tangents_of, turn_into_frames
 from clrelight.transfer.meshes import make_surface

@@ -218,7 +218,7 @@ _EVERY = (
     ),
     Verb(
         "normals",
-        "clrelight.jobs.normals:normals",
+        "clrelight.jobs.variation.normals:normals",
         "a stack to its normals",
         ".exr",
         ("stack",),

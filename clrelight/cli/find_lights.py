@@ -71,7 +71,7 @@ def find_lights(source: str, out: str, as_json: bool, **asked: Any) -> None:
       clrelight find-lights photos/ lights.lp --sphere 1510,420,96
       clrelight find-lights photos/ lights.lp --by object --normals normals.exr
     """
-    from clrelight.jobs.find_lights import find_lights as run_find_lights
+    from clrelight.jobs.variation.find_lights import find_lights as run_find_lights
 
     report = make_report(as_json)
     asked["spheres"] = asked["spheres"] or None

@@ -118,7 +118,7 @@ def normals(stack: str, out: str, as_json: bool, **asked: Any) -> None:
       clrelight normals stack.h5 normals.exr --positions lamps.csv --pixel 0.1 --gains estimate
       clrelight normals stack.h5 normals.exr --lighting unknown --degree 2
     """
-    from clrelight.jobs.normals import normals as run_normals
+    from clrelight.jobs.variation.normals import normals as run_normals
 
     report = make_report(as_json)
     with progress_bar("reading") as bar:

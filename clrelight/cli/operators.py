@@ -64,8 +64,8 @@ def operators(mesh: str, out: str, as_json: bool, **asked: Any) -> None:
       clrelight operators statue.ply glossy.h5 --brdf phong:20 --diffuse 0.3 --specular 0.6
       clrelight operators statue.ply metal.h5 --brdf ggx:0.4 --specular 0.9,0.7,0.4 --order hilbert
     """
-    from clrelight.jobs.operators import transfer_operators
     from clrelight.jobs.report import Report
+    from clrelight.jobs.surface.operators import transfer_operators
 
     report = Report()
     with progress_bar("planning") as bar:
@@ -99,8 +99,8 @@ def reflect(glossy: str, out: str, light: str, mesh: str | None, device: str | N
     Example:
       clrelight reflect glossy.h5 seen.h5 --light grace.h5
     """
-    from clrelight.jobs.reflect import reflect as run_reflect
     from clrelight.jobs.report import Report
+    from clrelight.jobs.surface.reflect import reflect as run_reflect
 
     report = Report()
     with progress_bar("reflecting") as bar:

@@ -71,7 +71,7 @@ def info(file: str, as_json: bool) -> None:
     Example:
       clrelight brdf info krylon_blue.brdf
     """
-    from clrelight.jobs.reflection_plan import describe_brdf
+    from clrelight.jobs.reflection.plan import describe_brdf
 
     report = make_report(as_json)
     describe_brdf(file, report=report)
@@ -147,7 +147,7 @@ def estimate(
       clrelight brdf estimate a.exr b.exr found.json --light probe.exr --view 0,-1,0.3 --view 1,0,0
       clrelight shrm build other.exr glossy.h5 --brdf found.json
     """
-    from clrelight.jobs.reflection_estimate import estimate_reflectance
+    from clrelight.jobs.reflection.estimate import estimate_reflectance
 
     report = make_report(as_json)
     estimate_reflectance(
@@ -213,7 +213,7 @@ def recognise(
     Example:
       clrelight brdf recognise ball.exr --light probe.exr --material paint.brdf --material skin --material phong:32
     """
-    from clrelight.jobs.reflection_estimate import recognise_material
+    from clrelight.jobs.reflection.estimate import recognise_material
 
     report = make_report(as_json)
     recognise_material(

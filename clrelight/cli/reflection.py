@@ -103,7 +103,7 @@ def build(
       clrelight shrm build probe.hdr --brdf microfacet --sigma 0.2 --epsilon 0.03 glossy.h5
       clrelight shrm build grace.h5 --brdf paint.brdf --degree 30 --order 5 paint.h5
     """
-    from clrelight.jobs.reflection import build_reflection
+    from clrelight.jobs.reflection.build import build_reflection
     from clrelight.store import check_output, read_light
 
     made_of = _make(name, sigma, exponent)
@@ -165,7 +165,7 @@ def plan(
       clrelight shrm plan --brdf microfacet --sigma 0.1 --epsilon 0.03
       clrelight shrm plan grace.hdr --brdf phong --exponent 32 --chart accuracy.svg
     """
-    from clrelight.jobs.reflection_plan import plan_reflection
+    from clrelight.jobs.reflection.plan import plan_reflection
 
     made_of = _make(name, sigma, exponent)
     if chart is not None:

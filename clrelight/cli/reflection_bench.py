@@ -78,7 +78,7 @@ def _measure(
     table: str, names: tuple[str, ...], environment: Environment, light: Light, device: Device
 ) -> tuple[list[str], list[list[str]], Any]:
     """Return the headers and rows of a table as text, and its numbers."""
-    from clrelight.jobs import reflection_bench as measure
+    from clrelight.jobs.reflection import bench as measure
 
     if table == "costs":
         slopes = measure.cost_slopes()
@@ -106,7 +106,7 @@ def _measure(
 
 def _peers(names: tuple[str, ...], light: Light) -> tuple[list[str], list[list[str]], Any]:
     from clrelight.brdf.named import make_brdf
-    from clrelight.jobs.reflection_peers import compare_peers
+    from clrelight.jobs.reflection.peers import compare_peers
 
     found = [compare_peers(light, make_brdf(name)) for name in names or ("microfacet", "skin", "kajiya-kay")]
     orders = list(found[0]["orders"])
@@ -119,8 +119,8 @@ def _peers(names: tuple[str, ...], light: Light) -> tuple[list[str], list[list[s
 
 def _codecs(light: Light, device: Device) -> tuple[list[str], list[list[str]], Any]:
     from clrelight.brdf.named import make_brdf
-    from clrelight.jobs.reflection import build_reflection
-    from clrelight.jobs.reflection_codecs import code_maps, principal_shares
+    from clrelight.jobs.reflection.build import build_reflection
+    from clrelight.jobs.reflection.codecs import code_maps, principal_shares
     from clrelight.jobs.report import Report
 
     shrm = build_reflection(light, make_brdf("microfacet"), epsilon=0.03, device=device, report=Report())

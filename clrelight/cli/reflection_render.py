@@ -105,7 +105,7 @@ def render(
       clrelight shrm render glossy.h5 bunny.png --mesh bunny.obj --mesh-up y --background environment --env probe.hdr
       clrelight shrm render glossy.h5 around.gif --mesh bunny.obj --mesh-up y --turntable 36 --size 320,240
     """
-    from clrelight.jobs.reflection_render import render_reflection
+    from clrelight.jobs.reflection.render import render_reflection
 
     _check(mesh, environments)
     report = make_report(as_json)
@@ -163,7 +163,7 @@ def _environment(files: tuple[str, ...], layout: str | None, axes: str, report: 
 
 
 def _print(report: Report, several: bool, as_json: bool) -> None:
-    from clrelight.jobs.reflection_render import PAPER_RATE
+    from clrelight.jobs.reflection.render import PAPER_RATE
 
     facts = report.facts
     files = facts["files"]

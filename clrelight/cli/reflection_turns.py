@@ -34,7 +34,7 @@ def rotate(
       clrelight shrm rotate glossy.h5 turned.h5 --rotate axis:1,0,0,-90
       clrelight shrm rotate glossy.h5 turned%03d.h5 --turntable 36
     """
-    from clrelight.jobs.reflection_turns import rotate_reflection
+    from clrelight.jobs.reflection.turns import rotate_reflection
 
     report = make_report(as_json)
     with progress_bar("turning") as bar:

@@ -114,7 +114,7 @@ def render(
       clrelight render map.h5 lamp.png --point 60,90,80,20000 --shading pixel --camera 200,250,90
       clrelight render coded.h5 round.gif --mesh armadillo.ply --light 0.3,0.2,1 --turntable 36
     """
-    from clrelight.jobs.render import render as run_render
+    from clrelight.jobs.surface.render import render as run_render
 
     report = make_report(as_json)
     with progress_bar("rendering") as bar:

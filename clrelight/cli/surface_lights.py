@@ -14,7 +14,7 @@ from clrelight.errors import InputError
 
 if TYPE_CHECKING:
     from clrelight.jobs.report import Report
-    from clrelight.jobs.surface_inputs import LightLike
+    from clrelight.jobs.surface.inputs import LightLike
     from clrelight.transfer.cameras import Framing
 
 Triple = tuple[float, float, float]

@@ -92,7 +92,7 @@ def transfer(
       clrelight transfer bunny.obj bunny.h5 --type interreflected --bounces 3 --albedo 0.8,0.6,0.5
       clrelight transfer bunny.obj bunny.h5 --frame local --samples 4096 --degree 6
     """
-    from clrelight.jobs.transfer import transfer as run_transfer
+    from clrelight.jobs.surface.transfer import transfer as run_transfer
 
     if kind != "interreflected":
         for name in ("bounces", "is_gathered", "threshold"):

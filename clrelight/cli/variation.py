@@ -50,7 +50,7 @@ def pca(source: str, as_json: bool, **asked: Any) -> None:
       clrelight variation pca stack.h5
       clrelight variation pca normals.exr --raw --pictures components/
     """
-    from clrelight.jobs.variation import principal_components
+    from clrelight.jobs.variation.components import principal_components
 
     report = make_report(as_json)
     with progress_bar("reading") as bar:
@@ -101,7 +101,7 @@ def subspaces(source: str, as_json: bool, **asked: Any) -> None:
       clrelight variation subspaces stack.h5
       clrelight variation subspaces normals.exr --albedo albedo.exr
     """
-    from clrelight.jobs.subspaces import compare_subspaces
+    from clrelight.jobs.variation.subspaces import compare_subspaces
     from clrelight.variation.comparing import EPSTEIN
 
     report = make_report(as_json)
@@ -148,7 +148,7 @@ def inverse(image: str, normals: str, out: str, as_json: bool, **asked: Any) -> 
     Example:
       clrelight variation inverse photo.exr normals.exr light.h5 --albedo albedo.exr
     """
-    from clrelight.jobs.variation import inverse_lighting
+    from clrelight.jobs.variation.components import inverse_lighting
 
     report = make_report(as_json)
     with progress_bar("reading") as bar:
@@ -202,7 +202,7 @@ def recognise(gallery: str, photographs: tuple[str, ...], as_json: bool, **asked
       clrelight variation recognise people/ who.exr
       clrelight variation recognise people/ a.jpg b.jpg --transfer srgb --spaces 3d,4d,9d,cone --csv table.csv
     """
-    from clrelight.jobs.recognition import recognise as run_recognise
+    from clrelight.jobs.variation.recognition import recognise as run_recognise
 
     report = make_report(as_json)
     with progress_bar("reading") as bar:

@@ -14,7 +14,7 @@ from clrelight.brdf.analytic import KajiyaKay, Microfacet
 from clrelight.brdf.coefficients import brdf_coefficients
 from clrelight.brdf.lafortune import SKIN
 from clrelight.brdf.radial import Phong
-from clrelight.jobs.reflection_bench import (
+from clrelight.jobs.reflection.bench import (
     EXPONENTS,
     SIGMAS,
     cost_slopes,
@@ -22,7 +22,7 @@ from clrelight.jobs.reflection_bench import (
     time_microfacets,
     time_phong,
 )
-from clrelight.jobs.reflection_plan import accuracy_rows, map_energy
+from clrelight.jobs.reflection.plan import accuracy_rows, map_energy
 from clrelight.lighting.environment import read_environment
 from clrelight.lighting.light import Light
 from clrelight.lighting.projection import project_environment

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from clrelight.harmonics.basis import evaluate_basis
-from clrelight.jobs.reflection_bench import best_seconds
+from clrelight.jobs.reflection.bench import best_seconds
 from clrelight.lighting import layouts
 from clrelight.lighting.environment import Environment, read_environment
 from clrelight.lighting.irradiance import (

@@ -16,7 +16,7 @@ from clrelight.harmonics.index import coefficient_count
 from clrelight.harmonics.product import transfer_matrix
 from clrelight.harmonics.quadrature import product_rule
 from clrelight.jobs.report import Report
-from clrelight.jobs.transfer import transfer
+from clrelight.jobs.surface.transfer import transfer
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.irradiance import evaluate_irradiance, irradiance_light
 from clrelight.lighting.lamps import cap_light, cap_visibility

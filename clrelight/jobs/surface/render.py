@@ -16,9 +16,9 @@ from clrelight.jobs.frames import Rotation
 from clrelight.jobs.inputs import FittedLike, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for
-from clrelight.jobs.surface_frames import SurfaceFrames, colour_of, place_camera, turn_background, turn_sources
-from clrelight.jobs.surface_inputs import LightLike, background_of, lend_map, sources_of, surface_for
-from clrelight.jobs.surface_pictures import Showing, picture_names
+from clrelight.jobs.surface.frames import SurfaceFrames, colour_of, place_camera, turn_background, turn_sources
+from clrelight.jobs.surface.inputs import LightLike, background_of, lend_map, sources_of, surface_for
+from clrelight.jobs.surface.pictures import Showing, picture_names
 from clrelight.jobs.written import count_bytes, count_stops
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.surface import Surface

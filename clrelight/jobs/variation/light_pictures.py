@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.conventions import linear_to_srgb
-from clrelight.jobs.light_frames import Frames
-from clrelight.jobs.sphere_lights import SphereLights
+from clrelight.jobs.variation.light_frames import Frames
+from clrelight.jobs.variation.sphere_lights import SphereLights
 
 _SIDE = 1600
 _OUTLINE, _MARK, _UNSURE = (255, 160, 0), (0, 200, 255), (255, 0, 90)

@@ -23,8 +23,8 @@ from clrelight.jobs.pictures import (
     write_view,
 )
 from clrelight.jobs.report import Progress, Report, stage
-from clrelight.jobs.surface_frames import Placed
-from clrelight.jobs.transparency import check_alpha, write_transparent
+from clrelight.jobs.surface.frames import Placed
+from clrelight.jobs.surface.transparency import check_alpha, write_transparent
 from clrelight.lighting.relighting import TONEMAPS, automatic_exposure
 from clrelight.transfer.cameras import Camera
 from clrelight.transfer.painting import Background, Picture, put_on

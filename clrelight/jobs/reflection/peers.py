@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clrelight.brdf.centred import CentredBrdf
 from clrelight.brdf.coefficients import brdf_coefficients
 from clrelight.harmonics.latlong import project_latlong
-from clrelight.jobs.reflection_bench import square_light
+from clrelight.jobs.reflection.bench import square_light
 from clrelight.lighting.light import Light
 from clrelight.shrm.angular import integrate_directions
 from clrelight.shrm.explicit import (

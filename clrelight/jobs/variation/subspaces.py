@@ -17,7 +17,7 @@ from clrelight.harmonics.basis import evaluate_basis
 from clrelight.images import IMAGE_EXTENSIONS
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.jobs.variation import MESHES, read_normals, visible_vertices
+from clrelight.jobs.variation.components import MESHES, read_normals, visible_vertices
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.sampling import make_pattern
@@ -114,7 +114,7 @@ def _normals_of(
 ) -> tuple[NDArray[np.floating], NDArray[np.float64]]:
     """Return unit normals and the weight of each one's squared radiance: squared albedo times the area in view."""
     if suffix in IMAGE_EXTENSIONS:
-        from clrelight.jobs.gallery import read_linear
+        from clrelight.jobs.variation.gallery import read_linear
 
         normals_p3, inside_hw = read_normals(source, green)  # type: ignore[arg-type]
         if albedo is None:

@@ -22,9 +22,9 @@ from clrelight.harmonics.basis import MAX_DEGREE
 from clrelight.images import read_image
 from clrelight.jobs.inputs import opened_on, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
-from clrelight.jobs.reflection import LightLike, light_of
+from clrelight.jobs.reflection.build import LightLike, light_of
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.jobs.variation import read_normals
+from clrelight.jobs.variation.components import read_normals
 from clrelight.shrm.estimation import FoundBrdf, estimate_brdf
 from clrelight.shrm.lookup import central_directions, view_sphere
 from clrelight.shrm.observation import Observations

@@ -14,9 +14,9 @@ from clrelight.conventions import srgb_to_linear
 from clrelight.errors import InputError
 from clrelight.image_names import list_series, natural_key
 from clrelight.images import IMAGE_EXTENSIONS, read_header, read_image
-from clrelight.jobs.light_frames import Frames, lend_frames
 from clrelight.jobs.report import Report
-from clrelight.jobs.variation import read_normals
+from clrelight.jobs.variation.components import read_normals
+from clrelight.jobs.variation.light_frames import Frames, lend_frames
 from clrelight.light_files import read_light_file
 from clrelight.variation.maps import SampleReader
 from clrelight.variation.recognition import Space, spaces_of_normals, spaces_of_photographs

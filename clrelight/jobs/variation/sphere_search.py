@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.jobs.light_frames import Frames
 from clrelight.jobs.report import Progress, stage
-from clrelight.jobs.sphere_lights import LEAST_OUTLINE, outlined, pictures_of, shaded_lights, window_of
+from clrelight.jobs.variation.light_frames import Frames
+from clrelight.jobs.variation.sphere_lights import LEAST_OUTLINE, outlined, pictures_of, shaded_lights, window_of
 from clrelight.variation.circles import Circle, find_circles
 from clrelight.variation.highlights import find_highlights
 from clrelight.variation.spheres import view_sphere

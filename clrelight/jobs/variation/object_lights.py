@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from clrelight.errors import InputError
 from clrelight.images import read_image
 from clrelight.jobs.inputs import path_text
-from clrelight.jobs.light_frames import Frames
 from clrelight.jobs.report import Progress, Report, stage
-from clrelight.jobs.variation import read_normals
+from clrelight.jobs.variation.components import read_normals
+from clrelight.jobs.variation.light_frames import Frames
 from clrelight.masks import read_mask
 from clrelight.variation.factoring import lights_from_surface
 from clrelight.variation.shading import lights_from_normals

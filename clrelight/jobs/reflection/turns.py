@@ -15,7 +15,7 @@ from clrelight.jobs.inputs import path_text, paths_among
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import name_pictures
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.jobs.surface_frames import rotation_of
+from clrelight.jobs.surface.frames import rotation_of
 from clrelight.shrm.record import Shrm
 from clrelight.shrm.rotation import map_degree, turn_shrm
 from clrelight.store import read_shrm, write_shrm

@@ -17,13 +17,13 @@ from clrelight.durable import replacing
 from clrelight.errors import InputError
 from clrelight.images import write_image
 from clrelight.jobs.inputs import StackLike, path_text, paths_among, whole
-from clrelight.jobs.light_frames import Frames, lend_frames
-from clrelight.jobs.light_pictures import draw_spheres
-from clrelight.jobs.object_lights import lights_of_object
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for
-from clrelight.jobs.sphere_lights import SphereLights, agree, lights_of_sphere
-from clrelight.jobs.sphere_search import look_for_spheres
+from clrelight.jobs.variation.light_frames import Frames, lend_frames
+from clrelight.jobs.variation.light_pictures import draw_spheres
+from clrelight.jobs.variation.object_lights import lights_of_object
+from clrelight.jobs.variation.sphere_lights import SphereLights, agree, lights_of_sphere
+from clrelight.jobs.variation.sphere_search import look_for_spheres
 from clrelight.jobs.written import count_bytes
 from clrelight.light_files import write_lp
 from clrelight.memory import IMAGE_MEMORY

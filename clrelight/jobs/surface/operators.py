@@ -19,9 +19,9 @@ from clrelight.jobs.inputs import (
     paths_among,
     whole,
 )
-from clrelight.jobs.meshes import MeshLike, mesh_config, take_surface
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.surface.meshes import MeshLike, mesh_config, take_surface
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import write_fit

@@ -13,9 +13,9 @@ from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.jobs.inputs import FittedLike, lend_coefficients, opened_on, path_text, paths_among
-from clrelight.jobs.meshes import MeshLike, frame_as_made, take_surface_of
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.surface.meshes import MeshLike, frame_as_made, take_surface_of
 from clrelight.lighting.light import Light
 from clrelight.store import read_light, write_fit
 from clrelight.transfer.reflection import reflect as reflect_towards

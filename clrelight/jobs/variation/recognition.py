@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from clrelight.arrays import check_transfer
 from clrelight.durable import replacing
 from clrelight.errors import InputError
-from clrelight.jobs.gallery import Subject, read_gallery, read_linear, shrink
 from clrelight.jobs.inputs import path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.variation.gallery import Subject, read_gallery, read_linear, shrink
 from clrelight.threads import on_one_thread
 from clrelight.variation.recognition import SPACES
 

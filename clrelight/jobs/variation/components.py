@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.images import IMAGE_EXTENSIONS, read_image
-from clrelight.jobs.component_pictures import (
+from clrelight.jobs.inputs import StackLike, lend_stack, path_text, paths_among, whole
+from clrelight.jobs.outputs import claimed
+from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.variation.component_pictures import (
     check_folder,
     pictures_of_mesh,
     pictures_of_normals,
     pictures_of_stack,
     write_pictures,
 )
-from clrelight.jobs.inputs import StackLike, lend_stack, path_text, paths_among, whole
-from clrelight.jobs.outputs import claimed
-from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.lighting.light import Light
 from clrelight.memory import DEFAULT_MEMORY

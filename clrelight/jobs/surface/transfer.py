@@ -16,9 +16,9 @@ from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.jobs.inputs import paths_among, read_directions, whole
-from clrelight.jobs.meshes import mesh_config
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.surface.meshes import mesh_config
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import FitSink, create_fit

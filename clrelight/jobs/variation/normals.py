@@ -16,10 +16,10 @@ from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.images import write_image
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, path_text, paths_among, whole
-from clrelight.jobs.normal_files import write_maps, write_ply
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import holds_floats
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.variation.normal_files import write_maps, write_ply
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.variation.heights import integrate_normals

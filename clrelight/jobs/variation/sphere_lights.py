@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from clrelight.errors import InputError
-from clrelight.jobs.light_frames import Frames
 from clrelight.jobs.report import Progress, Report, stage
+from clrelight.jobs.variation.light_frames import Frames
 from clrelight.variation.circles import Circle, refine_circle
 from clrelight.variation.highlights import Highlight, find_highlights
 from clrelight.variation.shading import ShadingLights, lights_from_normals

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from clrelight.errors import InputError
 from clrelight.jobs.frames import Rotation
 from clrelight.jobs.inputs import path_text, paths_among, whole
-from clrelight.jobs.meshes import MeshLike, take_surface
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for
-from clrelight.jobs.surface_frames import Placed, SurfaceFrames, place_camera, rotation_of, turn_background
-from clrelight.jobs.surface_inputs import background_of, sources_of
-from clrelight.jobs.surface_pictures import Showing, picture_names
+from clrelight.jobs.surface.frames import Placed, SurfaceFrames, place_camera, rotation_of, turn_background
+from clrelight.jobs.surface.inputs import background_of, sources_of
+from clrelight.jobs.surface.meshes import MeshLike, take_surface
+from clrelight.jobs.surface.pictures import Showing, picture_names
 from clrelight.jobs.written import count_bytes, count_stops
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light

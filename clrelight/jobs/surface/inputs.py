@@ -18,8 +18,8 @@ from clrelight.errors import InputError
 from clrelight.harmonics.basis import MAX_DEGREE, evaluate_basis
 from clrelight.harmonics.index import degree_of
 from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, opened_on
-from clrelight.jobs.meshes import frame_as_made, is_mesh_file, take_surface_of
 from clrelight.jobs.report import Progress, Report
+from clrelight.jobs.surface.meshes import frame_as_made, is_mesh_file, take_surface_of
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
 from clrelight.lighting.lookup import look_up

@@ -1,0 +1,1 @@
+"""Verbs of surfaces: transfer, operators, what they reflect, pictures of meshes."""

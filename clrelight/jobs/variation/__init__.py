@@ -1,0 +1,1 @@
+"""Verbs of what light does to one view."""
