@@ -146,9 +146,12 @@ def _detect(folder: Path) -> Path:
             raise InputError(f"{folder} holds {len(found)} {what}: name one with --lights")
         if found:
             return found[0]
+    if not files:
+        raise InputError(f"{folder} holds no files, so neither photographs nor their lights")
     raise InputError(
         f"no lights in {folder}: looked for {NAMES_FILE} with {DIRECTIONS_FILE} and {INTENSITIES_FILE}, "
-        f"for one .lp file, for {DIRECTIONS_FILE} and for lights.txt; name a light file with --lights"
+        f"for one .lp file, for {DIRECTIONS_FILE} and for lights.txt; name a light file with --lights, "
+        "or find the lights in the photographs (clrelight find-lights)"
     )
 
 

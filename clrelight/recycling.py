@@ -6,7 +6,8 @@ import ctypes
 import math
 import weakref
 from collections import deque
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -14,9 +15,29 @@ from numpy.typing import DTypeLike, NDArray
 _LEAST = 1 << 18
 """Bytes below which the C library recycles by itself."""
 _KEPT = 1 << 27
-"""Bytes that lie unused at most; what was given back first goes first."""
+"""Bytes that lie unused at most, see `kept_within`; what was given back first goes first."""
+
+_SHARE = 8
+"""Of a budget of memory, this part of it may lie unused."""
 
 _unused: deque[NDArray[np.uint8]] = deque()
+_bounds: list[int] = []
+"""Of the budgets that are being kept to now."""
+
+
+@contextmanager
+def kept_within(memory_bytes: int) -> Iterator[None]:
+    """Let no more lie unused, while the block runs, than a budget has room for beside what is in use.
+
+    The least of several budgets counts: what lies unused belongs to nobody.
+    """
+    bound = memory_bytes // _SHARE
+    _bounds.append(bound)
+    _drop_beyond(bound)
+    try:
+        yield
+    finally:
+        _bounds.remove(bound)
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
@@ -55,7 +76,13 @@ def _take(size: int) -> NDArray[np.uint8]:
 
 
 def _give_back(block: NDArray[np.uint8]) -> None:
-    _unused.append(block)
+    bound = min([_KEPT, *_bounds])
+    if block.size <= bound:
+        _unused.append(block)
+        _drop_beyond(bound)
+
+
+def _drop_beyond(bound: int) -> None:
     with suppress(IndexError):  # other threads took the rest meanwhile
-        while sum(each.size for each in list(_unused)) > _KEPT:
+        while sum(each.size for each in list(_unused)) > bound:
             _unused.popleft()

@@ -55,11 +55,20 @@ def no_long_calls():
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def data_variable():
+    """Return what ``CLRELIGHT_DATA`` was; only `real_data` hands it to tests: no other is to hang on what is there."""
+    with pytest.MonkeyPatch.context() as patch:
+        value = os.environ.get("CLRELIGHT_DATA")
+        patch.delenv("CLRELIGHT_DATA", raising=False)
+        yield value
+
+
 @pytest.fixture(scope="session")
-def real_data():
+def real_data(data_variable):
     """Return the folder of the real stacks, or skip with the reason."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("CLRELIGHT_DATA") or beside)
+    folder = Path(data_variable or beside)
     if not folder.is_dir():
         pytest.skip(f"real data is absent: no folder {folder} (set CLRELIGHT_DATA)")
     return folder

@@ -22,6 +22,7 @@ from clrelight.errors import InputError, StoreFormatError
 from clrelight.experiment.grid import CodecSetting
 from clrelight.fit import prepare_fit
 from clrelight.fit.run import fit_tiles, rows_per_tile
+from clrelight.jobs.fit import fit
 from clrelight.jobs.half_tiles import float16_tiles
 from clrelight.jobs.target import encode_to_quality
 from clrelight.metrics import measure_errors
@@ -471,3 +472,20 @@ def test_memory_does_not_grow_with_the_view(tmp_path, monkeypatch):
     grown = np.subtract(peaks[1020], peaks[340])  # chunks have the same size, and none is cut off
     grown[2] -= 2 * 4 * pixels_more  # relight holds its picture, and what it writes of it
     assert (grown < 0.1 * 16 * 2 * pixels_more).all(), peaks
+
+
+@pytest.mark.parametrize("store", ["float32", "float16"])
+def test_a_budget_below_one_row_is_refused_before_any_file_is_begun(store, tmp_path, monkeypatch):
+    monkeypatch.setattr("clrelight.jobs.fit.create_fit", lambda *given, **options: pytest.fail("a file was begun"))
+    picture = tmp_path / "c.exr"
+    with pytest.raises(InputError, match="one row of this fit takes"):
+        fit(
+            make_stack(20, (6, 8, 3)),
+            "spectrum",
+            2,
+            memory=1000,
+            store=store,
+            confidence=picture,
+            out=tmp_path / "f.h5",
+        )
+    assert list(tmp_path.iterdir()) == []

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 import clrelight as cr
-from clrelight.images import read_image
-from clrelight.jobs.thumbnail import thumbnail
+from clrelight.conventions import linear_to_srgb
+from clrelight.images import read_image, write_image
+from clrelight.jobs.thumbnail import LIGHT, thumbnail
+from clrelight.sampling import make_pattern
 from tests.commands import call, contents, succeed
 from tests.test_store_nexus import default_group, make_fit, make_stack, signal_of, text
 
@@ -80,3 +82,66 @@ def test_a_list_of_vertices_has_no_picture(tmp_path):
     cr.write_fit(tmp_path / "f.h5", line)
     assert thumbnail(tmp_path / "f.h5") is None
     assert "holds no picture" in call("preview", tmp_path / "f.h5", tmp_path / "p.png").err
+
+
+def photographs(place):
+    """Write eight photographs with their lights."""
+    place.mkdir()
+    values = np.random.default_rng(3).integers(20, 230, (8, 24, 32, 3), dtype=np.uint8)
+    directions = make_pattern("uniform", 8)
+    for index, image in enumerate(values):
+        write_image(place / f"{index}.png", image)
+    lines = [f"{index}.png {x} {y} {z}" for index, (x, y, z) in enumerate(directions)]
+    (place / "dome.lp").write_text("\n".join(["8", *lines]))
+    return place
+
+
+@pytest.mark.parametrize("words", [["--codec", "half"], ["--rate", "8"], ["--bytes", "3000"]])
+def test_encode_writes_the_picture_of_its_file_beside_it(words, encoded, tmp_path):
+    out, picture = tmp_path / "e.h5", tmp_path / "e.png"
+    told = succeed("encode", encoded / "fit3.h5", out, *words, "--preview", picture, "--json").json
+    assert told["preview"] == {"file": str(picture), "size": [7, 5]}
+    np.testing.assert_array_equal(read_image(picture), thumbnail(out))
+
+
+def test_a_large_map_by_a_codec_without_levels_is_shown_as_it_went_in(encoded, tmp_path, monkeypatch):
+    monkeypatch.setattr("clrelight.jobs.thumbnail._MOST_VALUES", 100)
+    ended = call("encode", encoded / "fit3.h5", tmp_path / "e.h5", "--codec", "vq", "--preview", tmp_path / "e.png")
+    assert ended.code == 0
+    assert "shows the fit before it was coded" in ended.err
+    np.testing.assert_array_equal(read_image(tmp_path / "e.png"), thumbnail(encoded / "fit3.h5"))
+
+
+def test_a_fit_of_another_basis_is_shown_by_its_own_functions(tmp_path):
+    stack = make_stack(3)
+    fitted = cr.fit(stack, "uls", 1, basis="hsh")
+    cr.write_fit(tmp_path / "f.h5", fitted)
+    expected = 255 * linear_to_srgb(np.clip(cr.relight(fitted, LIGHT), 0, 1))
+    np.testing.assert_allclose(thumbnail(tmp_path / "f.h5"), expected, atol=1.0)
+
+
+def test_pack_writes_the_picture_of_its_file_beside_it(tmp_path):
+    folder = photographs(tmp_path / "photos")
+    out, picture = tmp_path / "v.h5", tmp_path / "v.jpg"
+    ended = succeed("pack", folder, out, "--method", "uls", "--degree", "1", "--preview", picture)
+    assert f"preview  {picture}, 32×24" in " ".join(ended.out.split("\n")).replace("   ", "  ")
+    expected = thumbnail(out).astype(float)
+    assert np.abs(read_image(picture) - expected).mean() < 12  # JPEG's
+
+
+def test_a_preview_that_cannot_be_is_refused_before_work(encoded, tmp_path):
+    folder = photographs(tmp_path / "photos")
+    before = contents(tmp_path), contents(folder), contents(encoded)
+    for words, told in (
+        (("pack", folder, tmp_path / "v.h5", "--preview", folder / "0.png"), "0.png"),
+        (("pack", folder, tmp_path / "v.png", "--preview", tmp_path / "v.png"), "twice"),
+        (("pack", folder, tmp_path / "v.h5", "--preview", tmp_path / "v.h5"), "ends in .png"),
+        (("encode", encoded / "fit3.h5", tmp_path / "e.h5", "--preview", tmp_path / "no" / "e.png"), "no folder"),
+        (("encode", encoded / "fit3.h5", tmp_path / "e.h5", "--preview", tmp_path / "e.exr"), "ends in .png"),
+    ):
+        ended = call(*words)
+        assert (ended.code, ended.err.count("\n")) == (2, 1)
+        assert told in ended.err
+    assert (contents(tmp_path), contents(folder), contents(encoded)) == before
+    with pytest.raises(cr.InputError, match="give out"):
+        cr.encode(encoded / "fit3.h5", preview=tmp_path / "e.png")

@@ -90,3 +90,24 @@ def test_blocks_that_others_took_meanwhile_are_no_error(monkeypatch):
     monkeypatch.setattr(recycling, "_unused", Taken([np.empty(recycling._KEPT, np.uint8)]))
     recycling._give_back(np.empty(1 << 20, np.uint8))
     assert not recycling._unused
+
+
+def test_a_budget_bounds_what_lies_unused_while_it_is_kept_to():
+    def unused():
+        return sum(block.size for block in recycling._unused)
+
+    arrays = [recycling.empty((1 << 22,), np.uint8) for _ in range(8)]
+    del arrays
+    assert unused() == 8 << 22
+    with recycling.kept_within(64 << 20):
+        assert 0 < unused() <= (64 << 20) // recycling._SHARE
+        with recycling.kept_within(1 << 20):
+            assert unused() == 0
+            recycling.empty((1 << 22,), np.uint8)
+            assert unused() == 0
+        recycling.empty((1 << 22,), np.uint8)
+        recycling.empty((1 << 25,), np.uint8)  # more than the bound, which takes nothing else with it
+        assert unused() == 1 << 22
+    arrays = [recycling.empty((1 << 22,), np.uint8) for _ in range(8)]
+    del arrays
+    assert unused() == 8 << 22

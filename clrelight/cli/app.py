@@ -41,6 +41,7 @@ from clrelight.cli import (
     variation,
     view,
 )
+from clrelight.cli.sections import Sectioned
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.interrupts import end_watch, watch_interrupts
 
@@ -48,7 +49,7 @@ from clrelight.interrupts import end_watch, watch_interrupts
 _NO_COMMAND = getattr(click.exceptions, "NoArgsIsHelpError", ())
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=Sectioned, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, message="clrelight %(version)s")
 def cli() -> None:
     """Fit, compress, relight and measure image stacks of one view under many lights.

@@ -15,10 +15,11 @@ from clrelight.cli.options import (
     json_option,
     level_option,
     memory_option,
+    preview_option,
     region_option,
     salvage_option,
 )
-from clrelight.cli.output import decibel, make_report, print_report
+from clrelight.cli.output import decibel, make_report, preview_line, print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.psnr import psnr_lines
 
@@ -26,7 +27,11 @@ from clrelight.cli.psnr import psnr_lines
 @click.command()
 @click.argument("fit_file", metavar="FIT", type=click.Path())
 @click.argument("out", type=click.Path())
-@click.option("--codec", help="half, s3tc, bc6h, uniform, wavelet, jpeg2000, vq, cpca or klt; default s3tc, or klt.")
+@click.option(
+    "--codec",
+    help="half, s3tc, bc6h, uniform, wavelet, jpeg2000, vq, cpca or klt; default: klt where a size or a quality is "
+    "asked for (--rate, --step, --bytes, --target-psnr), else s3tc.",
+)
 @click.option(
     "--basis",
     type=click.Choice(["sh", "whitened", "klt"]),
@@ -58,6 +63,7 @@ from clrelight.cli.psnr import psnr_lines
 @click.option("--block", type=int, help="Side of the coded blocks, 0 for pixels (vq); default 0.")
 @click.option("--clamp", is_flag=True, default=None, help="Clamp what a half float cannot hold (half, bc6h).")
 @click.option("--stack", type=click.Path(), help="Measure PSNR of the decoded result against this stack.")
+@preview_option
 @memory_option("256MiB", "parts of the map")
 @device_option
 @json_option
@@ -71,6 +77,7 @@ def encode(
     byte_budget: int | None,
     target_psnr: float | None,
     stack: str | None,
+    preview: str | None,
     memory: int,
     device: str | None,
     as_json: bool,
@@ -84,7 +91,7 @@ def encode(
     \b
     Example:
       clrelight encode fit.h5 enc.h5 --codec wavelet --rate 1 --stack stack.h5
-      clrelight encode fit.h5 enc.h5 --bytes 20k
+      clrelight encode fit.h5 enc.h5 --bytes 20k --preview enc.png
       clrelight encode fit.h5 enc.h5 --target-psnr 31 --stack stack.h5
     """
     from clrelight.jobs.encode import encode as run_encode
@@ -99,6 +106,7 @@ def encode(
             bytes=byte_budget,
             target_psnr=target_psnr,
             stack=stack,
+            preview=preview,
             memory=memory if is_given(context, "memory") else None,
             device=device,
             progress=bar,
@@ -106,7 +114,8 @@ def encode(
             **options,
         )
     noise = _noise_line(report.facts["coding_noise"])
-    print_report(report, as_json, {"encoded": out, **_size_lines(report.facts), **noise, **psnr_lines(report.psnr)})
+    lines = {"encoded": out, **preview_line(report.facts), **_size_lines(report.facts)}
+    print_report(report, as_json, {**lines, **noise, **psnr_lines(report.psnr)})
 
 
 @click.command()

@@ -189,6 +189,12 @@ perceptual_option = click.option(
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else on standard output."
 )
+preview_option = click.option(
+    "--preview",
+    type=click.Path(),
+    metavar="PICTURE",
+    help="Write a small picture beside the file, of what it holds under a light from the upper left.",
+)
 order_option = click.option(
     "--order",
     type=click.Choice(["file", "morton", "hilbert", "graph", "blocks", "sorted"]),

@@ -82,6 +82,15 @@ def print_report(report: Report, as_json: bool, lines: Mapping[str, Any]) -> Non
     print_facts({**lines, **_fetched_line(report.facts), "time": seconds_line(report.seconds)})
 
 
+def preview_line(facts: Mapping[str, Any]) -> dict[str, str]:
+    """Return the line of a picture that was written beside a file, if one was."""
+    return (
+        {"preview": "{}, {}×{}".format(facts["preview"]["file"], *facts["preview"]["size"])}
+        if "preview" in facts
+        else {}
+    )
+
+
 def _fetched_line(facts: Mapping[str, Any]) -> dict[str, str]:
     if "fetched" not in facts:
         return {}

@@ -17,10 +17,11 @@ from clrelight.cli.options import (
     json_option,
     memory_option,
     perceptual_option,
+    preview_option,
     salvage_option,
     within_option,
 )
-from clrelight.cli.output import make_report, print_report
+from clrelight.cli.output import make_report, preview_line, print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.psnr import psnr_lines
 
@@ -70,6 +71,7 @@ from clrelight.cli.psnr import psnr_lines
     metavar="FILE",
     help="Keep the photographs there as a stack, which pack takes as well; default: gone when it ends.",
 )
+@preview_option
 @memory_option("1GiB", "photographs being read and planes being coded")
 @device_option
 @json_option
@@ -112,6 +114,7 @@ def pack(
     height, width, channel = facts["image_shape"]
     lines: dict[str, Any] = {
         "packed": out,
+        **preview_line(facts),
         "images": f"{facts['n_light'] + facts['n_holdout']} of {width}×{height}, {channel} channel(s)",
         "fit": f"{facts['method']}, degree {facts['degree']}, {facts['n_light']} lights",
         **({"basis": facts["fit_config"]["basis"]} if "basis" in facts["fit_config"] else {}),

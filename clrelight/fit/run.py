@@ -19,6 +19,7 @@ from clrelight.fit.scaling import ScaledTile, TileScaling
 from clrelight.fit.tile import FittedTile, TileFit
 from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import DEFAULT_MEMORY
+from clrelight.recycling import kept_within
 from clrelight.streaming import Buffer, reading_ahead
 
 
@@ -141,7 +142,7 @@ def fit_tiles(
         return scaling.load(*part, next(samples_of).lend(shape, stack.images_ihwc.dtype))
 
     since = time.perf_counter()
-    with reading_ahead(read, tiles) as samples:
+    with kept_within(memory_bytes), reading_ahead(read, tiles) as samples:
         for part, scaled in zip(tiles, samples, strict=True):
             since = report.add("read", since)
             yield work.run(*part, scaled, since)

@@ -9,7 +9,6 @@ import numpy as np
 
 from clrelight.fit import PreparedFit
 from clrelight.fit.confidence import map_confidence
-from clrelight.jobs.pictures import write_decibels
 from clrelight.jobs.report import Report
 
 
@@ -21,6 +20,8 @@ def write_confidence(path: str | os.PathLike[str], prepared: PreparedFit, report
     InputError
         If the method has no variance to tell it from, or the picture cannot be written.
     """
+    from clrelight.jobs.pictures import write_decibels  # libraries of images, which no other fit needs
+
     since, config = time.perf_counter(), prepared.config
     psnr_hw1 = map_confidence(prepared.stack, prepared.method, config["weights"], config["sampling"])
     inside = psnr_hw1[psnr_hw1 != 0.0]

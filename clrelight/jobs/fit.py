@@ -20,7 +20,8 @@ from clrelight.fit.run import collect_tiles
 from clrelight.fit.selection import AUTO, WITHIN
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
-from clrelight.jobs.half_tiles import float16_tiles
+from clrelight.jobs.confidence import write_confidence
+from clrelight.jobs.half_tiles import WRITTEN, check_rows, float16_tiles
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
@@ -198,9 +199,9 @@ def fit(
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
         job = _Fit(stack, split, prepared, dtype, budget, kept, progress)
         job.tell_facts()
+        if out is not None:
+            check_rows(prepared, dtype, budget)
         if confidence is not None:
-            from clrelight.jobs.confidence import write_confidence  # pictures, which no other fit needs
-
             write_confidence(confidence, prepared, kept)
         if out is not None:
             job.to_file(out, True if measure is None else measure)
@@ -286,7 +287,7 @@ class _Fit:
         def write(tile: FittedTile) -> None:
             sink.write_rows(tile.first, tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc)
 
-        tiles = self._tiles(held=2, row_step=sink.coeffs_khwc.chunks[1])
+        tiles = self._tiles(held=WRITTEN, row_step=sink.coeffs_khwc.chunks[1])
         with stage(self.progress, self._title) as tell, closing(tiles):
             with writing_behind(write) as put:
                 for tile in tiles:

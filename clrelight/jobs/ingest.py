@@ -6,7 +6,7 @@ import inspect
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -110,17 +110,18 @@ def lend_photographs(
     report: Report,
     progress: Progress | None,
     options: dict[str, Any],
-    out: str | os.PathLike[str],
+    outs: Sequence[str | os.PathLike[str]],
     look: Callable[[LightStack], object],
 ) -> Iterator[LightStack]:
     """Lend the photographs of a folder, read into a file without a name in the folder `place`; as `ingest`.
 
-    InputError if the file `out`, which is to be made of them, is one of those that are read. `look` may refuse
-    what they will be, before any is read.
+    InputError if one of the files `outs`, which are to be made of them, is one of those that are read. `look` may
+    refuse what they will be, before any is read.
     """
     since, options = time.perf_counter(), given_options(folder, options)
     found = read_folder(folder, memory_bytes=memory, **options)
-    check_output(out, found.inputs)
+    for out in outs:
+        check_output(out, found.inputs)
     look(found.stack)
     plan = plan_memory(found.source, memory)
     images = ScratchImages(place, found.source.shape_ihwc, found.source.values.dtype)

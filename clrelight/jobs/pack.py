@@ -23,10 +23,12 @@ from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
 from clrelight.ingest import read_folder
 from clrelight.jobs.ingest import given_options, ingest, lend_photographs
+from clrelight.jobs.inputs import Path as Name
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.memory import peak_memory
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.packing import Pack, Size
+from clrelight.jobs.preview import check_preview, draw_preview, write_preview
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import IMAGE_MEMORY
@@ -57,6 +59,7 @@ def pack(
     measure: str = "auto",
     perceptual: bool = False,
     keep_stack: str | os.PathLike[str] | None = None,
+    preview: str | os.PathLike[str] | None = None,
     memory: int | str = IMAGE_MEMORY,
     device: Device | str | None = None,
     progress: Progress | None = None,
@@ -97,6 +100,8 @@ def pack(
     keep_stack : path, optional
         Where the photographs are kept as a stack file; by default they lie in a file without a name beside `out`, which
         goes with the process.
+    preview : path, optional
+        A picture to write beside `out`, of what decodes under a light from the upper left (`clrelight.preview`).
     memory : int or str
         Bytes for photographs that are being read and for planes that are being coded.
     device, progress, report
@@ -116,12 +121,8 @@ def pack(
     """
     kept, budget = report_for(report), count_bytes(memory)
     size = Size.of(rate, None if bytes is None else count_bytes(bytes), target_psnr, loss)
-    if measure not in MEASURES:
-        raise InputError(f"measure must be one of {', '.join(MEASURES)}, got {measure!r}")
-    if metric not in METRICS:
-        raise InputError(f"metric must be one of {', '.join(METRICS)}, got {metric!r}")
-    if keep_stack is not None and os.path.abspath(keep_stack) == os.path.abspath(out):
-        raise InputError(f"the stack that is kept and the packed file have the same name, {os.fsdecode(out)}")
+    _check_words(measure, metric)
+    _check_names(out, keep_stack, preview)
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     look = _looking(size, rule, metric, perceptual, (method, wanted, basis))
@@ -130,9 +131,9 @@ def pack(
         if not is_remote(name) and "\0" not in name and not os.path.lexists(name):
             raise InputError(f"there is no file or folder {name}")  # before drivers are tested, which takes a minute
     with (
-        claimed([out, keep_stack], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
+        claimed([out, keep_stack, preview], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
-        _photographs(source, out, keep_stack, budget, options, look, kept, progress) as stack,
+        _photographs(source, [out, *paths_among(preview)], keep_stack, budget, options, look, kept, progress) as stack,
         scratch_workspace(Path(os.fsdecode(out)).parent, budget) as workspace,
     ):
         split = rule.split(stack.directions_i3)
@@ -144,12 +145,29 @@ def pack(
         job = Pack(stack, split, prepared, size, metric, workspace, kept, progress)
         job.tell_facts()
         encoded = job.encode(measure, perceptual)
+        picture_hwc = None if preview is None else draw_preview(encoded, prepared.record, opened, kept)
         since = time.perf_counter()
         write_encoded(out, encoded)
+        if preview is not None and picture_hwc is not None:
+            write_preview(preview, picture_hwc, kept)
         kept.add("write", since)
     kept.facts = {"file": os.fsdecode(out), **kept.facts, "bytes_on_disk": os.stat(out).st_size}
     kept.facts["peak_memory"] = peak_memory()
     return kept
+
+
+def _check_words(measure: str, metric: str) -> None:
+    if measure not in MEASURES:
+        raise InputError(f"measure must be one of {', '.join(MEASURES)}, got {measure!r}")
+    if metric not in METRICS:
+        raise InputError(f"metric must be one of {', '.join(METRICS)}, got {metric!r}")
+
+
+def _check_names(out: Name, keep_stack: Name | None, preview: Name | None) -> None:
+    if keep_stack is not None and os.path.abspath(keep_stack) == os.path.abspath(out):
+        raise InputError(f"the stack that is kept and the packed file have the same name, {os.fsdecode(out)}")
+    if preview is not None:
+        check_preview(preview, out)
 
 
 def _looking(
@@ -171,7 +189,7 @@ def _looking(
 @contextmanager
 def _photographs(
     source: StackLike,
-    out: str | os.PathLike[str],
+    outs: list[str | os.PathLike[str]],
     keep_stack: str | os.PathLike[str] | None,
     memory: int,
     options: dict[str, Any],
@@ -190,13 +208,14 @@ def _photographs(
             yield stack
         return
     if keep_stack is None:
-        folder = Path(os.fsdecode(out)).parent
-        with lend_photographs(source, folder, memory, report, progress, options, out, look) as stack:
+        folder = Path(os.fsdecode(outs[0])).parent
+        with lend_photographs(source, folder, memory, report, progress, options, outs, look) as stack:
             yield stack
         return
     reading = Report(tell=report.note)
     found = read_folder(source, memory_bytes=memory, **given_options(source, options))
-    check_output(out, found.inputs)
+    for out in outs:
+        check_output(out, found.inputs)
     look(found.stack)
     ingest(source, keep_stack, memory=memory, progress=progress, report=reading, **options)
     report.seconds |= reading.seconds

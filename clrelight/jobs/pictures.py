@@ -19,6 +19,9 @@ from clrelight.relight import to_display
 FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
 """Images that hold linear radiance as floats."""
 
+DISPLAY_FORMATS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".tga")
+"""Images that hold 8-bit values of one channel or three."""
+
 ANIMATIONS = (".gif", ".apng")
 """Files that hold several pictures: GIFs of 256 colours, animated PNGs of all."""
 
@@ -58,6 +61,12 @@ def check_animation() -> None:
     """Raise InputError if animations cannot be written here."""
     if importlib.util.find_spec("PIL") is None:
         raise InputError("a .gif or .apng needs Pillow: pip install 'clrelight[codecs]', or write .png files")
+
+
+def check_display(name: str) -> None:
+    """Raise InputError where no display values can be written under a name; `write_image` would, after long work."""
+    if not name.lower().endswith(DISPLAY_FORMATS):
+        raise InputError(f"cannot write {name}: a picture for display ends in {', '.join(DISPLAY_FORMATS)}")
 
 
 def show(image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> NDArray[np.uint8]:

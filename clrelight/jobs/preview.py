@@ -1,16 +1,24 @@
-"""A picture of a file: as an image, or within a copy of an encoding, for programs that know HDF5 and no codec."""
+"""A picture of a file: an image, or within a copy of an encoding, for programs that know HDF5 and no codec."""
 
 from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec import Encoded
+from clrelight.dataset import CoefficientMap, FitRecord
+from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.images import write_image
 from clrelight.jobs.inputs import path_text
 from clrelight.jobs.outputs import claimed
+from clrelight.jobs.pictures import check_display
 from clrelight.jobs.report import Report, report_for
-from clrelight.jobs.thumbnail import thumbnail
+from clrelight.jobs.thumbnail import thumbnail, thumbnail_of_encoded, thumbnail_of_fit
 from clrelight.store import file_schema, read_encoded, write_encoded
 
 _HDF5 = (".h5", ".hdf5")
@@ -64,3 +72,44 @@ def preview(
     height, width, _ = picture_hwc.shape
     kept.facts = {"file": os.fsdecode(out), "size": [width, height], "bytes_on_disk": os.stat(out).st_size}
     return kept
+
+
+def check_preview(path: str | os.PathLike[str], out: str | os.PathLike[str] | None) -> None:
+    """Raise InputError, before long work, where no picture of this name can be written beside `out`."""
+    if out is None:
+        raise InputError("preview is a picture beside a file: give out, the file, too")
+    check_display(path_text(path, "a picture to write"))
+
+
+def draw_preview(
+    encoded: Encoded, fit: CoefficientMap | FitRecord, device: Device, report: Report
+) -> NDArray[np.uint8]:
+    """Return a small picture of what an encoding decodes to, under the light of `preview`.
+
+    Of a large map by a codec without levels, which would have to be decoded whole, it is the fit as it went in where
+    that is at hand, and a note says so.
+
+    Raises
+    ------
+    InputError
+        If what is encoded is no image but a list of vertices.
+    """
+    since = time.perf_counter()
+    if min(encoded.shape[1:3]) == 1:
+        raise InputError("a list of vertices has no preview; clrelight render shows it")
+    record = FitRecord.of(fit) if isinstance(fit, CoefficientMap) else fit
+    picture_hwc = thumbnail_of_encoded(replace(encoded, record=record), encoded.codec, encoded.shape, device=device)
+    if picture_hwc is None:
+        if not isinstance(fit, CoefficientMap):
+            raise InputError(f"a map of this size by {encoded.codec} has no preview; clrelight relight shows it")
+        report.note(f"the preview shows the fit before it was coded: {encoded.codec} has no lower resolution to decode")
+        picture_hwc = thumbnail_of_fit(fit)
+    report.add("preview", since)
+    return picture_hwc
+
+
+def write_preview(path: str | os.PathLike[str], picture_hwc: NDArray[np.uint8], report: Report) -> None:
+    """Write what `draw_preview` returned; the report's ``preview`` names it, with width and height."""
+    write_image(path, picture_hwc)
+    height, width, _ = picture_hwc.shape
+    report.facts["preview"] = {"file": os.fsdecode(path), "size": [width, height]}

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.codec import Encoded
 from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.jobs.relight import relight
@@ -58,9 +60,9 @@ def thumbnail(path: str | os.PathLike[str], side: int = 256) -> NDArray[np.uint8
                 return _of_stack(stack, side) if min(stack.images_ihwc.shape[1:3]) > 1 else None
         case "fit":
             with open_fit(path) as fitted:
-                return _of_fit(fitted, side) if min(fitted.image_shape[:2]) > 1 else None
+                return thumbnail_of_fit(fitted, side) if min(fitted.image_shape[:2]) > 1 else None
         case "encoded":
-            return _of_encoded(path, side)
+            return thumbnail_of_encoded(Path(os.fsdecode(path)), *_codec_and_shape(path), side)
         case "light":
             return _shown(_scaled(_of_light(read_light(path), min(side, 128))))
         case "shrm":
@@ -80,25 +82,37 @@ def _of_stack(stack: LightStack, side: int) -> NDArray[np.uint8]:
     return _shown(_columns(linear, side, height))
 
 
-def _of_fit(fitted: CoefficientMap, side: int) -> NDArray[np.uint8]:
+def thumbnail_of_fit(fitted: CoefficientMap, side: int = 256) -> NDArray[np.uint8]:
+    """Return a picture of a fit under `LIGHT`, as `thumbnail` does of its file."""
     height, width, _ = fitted.image_shape
-    factor_k = evaluate_basis(LIGHT[None], fitted.degree)[0]
+    factor_k = fitted.functions_at(LIGHT[None])[0]
     rows = _picked(height, width, side)
     relit = np.stack([np.tensordot(factor_k, np.asarray(fitted.coeffs_khwc[:, row]), 1) for row in rows])
     return _shown(_columns(relit, side, height))
 
 
-def _of_encoded(path: str | os.PathLike[str], side: int) -> NDArray[np.uint8] | None:
+def _codec_and_shape(path: str | os.PathLike[str]) -> tuple[str, tuple[int, int, int, int]]:
     encoded, _ = read_encoded(path)
-    n_coeff, height, width, channel = encoded.shape
+    return encoded.codec, encoded.shape
+
+
+def thumbnail_of_encoded(
+    source: Path | Encoded,
+    codec: str,
+    shape: tuple[int, int, int, int],
+    side: int = 256,
+    device: Device | None = None,
+) -> NDArray[np.uint8] | None:
+    """Return a picture of an encoding, by its codec and of its shape, under `LIGHT`; None where that takes long."""
+    n_coeff, height, width, channel = shape
     if min(height, width) == 1:
         return None
     halvings = max(0, math.floor(math.log2(max(height, width) / side)))
-    for level in {min(halvings, _LEVELS.get(encoded.codec, 0)): None, 0: None}:
+    for level in {min(halvings, _LEVELS.get(codec, 0)): None, 0: None}:
         if n_coeff * height * width * channel >> (2 * level) > _MOST_VALUES:
             continue
         try:
-            relit = relight(Path(os.fsdecode(path)), LIGHT, level=level, report=Report())
+            relit = relight(source, LIGHT, level=level, device=device, report=Report())
         except InputError:
             if not level:
                 raise

@@ -28,6 +28,16 @@ _UNSEAL = (
     f"its group {TABLE.partition('/')[0]}, where it has one"
 )
 
+_MADE_BY = {
+    "stack": "clrelight ingest",
+    "fit": "clrelight fit",
+    "encoded": "clrelight encode or pack",
+    "results": "clrelight bench",
+    "light": "clrelight light",
+    "shrm": "clrelight shrm",
+}
+"""What makes a file of a kind, for those who gave another."""
+
 MAX_ATTRIBUTES = 256
 
 
@@ -157,7 +167,8 @@ class Opened:
         schema = SCHEMAS[match[1]]
         if kinds and schema.kind not in kinds:
             article = "an" if text[0] in "aeiou" else "a"
-            raise StoreFormatError(f"it is {article} {text} file, expected {wanted}")
+            made = f" ({_MADE_BY[kinds[0]]} makes one)" if kinds[0] in _MADE_BY else ""
+            raise StoreFormatError(f"it is {article} {text} file, expected {wanted}{made}")
         newest = max((each for each in (schema, *OTHERS.values()) if each.kind == schema.kind), key=lambda s: s.version)
         if int(match[2]) > newest.version:
             raise StoreFormatError(f"{text} is newer than this program reads ({newest.name}): upgrade clrelight")

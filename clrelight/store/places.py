@@ -88,12 +88,15 @@ def placed(path: str) -> Iterator[Place]:
         remote.close()
 
 
+_FOLDER = ", but a folder: clrelight ingest makes a stack of the photographs in one, clrelight pack a file to relight"
+
+
 def _place_here(path: str) -> Place:
     if "\0" in path:
         raise InputError(f"cannot read {path!r}: that is no file name")
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise StoreFormatError(f"{path} is no regular file (a folder or a device)")
+            raise StoreFormatError(f"{path} is no regular file{_FOLDER if os.path.isdir(path) else ' (a device)'}")
         with open(path, "rb") as stream:
 
             def look(at: int) -> bytes:

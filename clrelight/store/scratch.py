@@ -17,6 +17,7 @@ from clrelight.codec.bodies import BodyWriter
 from clrelight.codec.workspace import BoundedWorkspace, Planes, Progress
 from clrelight.durable import Part, naming
 from clrelight.interrupts import holding
+from clrelight.recycling import kept_within
 
 
 class Scratch:
@@ -154,6 +155,7 @@ def scratch_workspace(
     """Lend a workspace that keeps to `memory_bytes`; its files in `folder` are gone when the block ends."""
     workspace = ScratchWorkspace(folder, memory_bytes, progress)
     try:
-        yield workspace
+        with kept_within(memory_bytes):
+            yield workspace
     finally:
         workspace.close()

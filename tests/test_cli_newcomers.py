@@ -1,0 +1,53 @@
+"""What somebody sees who does not know the commands yet: a list by purpose, and what to do about a wrong file."""
+
+import re
+
+import pytest
+
+import clrelight as cr
+from clrelight.cli.app import cli
+from clrelight.cli.sections import OTHERS, SECTIONS
+from tests.commands import call, contents, succeed
+from tests.test_store_nexus import make_fit, make_stack
+
+
+def test_every_command_stands_once_in_the_list_and_whole():
+    told = succeed("--help").out
+    names = re.findall(r"^  ([a-z][a-z-]+) {2,}\S", told, re.M)
+    assert sorted(names) == sorted(cli.commands)
+    assert "..." not in told.partition("Options:")[2]
+    positions = [told.index(f"\n{title}:") for title in SECTIONS]
+    assert positions == sorted(positions)
+    assert names[:2] == ["pack", "relight"]
+
+
+def test_headings_name_commands_that_exist_and_a_new_one_is_shown_too(monkeypatch):
+    assert {name for names in SECTIONS.values() for name in names} <= set(cli.commands)
+    monkeypatch.setitem(cli.commands, "anew", cli.commands["info"])
+    assert f"\n{OTHERS}:\n  anew" in succeed("--help").out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("fit photos o.h5", "photos is no regular file, but a folder: clrelight ingest makes"),
+        ("fit fit.h5 o.h5", "expected stack/1 (clrelight ingest makes one)"),
+        ("encode stack.h5 o.h5", "(clrelight fit makes one)"),
+        ("decode fit.h5 o.h5", "(clrelight encode or pack makes one)"),
+        ("report fit.h5 --out o", "expected results/1 (clrelight bench makes one)"),
+        ("pack empty o.h5", "empty holds no files"),
+        ("pack photos o.h5", "clrelight find-lights"),
+    ],
+)
+def test_a_file_of_another_kind_says_what_makes_the_right_one(words, told, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    cr.write_stack("stack.h5", make_stack(3))
+    cr.write_fit("fit.h5", make_fit(3))
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "a.png").write_bytes(b"")
+    (tmp_path / "empty").mkdir()
+    before = contents(tmp_path)
+    ended = call(*words.split())
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert told in ended.err
+    assert contents(tmp_path) == before
