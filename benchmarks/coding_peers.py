@@ -1,6 +1,6 @@
 """Bytes, seconds and decibel of klt beside other ways to keep the same photographs, in one run.
 
-    CLRELIGHT_DATA=data python -m benchmarks.coding_peers [--quick] [--stack GLOB] [--markdown docs/codecs.md]
+    CLRELIGHT_DATA=data python -m benchmarks.coding_peers [--quick] [--stack GLOB] [--markdown docs/peers.md]
 
 klt at three rates sets qualities; each peer's own setting is searched for the same, and bytes are compared. JPEG 2000,
 HTJ2K, JPEG XL and SPERR code klt's principal planes and the raw maps, RTI tools have planes in JPEG, HEVC, AV1 and

@@ -23,14 +23,15 @@ from clrelight.arrays import (
     read_rows_into,
 )
 from clrelight.bases import OfBasis
+from clrelight.described import Described
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import PIECE_BYTES
 from clrelight.surface import Surface, check_surface, surface_facts
 
 
-@dataclass(frozen=True)
-class LightStack:
+@dataclass(frozen=True, repr=False)
+class LightStack(Described):
     """Images of one view, each under one distant light; checked when made.
 
     Attributes
@@ -143,8 +144,8 @@ class LightStack:
         return int(height), int(width), int(channel)
 
 
-@dataclass(frozen=True)
-class CoefficientMap(OfBasis):
+@dataclass(frozen=True, repr=False)
+class CoefficientMap(Described, OfBasis):
     """Coefficients of every pixel and channel, of spherical harmonics or another basis; checked when made.
 
     Attributes
@@ -246,8 +247,8 @@ class CoefficientMap(OfBasis):
         return int(height), int(width), int(channel)
 
 
-@dataclass(frozen=True)
-class FitRecord(OfBasis):
+@dataclass(frozen=True, repr=False)
+class FitRecord(Described, OfBasis):
     """What a fit holds beside its maps; attributes as of `CoefficientMap`."""
 
     degree: int

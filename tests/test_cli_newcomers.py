@@ -51,3 +51,30 @@ def test_a_file_of_another_kind_says_what_makes_the_right_one(words, told, tmp_p
     assert (ended.code, ended.err.count("\n")) == (2, 1)
     assert told in ended.err
     assert contents(tmp_path) == before
+
+
+def test_lights_too_few_for_the_degree_are_said_to_be(tmp_path):
+    stack = make_stack(3)
+    cr.write_stack(tmp_path / "s.h5", stack)
+    few = succeed("plan-lights", tmp_path / "s.h5", "--degree", 3, "--json").json["notes"]
+    assert any(f"{stack.n_light} lights are fewer than the 16 coefficients" in note for note in few)
+    assert not succeed("plan-lights", tmp_path / "s.h5", "--degree", 1, "--json").json["notes"]
+
+
+def test_records_and_reports_are_shown_in_few_lines(tmp_path):
+    stack, fitted = make_stack(3), make_fit(3)
+    shown = repr(stack)
+    assert shown.startswith("LightStack(images_ihwc=")
+    assert f"{stack.images_ihwc.dtype} {stack.images_ihwc.shape}" in shown
+    assert "None" not in shown
+    encoded = cr.encode(fitted, "half")
+    assert f"body={len(encoded.body)} bytes" in repr(encoded)
+    for each in (stack, fitted, encoded, encoded.record):
+        assert "\n" not in repr(each)
+        assert len(repr(each)) < 500
+    report = cr.fit(stack, "uls", 1, out=tmp_path / "f.h5")
+    lines = repr(report).split("\n")
+    assert lines[0] == "Report"
+    assert any(line.split() == ["method", "uls"] for line in lines)
+    psnr = f"{report.psnr['mean_fitted']:.2f}"
+    assert any(line.split() == ["psnr", "mean_fitted", psnr, "dB"] for line in lines)

@@ -19,6 +19,7 @@ from clrelight.cli.options import (
 )
 from clrelight.cli.output import print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
+from clrelight.cli.sections import Whole
 from clrelight.errors import InputError
 from datasets_synth.scenes import SCENES, Option, Scene
 
@@ -102,7 +103,7 @@ def ingest(folder: str, out: str, memory: int, as_json: bool, **options: Any) ->
     )
 
 
-@click.group()
+@click.group(cls=Whole)
 def synth() -> None:
     """Render a test scene into a stack file."""
 

@@ -156,7 +156,7 @@ def plan_lights(
                 raise InputError(f"{out} is there: --lights {out} says what it is worth, --force replaces it")
             write_lp(out, *source.take(taken[0], wanted))
             facts.update({"file": out, "lights": wanted, "pattern": taken[0]})
-        notes = source.notes
+        notes = (*source.notes, *_few(rows, degree))
     if as_json:
         print_json({**facts, "rows": rows, "notes": notes})
         return
@@ -164,6 +164,18 @@ def plan_lights(
     print_table([*_HEADERS, *(f"{name} (dB)" for name in names)], [_cells(row, names) for row in rows])
     if out is not None:
         print_facts({"lights": f"{out}, {facts['lights']} of {facts['pattern']}"})
+
+
+def _few(rows: Sequence[dict[str, Any]], degree: int) -> list[str]:
+    """Return what to say where no choice has as many lights as the degree has coefficients."""
+    most = max((int(row["n_light"]) for row in rows), default=0)
+    if not most or most >= (degree + 1) ** 2:
+        return []
+    largest = math.isqrt(most) - 1
+    return [
+        f"{most} lights are fewer than the {(degree + 1) ** 2} coefficients of degree {degree}, too few for least "
+        f"squares: see --degree {largest}; other methods of fit take more coefficients than lights"
+    ]
 
 
 def _stack_and_out(files: Sequence[str]) -> tuple[str | None, str | None]:

@@ -10,13 +10,14 @@ import click
 from clrelight.cli.maps import MapReading, is_light_file, map_options, refuse_map_options
 from clrelight.cli.options import Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import make_report, print_report
+from clrelight.cli.sections import Whole
 from clrelight.cli.tables import print_table
 
 if TYPE_CHECKING:
     from clrelight.jobs.report import Report
 
 
-@click.group()
+@click.group(cls=Whole)
 def brdf() -> None:
     """Look at measured reflectances, and find those of pictures under known light.
 

@@ -14,6 +14,7 @@ from clrelight.cli.output import make_report, print_report
 from clrelight.cli.reflection_bench import bench
 from clrelight.cli.reflection_render import render
 from clrelight.cli.reflection_turns import rotate
+from clrelight.cli.sections import Whole
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from clrelight.jobs.report import Report
 
 
-@click.group()
+@click.group(cls=Whole)
 def shrm() -> None:
     """Make, show and plan reflection maps: what glossy surfaces reflect of an environment, for every view.
 

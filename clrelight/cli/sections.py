@@ -20,14 +20,16 @@ OTHERS = "Others"
 _WHOLE = 1000
 
 
-class Sectioned(click.Group):
-    """A group whose help lists its commands by `SECTIONS`, each with its whole first sentence."""
+class Whole(click.Group):
+    """A group whose help lists its commands each with its whole first sentence."""
+
+    def sections(self, ctx: click.Context) -> dict[str, tuple[str, ...]]:
+        """Return the commands by heading."""
+        return {"Commands": tuple(self.list_commands(ctx))}
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list; see `click.Group`."""
-        told = {name for names in SECTIONS.values() for name in names}
-        others = tuple(name for name in self.list_commands(ctx) if name not in told)
-        for title, names in {**SECTIONS, OTHERS: others}.items():
+        for title, names in self.sections(ctx).items():
             rows = [
                 (name, self.commands[name].get_short_help_str(_WHOLE))
                 for name in names
@@ -36,3 +38,12 @@ class Sectioned(click.Group):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+
+class Sectioned(Whole):
+    """Such a group, whose commands stand under `SECTIONS`."""
+
+    def sections(self, ctx: click.Context) -> dict[str, tuple[str, ...]]:
+        """Return the commands by heading."""
+        told = {name for names in SECTIONS.values() for name in names}
+        return {**SECTIONS, OTHERS: tuple(name for name in self.list_commands(ctx) if name not in told)}

@@ -10,13 +10,14 @@ import click
 from clrelight.cli.claims import claim_output
 from clrelight.cli.options import json_option, whole_number
 from clrelight.cli.output import make_report, print_report
+from clrelight.cli.sections import Whole
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
     from clrelight.jobs.report import Report
 
 
-@click.group()
+@click.group(cls=Whole)
 def shader() -> None:
     """Write GLSL of irradiance, or of radiance transfer, with a light's numbers in it.
 

@@ -9,6 +9,7 @@ import click
 from clrelight.cli.options import Names, device_option, json_option, memory_option, whole_number
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
+from clrelight.cli.sections import Whole
 from clrelight.cli.tables import print_table
 
 _green_option = click.option(
@@ -20,7 +21,7 @@ _green_option = click.option(
 )
 
 
-@click.group()
+@click.group(cls=Whole)
 def variation() -> None:
     """How a view varies with light: its principal components, and the light behind a picture.
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from clrelight.codec.bodies import Body
 from clrelight.dataset import FitRecord
+from clrelight.described import Described
 from clrelight.directions import kept_directions
 from clrelight.errors import PayloadError
 from clrelight.harmonics.index import degree_of
@@ -27,8 +28,8 @@ _PIECE_BYTES = 1 << 22
 """Of a body that are summed up at a time."""
 
 
-@dataclass(frozen=True)
-class Encoded:
+@dataclass(frozen=True, repr=False)
+class Encoded(Described):
     """A coefficient map as bytes.
 
     Attributes

@@ -101,6 +101,9 @@ def _codec_for(basis: str, sized: bool, options: Mapping[str, Any]) -> str:
         if names <= _options_of(name):
             return name
     turned = basis != "sh"  # klt turns and whitens by itself
+    every = {option for name in _NAMED for option in _options_of(name)}
+    if unknown := sorted(names - every):
+        raise InputError(f"no codec has an option {', '.join(map(repr, unknown))}: see docs/codecs.md")
     others = [name for name in _NAMED if names <= _options_of(name) and not (turned and name == _OWN)]
     told = ", ".join(f"--{name}" for name in sorted(names))
     if not others:

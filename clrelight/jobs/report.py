@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from clrelight.described import describe
+
 Progress = Callable[[int, int | None, str], object]
 """Told how much of how much of which stage is done; how much there is may not be known yet."""
 
@@ -22,7 +24,7 @@ class Note(UserWarning):
     """What the command line prints as a note; a verb that is handed no `Report` warns of it."""
 
 
-@dataclass
+@dataclass(repr=False)
 class Report:
     """What a job did and what it cost: of ``--json``, the object.
 
@@ -65,6 +67,18 @@ class Report:
             self.notes.append(each)
             if self.tell is not None:
                 self.tell(each)
+
+    def __repr__(self) -> str:
+        """Return what was done, one thing a line, as the command line and notebooks show it."""
+        lines = {name: value if isinstance(value, str) else describe(value) for name, value in self.facts.items()}
+        lines |= {f"psnr {name}": f"{value:.2f} dB" for name, value in self.psnr.items()}
+        if self.seconds:
+            lines["seconds"] = f"{sum(self.seconds.values()):.2f}"
+        if self.device is not None:
+            lines["device"] = self.device
+        width = max(map(len, lines), default=0)
+        told = [f"  {name:<{width}}  {value}" for name, value in lines.items()]
+        return "\n".join(["Report", *told, *(f"  note: {note}" for note in self.notes)])
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``--json`` prints."""

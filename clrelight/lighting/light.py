@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.described import Described
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import MAX_DEGREE
 from clrelight.harmonics.hemisphere import project_onto_hemisphere
@@ -16,8 +17,8 @@ from clrelight.harmonics.index import coefficient_count, coefficient_index, degr
 from clrelight.harmonics.windows import window_factors
 
 
-@dataclass(frozen=True)
-class Light:
+@dataclass(frozen=True, repr=False)
+class Light(Described):
     """Radiance arriving from every direction of the sphere, band-limited; checked when made.
 
     Attributes

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.brdf.centred import CENTRES
+from clrelight.described import Described
 from clrelight.errors import InputError
 from clrelight.harmonics.index import degree_of
 
@@ -18,8 +19,8 @@ FRAMES = ("local", "global", "zonal")
 their angle from the central direction alone, where no azimuth counts: coefficients of q = 0 only."""
 
 
-@dataclass(frozen=True)
-class Shrm:
+@dataclass(frozen=True, repr=False)
+class Shrm(Described):
     """Radiance reflected towards every view, for every central direction; checked when made.
 
     ``B(alpha, beta, view) = sum_k maps_k(alpha, beta) y_k(view)`` (frequency-space-environment-maps, eq. 6 and 7), with
