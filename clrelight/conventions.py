@@ -3,7 +3,7 @@
 * Axes are right-handed with z up; the hemisphere is z > 0. For image stacks x is right, y is up and z
   points towards the camera. A light direction is the unit vector from the surface to the light.
 * Spherical harmonics are real and orthonormal on the full sphere, without the Condon-Shortley sign:
-  ``Y11 = +0.488603 x`` (Ramamoorthi and Hanrahan 2001, eq. 3). Index ``k = l (l + 1) + m`` for degree ``l``
+  ``Y11 = +0.488603 x`` (irradiance-environment-maps, eq. 3). Index ``k = l (l + 1) + m`` for degree ``l``
   and order ``m``; ``degree`` is the largest ``l``, so ``n_coeff = (degree + 1)**2``.
 * Values are linear radiance in units of the stack's ``peak`` (the code value that means 1.0).
 * Array letters: i light, k coefficient, h row, w column, c channel, p = pixel·channel flattened,

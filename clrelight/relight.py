@@ -29,7 +29,7 @@ _BINS = 1 << 14
 def relight(
     coefficients: CoefficientMap, directions_i3: ArrayLike, *, device: Device | None = None
 ) -> NDArray[np.float32]:
-    """Return the view under distant lights of unit strength, ``image = sum_k c_k y_k(s)`` (paper, eq. 1).
+    """Return the view under distant lights, ``image = sum_k c_k y_k(s)`` (noise-resistant-fitting, eq. 1).
 
     Parameters
     ----------

@@ -143,7 +143,7 @@ def _fits(
 
 
 def _constrained(sigma: NDArray, z_rp: NDArray, energy_p: NDArray) -> NDArray[np.float64]:
-    """Return the shrunk components of eq. 19-25, lambda by halving its logarithm."""
+    """Return the shrunk components of noise-resistant-fitting, eq. 19-25, lambda by halving its logarithm."""
 
     def shrink(lambda_p: NDArray | float) -> NDArray[np.float64]:
         return sigma * z_rp / (sigma**2 + lambda_p)

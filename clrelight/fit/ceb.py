@@ -1,4 +1,4 @@
-"""The constrained eigenbasis: the paper's section V-E."""
+"""The constrained eigenbasis: noise-resistant-fitting, section V-E."""
 
 from __future__ import annotations
 

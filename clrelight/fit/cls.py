@@ -1,4 +1,4 @@
-"""Constrained least squares: the paper's section V-B and V-C."""
+"""Constrained least squares: noise-resistant-fitting, section V-B and V-C."""
 
 from __future__ import annotations
 

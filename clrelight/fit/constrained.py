@@ -51,7 +51,8 @@ class BoundedPlan(FitPlan):
 class BoundedLeastSquares(FitMethod):
     """Least squares with ``|c|^2 <= E_c`` and ``lower <= y(s_j) c <= upper`` at stated directions s_j.
 
-    The paper's outlook (section VII): several constraints at once. See ``fit/active_set.clh`` for how it is solved.
+    An outlook of the paper (noise-resistant-fitting, section VII): several constraints at once. It
+    is solved as ``fit/active_set.clh`` says.
 
     Attributes
     ----------

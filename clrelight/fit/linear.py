@@ -34,8 +34,8 @@ _MIRROR = np.array([1.0, 1.0, -1.0])
 class Projection(FitMethod):
     """Quadrature ``c_k = sum_i w_i beta_i y_k(s_i)`` over the sphere, the lower hemisphere filled in.
 
-    The baselines that the paper argues against (section I): `fill` is ``"zero"`` (Sloan et al. 2002) or ``"mirror"``
-    (Westin et al. 1992: the value at the direction reflected in the horizon).
+    The baselines that the paper argues against (noise-resistant-fitting, section I): `fill` is ``"zero"`` (Sloan et al.
+    2002) or ``"mirror"`` (Westin et al. 1992: the value at the direction reflected in the horizon).
     """
 
     id = "project"

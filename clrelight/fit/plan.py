@@ -43,7 +43,7 @@ class Lighting:
     copies_i : ndarray, shape (n_light,), int
         Photographs of each light's direction.
     sampling : str
-        ``"hemisphere"``, or ``"scattered"`` for samples on a part of it (section V-D of the paper).
+        ``"hemisphere"``, or ``"scattered"`` for samples on a part of it (noise-resistant-fitting, section V-D).
     basis : str
         Id of the basis that is fitted.
     """

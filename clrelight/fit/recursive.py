@@ -2,7 +2,7 @@
 
 A least-squares fit is settled by its coefficients and its information matrix: ``A = Y' W Y``, and lambda P with it
 where there is a penalty. The matrix follows from the lights and the options, which a fit holds. With photographs beta
-under new lights (Haykin, Adaptive filter theory, ch. 9; noise-resistant fitting, section IV-A)
+under new lights (Haykin, Adaptive filter theory, ch. 9; noise-resistant-fitting, section IV-A)
 
     c <- c + K (beta - Y_new c),    K = (A + Y_new' W Y_new)^-1 Y_new' W,
 

@@ -1,4 +1,4 @@
-"""The paper's charts: coefficient magnitudes (figure 7), PSNR against wavelet rate (figure 15)."""
+"""Charts of noise-resistant-fitting: coefficient magnitudes (figure 7), PSNR against wavelet rate (figure 15)."""
 
 from __future__ import annotations
 

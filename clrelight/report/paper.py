@@ -5,7 +5,7 @@ from __future__ import annotations
 CITATION = "Lam, Leung, Wong: Noise-Resistant Fitting for Spherical Harmonics"
 
 SCENE_PREFIX = "ring"
-"""Tables I and III measure the example "ring" (section III-A, figure 3a)."""
+"""Tables I and III measure the example "ring" (noise-resistant-fitting, section III-A, figure 3a)."""
 
 FIGURES = {
     "torus": {"uls": 5, "sloan": 9, "cls": 13},

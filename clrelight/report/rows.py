@@ -16,7 +16,7 @@ METHOD_LABELS = {"uls": "ULS", "sloan": "Sloan ULS", "cls": "CLS", "ceb": "CEB"}
 """The paper's methods, in its order; others follow by name, under their own id."""
 
 CODEC_LABELS = {NO_CODEC: "plain", "half": "half float", "s3tc": "S3TC", "uniform": "uniform", "wavelet": "wavelet"}
-"""The paper's ways to store coefficients (section III-B), in its order; others follow by name."""
+"""Ways to store coefficients (noise-resistant-fitting, section III-B), in its order; others follow by name."""
 
 
 class Setting(NamedTuple):

@@ -1,4 +1,4 @@
-"""The tables of a report as data: the paper's table I and III with ours, and all rows."""
+"""The tables of a report as data: noise-resistant-fitting, table I and III, with ours, and all rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reflection maps without azimuths: P + 1 coefficients of q = 0 instead of (P + 1)^2 (sections 7.1 and 7.3).
+"""Reflection maps without azimuths: P + 1 coefficients, not (P + 1)^2 (frequency-space-environment-maps, section 7).
 
 They are all that a reflectance in ``theta_i`` and ``theta_o`` alone has, such as Kajiya and Kay's, or Kautz and
 McCool's approximation of any other. None turns about its central direction: they may be looked up between texels

@@ -1,7 +1,7 @@
 """The light behind a picture of known normals, and the basis pictures behind photographs under known lights.
 
-Illumination variation, 0.4.3: a convex matte surface shows ``B = rho sum_lm A^_l L_lm Y_lm(n)`` with eq. 24 and 28, so
-that light follows by least squares. ``A^_l`` is 0 for odd l > 1: such light leaves no trace in any picture.
+illumination-variation, section 0.4.3: a convex matte surface shows ``B = rho sum_lm A^_l L_lm Y_lm(n)`` with eq. 24 and
+28, so that light follows by least squares. ``A^_l`` is 0 for odd l > 1: such light leaves no trace in any picture.
 """
 
 from __future__ import annotations

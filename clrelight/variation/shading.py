@@ -1,6 +1,6 @@
 """Lamps from the shading of a matte surface whose normals are known: photometric stereo the other way round.
 
-Illumination variation, eq. 1-2: a lit pixel shows ``rho n . l``, with the lamp's intensity as the length of l. Known
+illumination-variation, eq. 1-2: a lit pixel shows ``rho n . l``, with the lamp's intensity as the length of l. Known
 normals tell l by least squares, three of them are enough; pixels in shadow and gloss are left out as in `normals`.
 """
 

@@ -1,4 +1,4 @@
-"""Codec `half`: IEEE 754 binary16, 16 bits per coefficient (Lam, Leung and Wong, section III-B-1)."""
+"""Codec `half`: IEEE 754 binary16, 16 bits per coefficient (noise-resistant-fitting, section III-B-1)."""
 
 from __future__ import annotations
 

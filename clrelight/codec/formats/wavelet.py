@@ -37,7 +37,7 @@ class Wavelet(PartsCodec):
     rate : float
         Bits per coefficient asked for; what is made lies within 1% below, side tables included.
     allocation : str
-        ``"map"``: every map gets the same rate (the paper's setting, section III-B). Maps that cannot use theirs
+        ``"map"``: every map gets the same rate (noise-resistant-fitting, section III-B). Maps that cannot use theirs
         even at float32's own precision hand the rest equally to the others. ``"global"``: one step for all maps.
 
     Notes

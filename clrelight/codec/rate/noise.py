@@ -1,4 +1,4 @@
-"""How much noise a codec adds to the images, before and after it has run (Lam, Leung and Wong, section IV-B)."""
+"""How much noise a codec adds to the images, before and after it has run (noise-resistant-fitting, section IV-B)."""
 
 from __future__ import annotations
 

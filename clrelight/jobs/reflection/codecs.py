@@ -36,7 +36,8 @@ def code_maps(shrm: Shrm, device: Device, codecs: Sequence[str] = CODECS) -> lis
 def principal_shares(shrm: Shrm) -> NDArray[np.float64]:
     """Return the part of a reflection map's energy that its first 1, 2, ... principal axes of views hold.
 
-    ``(n_coeff,)``; the best that sums of so many products of a map and a function of the view can do (eq. 4).
+    ``(n_coeff,)``; the best that sums of so many products of a map and a function of the view can do
+    (frequency-space-environment-maps, eq. 4).
     """
     flat_kx = shrm.maps_khwc.reshape(len(shrm.maps_khwc), -1).astype(np.float64)
     values = np.maximum(np.linalg.eigvalsh(flat_kx @ flat_kx.T)[::-1], 0.0)

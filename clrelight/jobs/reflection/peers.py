@@ -1,4 +1,7 @@
-"""How near reflection maps and earlier methods come to integration over angles (figures 7, 9 and 10)."""
+"""How near reflection maps and earlier methods come to integration over angles.
+
+frequency-space-environment-maps, figures 7, 9 and 10.
+"""
 
 from __future__ import annotations
 

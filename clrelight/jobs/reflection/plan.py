@@ -1,4 +1,4 @@
-"""How many orders and samples a reflectance needs, and what a light makes of it (figure 6)."""
+"""How many orders a reflectance needs, what a light makes of it (frequency-space-environment-maps, figure 6)."""
 
 from __future__ import annotations
 

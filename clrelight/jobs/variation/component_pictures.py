@@ -1,4 +1,4 @@
-"""Components of a view as pictures: grey is 0, brighter above, darker below, as in figure 9 of the chapter."""
+"""Components of a view as pictures: grey is 0, brighter above, darker below, as in illumination-variation, figure 9."""
 
 from __future__ import annotations
 
