@@ -100,3 +100,10 @@ def test_readme_figures_are_those_of_the_pages():
         (f"{median(speeds):.2f}", f"{min(speeds):.2f}"),
     ]
     assert f"{max(speeds):.2f} where pictures are large" in (ROOT / "README.md").read_text()
+    lead = f"{behind[0]} dB behind the best of eleven ways in the median, and {behind[1]} dB at worst"
+    assert lead in (DOCS / "which-basis.md").read_text()
+
+
+def test_what_is_said_of_peers_is_in_their_table():
+    medians = [float(row[3]) for row in table("peers.md", "peers") if "principal planes" in row[0] and len(row) == 8]
+    assert f"they take {min(medians):g} to {max(medians):g} times its bytes" in (DOCS / "codecs.md").read_text()

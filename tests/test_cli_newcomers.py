@@ -35,6 +35,7 @@ def test_headings_name_commands_that_exist_and_a_new_one_is_shown_too(monkeypatc
         ("encode stack.h5 o.h5", "(clrelight fit makes one)"),
         ("decode fit.h5 o.h5", "(clrelight encode or pack makes one)"),
         ("report fit.h5 --out o", "expected results/1 (clrelight bench makes one)"),
+        ("import photos o.h5", "photos is no folder of relight, it has no info.json"),
         ("pack empty o.h5", "empty holds no files"),
         ("pack photos o.h5", "clrelight find-lights"),
     ],

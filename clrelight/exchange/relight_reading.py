@@ -120,6 +120,8 @@ def read_relight_folder(path: str | os.PathLike[str]) -> RelightFolder:
     """
     given = Path(os.fsdecode(path))
     folder = given.parent if given.name == INFO else given
+    if folder.is_dir() and not (folder / INFO).exists():
+        raise InputError(f"{folder} is no folder of relight, it has no {INFO}; clrelight ingest reads photographs")
     try:
         info = json.loads(read_bytes(folder / INFO))
         scale_p, bias_p = (np.array(info["materials"][0][name], np.float64).ravel() for name in ("scale", "bias"))
