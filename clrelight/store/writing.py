@@ -79,13 +79,11 @@ class Sink:
     def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
         """See `clrelight.tiles.PixelArray`: read back what was filled."""
         check_shape(tile, out, self.shape, picked_n)
-        if not isinstance(self._target, BlockWriter) or self._missing or picked_n is not None:
-            values = self[:, tile.rows, tile.columns]
-            out[...] = values if picked_n is None else values[picked_n]
-            return
-        if self._reader is None:
-            self._reader = BlockReader(self._dataset, self._target.sums())
-        self._reader.read_into(box_of(np.s_[:, tile.rows, tile.columns], self.shape)[0], out)
+        if not isinstance(self._target, BlockWriter) or self._missing:
+            out[...] = self[:, tile.rows, tile.columns][slice(None) if picked_n is None else picked_n]
+        else:
+            self._reader = self._reader or BlockReader(self._dataset, self._target.sums())
+            self._reader.read_into(box_of(np.s_[:, tile.rows, tile.columns], self.shape)[0], out, picked_n)
 
     def check_filled(self) -> None:
         """Raise ValueError if fewer elements were written than there are."""
