@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.commands import run_command
-from clrelight.arrays import read_rows_into
 from clrelight.cli.options import ByteCount, whole_number
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 from clrelight.fit import fit_tiles, prepare_fit
 from clrelight.jobs.memory import peak_memory
 from clrelight.store import StoredArray, open_stack
+from clrelight.tiles import Rectangle
 
 _HEADERS = ("pixels", "compute (s)", "end to end (s)", "ratio", "CPU ratio", "ns per column", "peak (MiB)")
 
@@ -34,10 +34,10 @@ class Resident:
         self.shape, self.dtype, self.chunks = stored.shape, stored.dtype, stored.chunks
         self._stored, self._filled = stored, 0
 
-    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
+    def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray | None = None) -> None:
         """Fill each of the two buffers of a fit once."""
         if self._filled < 2:
-            read_rows_into(self._stored, first, end, out)
+            self._stored.read_into(tile, out, picked_n)
             self._filled += 1
 
     def __getitem__(self, key: Any) -> NDArray:

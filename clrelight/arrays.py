@@ -1,9 +1,7 @@
-"""Arrays of samples, coefficients and directions: what they may hold, what they are turned into, rows of them."""
+"""Arrays of samples, coefficients and directions: what they may hold, what they are turned into."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,9 +15,6 @@ SAMPLE_DTYPES = ("uint8", "uint16", "float16", "float32")
 
 COEFFICIENT_DTYPES = ("float32", "float16")
 """The types that coefficients may be stored in; kernels that relight read both."""
-
-Span = tuple[int, int]
-"""The first of some rows or columns, and the one behind the last."""
 
 _ACCEPTED_KINDS = "buif"
 _LEAST_PEAK = 1e-37
@@ -139,46 +134,3 @@ def is_radiance(values: NDArray) -> bool:
     if bits.max(initial=0) < np.asarray(np.inf, values.dtype).view(bits.dtype):
         return True
     return bool(np.all(np.isfinite(values) & (values >= 0)))  # a zero may have a sign
-
-
-class LightSubset:
-    """Some lights of an image dataset that is read when indexed."""
-
-    def __init__(self, images_ihwc: Any, lights_i: NDArray[np.intp]) -> None:
-        self._images, self._lights = images_ihwc, lights_i
-        self.shape = (len(lights_i), *images_ihwc.shape[1:])
-        self.dtype = images_ihwc.dtype
-
-    def __getitem__(self, key: tuple[slice, ...]) -> NDArray:
-        # HDF5 reads scattered lights slowly and rows of all lights fast, so pick after reading.
-        lights, *rest = key
-        return self._images[(slice(None), *rest)][self._lights][lights]
-
-    def read_rows_into(self, first: int, end: int, out_ihwc: NDArray) -> None:
-        """Read rows first..end; the lights that are left out take little memory where the images are a file's."""
-        if hasattr(self._images, "read_some_into"):
-            self._images.read_some_into(self._lights, first, end, out_ihwc)
-        else:
-            out_ihwc[...] = self._images[:, first:end][self._lights]
-
-    def part_reader(self) -> Callable[[Span, Span, NDArray], None] | None:
-        """See `part_reader`."""
-        if not hasattr(self._images, "read_some_part_into"):
-            return None
-        return functools.partial(self._images.read_some_part_into, self._lights)
-
-
-def part_reader(images_ihwc: Any) -> Callable[[Span, Span, NDArray], None] | None:
-    """Return what reads some columns of rows of all images into an array; None where whole rows are to be read."""
-    if isinstance(images_ihwc, LightSubset):
-        return images_ihwc.part_reader()
-    return getattr(images_ihwc, "read_part_into", None)
-
-
-def read_rows_into(array_nhwc: Any, first: int, end: int, out_nhwc: NDArray) -> NDArray:
-    """Fill `out_nhwc` with rows first..end of an array, of a dataset, or of some lights of one, and return it."""
-    if hasattr(array_nhwc, "read_rows_into"):
-        array_nhwc.read_rows_into(first, end, out_nhwc)
-    else:
-        out_nhwc[...] = array_nhwc[:, first:end]
-    return out_nhwc

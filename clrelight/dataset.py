@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from clrelight.arrays import (
     COEFFICIENT_DTYPES,
     SAMPLE_DTYPES,
-    LightSubset,
     as_coefficients,
     as_float64,
     as_samples,
@@ -20,7 +19,6 @@ from clrelight.arrays import (
     check_peak,
     check_radiance,
     check_transfer,
-    read_rows_into,
 )
 from clrelight.bases import OfBasis
 from clrelight.described import Described
@@ -28,6 +26,7 @@ from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import PIECE_BYTES
 from clrelight.surface import Surface, check_surface, surface_facts
+from clrelight.tiles import LightSubset, read_rows_into, row_tiles
 
 
 @dataclass(frozen=True, repr=False)
@@ -221,8 +220,7 @@ class CoefficientMap(Described, OfBasis):
             raise TypeError(f"expected an array of {held} or float32, got {out_khwc.dtype}")
         n_coeff, _, width, channel = out_khwc.shape
         step = max(1, PIECE_BYTES // (n_coeff * width * channel * held.itemsize))
-        for row in range(first, end, step):
-            stop = min(row + step, end)
+        for row, stop in row_tiles((first, end), step):
             rows_khwc = np.empty((n_coeff, stop - row, width, channel), held)
             out_khwc[:, row - first : stop - first] = read_rows_into(self.coeffs_khwc, row, stop, rows_khwc)
         return out_khwc

@@ -16,6 +16,7 @@ from clrelight.errors import InputError
 from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, tile_defines
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.streaming import Buffer, reading_ahead
+from clrelight.tiles import row_tiles
 
 _SEGMENT, _GROUP = 4096, 256
 """Columns that a GPU's group sums, and its work-items."""
@@ -127,7 +128,7 @@ def measure_errors(
     column_bytes = 4 * stack.n_light + dtype.itemsize * coefficients.n_coeff
     whole = _arrays_in_place(device, coefficients, stack)
     step = max(1, _TILE_BYTES * (1 if whole is None else _IN_PLACE) // (column_bytes * width * channel))
-    tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
+    tiles = row_tiles((0, height), step)
     coeffs_of, samples_of = (itertools.cycle([Buffer(), Buffer()]) for _ in range(2))
     sum_tile = _SumOfErrors(device, basis, stack)
 

@@ -17,6 +17,7 @@ from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.matmul import multiply_columns
 from clrelight.streaming import Buffer, reading_ahead
+from clrelight.tiles import row_tiles
 
 _TILE_BYTES = 1 << 25
 """Coefficients of one tile of rows, where they are read from a file."""
@@ -66,7 +67,7 @@ def _combine_tiles(device: Device, factor_ik: NDArray[np.float64], coefficients:
     height, width, channel = coefficients.image_shape
     dtype = np.dtype(coefficients.coeffs_khwc.dtype)
     step = max(1, _TILE_BYTES // (dtype.itemsize * coefficients.n_coeff * width * channel))
-    tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
+    tiles = row_tiles((0, height), step)
     buffers = itertools.cycle([Buffer(), Buffer()])
     images_ihwc = np.empty((len(factor_ik), height, width, channel), np.float32)
 

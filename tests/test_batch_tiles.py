@@ -18,6 +18,7 @@ from clrelight.jobs.report import Report
 from clrelight.store import open_fit, open_fitted, read_fit
 from clrelight.store.shards import shard_name, shards_of
 from clrelight.store.tiling import write_tiles
+from clrelight.tiles import Rectangle
 from tests.batches import make_stacks, strays_in
 from tests.commands import call, succeed
 from tests.test_batch import Here, died
@@ -97,10 +98,10 @@ def test_a_fit_in_shards_is_a_fit(stacks, tiled, tmp_path):
         for key in (np.s_[1], np.s_[:, 4:11], np.s_[2, 16, 3, 1], np.s_[..., 0], np.s_[[0, 3], 9], np.s_[:, 5:5]):
             np.testing.assert_array_equal(opened.coeffs_khwc[key], one.coeffs_khwc[key])
         rows = np.empty((9, 8, 7, 3), np.float32)
-        opened.coeffs_khwc.read_rows_into(3, 11, rows)
+        opened.coeffs_khwc.read_into(Rectangle(3, 0, 11, 7), rows)
         np.testing.assert_array_equal(rows, one.coeffs_khwc[:, 3:11])
-        with pytest.raises(ValueError, match="rows of 17"):
-            opened.coeffs_khwc.read_rows_into(10, 18, rows)
+        with pytest.raises(ValueError, match="a part of 17 x 7"):
+            opened.coeffs_khwc.read_into(Rectangle(10, 0, 18, 7), rows)
     assert measure(tiled / "a.h5", stacks / "a.h5") == measure(tmp_path / "one.h5", stacks / "a.h5")
     # As other programs see it: from another folder too.
     with h5py.File(tiled / "a.h5") as file:

@@ -7,7 +7,6 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from clrelight.arrays import LightSubset
 from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -16,6 +15,7 @@ from clrelight.fit.run import collect_fit, rows_per_tile
 from clrelight.jobs.fit import fit
 from clrelight.opencl import devices as device_module
 from clrelight.sampling import make_pattern
+from clrelight.tiles import LightSubset
 from tests.reference.basis import real_harmonics
 from tests.stacks import columns_of, make_samples, make_stack, samples_of
 

@@ -199,11 +199,11 @@ class Rows:
     """Coefficients that can only be read by rows, as those of a file."""
 
     def __init__(self, coeffs_khwc):
-        self._coeffs, self.shape, self.dtype = coeffs_khwc, coeffs_khwc.shape, coeffs_khwc.dtype
+        self._coeffs, self.shape, self.dtype, self.chunks = coeffs_khwc, coeffs_khwc.shape, coeffs_khwc.dtype, None
 
-    def read_rows_into(self, first, end, out):
+    def read_into(self, tile, out, picked_n=None):
         assert out.dtype == self.dtype
-        out[...] = self._coeffs[:, first:end]
+        out[...] = self._coeffs[:, tile.rows, tile.columns]
 
 
 # Every command that reads a fit

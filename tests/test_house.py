@@ -13,14 +13,14 @@ ROOT = Path(clrelight.__file__).parent
 FLOORS = [
     {
         *("arrays", "errors", "conventions", "configurable", "described", "text_rows", "interrupts"),
-        *("memory", "recycling", "search", "streaming", "statements"),
+        *("memory", "recycling", "search", "streaming", "statements", "tiles"),
     },
     {"harmonics", "bases", "durable", "remote", "threads"},
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {
         *("dataset", "directions", "holdout", "lights", "light_columns", "light_files", "masks", "negatives"),
         *("plan_lights", "sampling", "image_bands", "image_header", "image_names", "image_parts", "image_set"),
-        *("image_sink", "images", "radiance_header", "surface"),
+        *("image_sink", "images", "passes", "radiance_header", "surface"),
     },
     {"fit", "codec", "lighting", "brdf", "shrm", "transfer", "variation", "metrics", "perception", "relight"},
     {

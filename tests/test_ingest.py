@@ -14,6 +14,7 @@ from clrelight.images import write_image
 from clrelight.ingest import ingest_folder, photographs
 from clrelight.ingest.filling import plan_memory
 from clrelight.store import check_output
+from clrelight.tiles import Rectangle
 
 ingest = sys.modules[ingest_folder.__module__]
 RNG = np.random.default_rng(11)
@@ -314,7 +315,7 @@ def test_memory_stays_within_the_budget(tmp_path, written, monkeypatch, kind, cr
 
 def test_plan_counts_every_thread(tmp_path, monkeypatch):
     header = ImageHeader(tmp_path, 8192, 8192, 3, np.dtype(np.uint8), (0, 0), 1)
-    window = photographs.Window(0, 0, 8192, 8192)
+    window = Rectangle(0, 0, 8192, 8192)
     source = photographs.Photographs([header] * 200, window, photographs.Values(np.dtype(np.uint8), 255.0))
     for cores in (1, 4, 64, 500):
         monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
@@ -333,7 +334,7 @@ def test_blocks_are_of_nearly_equal_size(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     header = ImageHeader(tmp_path, 1000, 1000, 1, np.dtype(np.uint8), (0, 0), 1)
     source = photographs.Photographs(
-        [header] * 21, photographs.Window(0, 0, 1000, 1000), photographs.Values(np.dtype(np.uint8), 255.0)
+        [header] * 21, Rectangle(0, 0, 1000, 1000), photographs.Values(np.dtype(np.uint8), 255.0)
     )
     assert plan_memory(source, 27_000_000).n_held == 11
 

@@ -18,6 +18,7 @@ from clrelight.errors import InputError, StoreFormatError
 from clrelight.store import writing
 from clrelight.store.blocks import Blocks, BlockWriter, box_of
 from clrelight.store.stored import StoredArray
+from clrelight.tiles import Rectangle
 from tests.commands import ROOT, call, environment
 from tests.file_mutations import KINDS
 from tests.hdf5 import content, unseal
@@ -55,11 +56,11 @@ def test_rows_are_those_that_were_written(tmp_path, dtype, chunks):
         assert len(sums) == Blocks.of(file["x"]).count
         for first, end in ((0, 11), (1, 11), (3, 4), (2, 9), (10, 11), (4, 4)):
             out = np.zeros((6, end - first, 5, 3), dtype)
-            stored.read_rows_into(first, end, out)
+            stored.read_into(Rectangle(first, 0, end, 5), out)
             assert out.tobytes() == values[:, first:end].tobytes()
             for picked in (np.arange(6), np.array([4, 1, 5]), np.array([2]), np.array([-1, 0]), np.array([1, 4, 1])):
                 out = np.zeros((len(picked), end - first, 5, 3), dtype)
-                stored.read_some_into(picked, first, end, out)
+                stored.read_into(Rectangle(first, 0, end, 5), out, picked)
                 assert out.tobytes() == values[picked, first:end].tobytes()
 
 
@@ -86,8 +87,8 @@ def test_indices_beyond_an_array_are_refused(key):
 @pytest.mark.parametrize(("first", "end", "out"), [(-1, 2, (6, 3, 5, 3)), (9, 12, (6, 3, 5, 3)), (0, 2, (6, 3, 5, 3))])
 def test_an_array_that_does_not_fit(tmp_path, first, end, out):
     sums = write_blocks(tmp_path / "x.h5", values_of(SHAPE, "uint8"), (6, 1, 5, 3))
-    with h5py.File(tmp_path / "x.h5") as file, pytest.raises(ValueError, match=r"expected rows of 11 in an array"):
-        StoredArray(file["x"], "x.h5", sums).read_rows_into(first, end, np.zeros(out, np.uint8))
+    with h5py.File(tmp_path / "x.h5") as file, pytest.raises(ValueError, match="expected a"):
+        StoredArray(file["x"], "x.h5", sums).read_into(Rectangle(first, 0, end, 5), np.zeros(out, np.uint8))
 
 
 @pytest.mark.parametrize("chunks", CHUNKS)
@@ -116,7 +117,7 @@ def write_rows(path, steps=(0, 4, 5, 8, 11)):
         for first, end in itertools.pairwise(steps):
             sink.write_rows(first, rows[0][:, first:end], rows[1][first:end], rows[2][first:end])
         out = np.empty((4, 7, 5, 3), np.float32)
-        sink.coeffs_khwc.read_rows_into(2, 9, out)
+        sink.coeffs_khwc.read_into(Rectangle(2, 0, 9, 5), out)
         assert out.tobytes() == rows[0][:, 2:9].tobytes()
     return path.read_bytes()
 
@@ -192,10 +193,10 @@ def test_a_file_cut_short_while_it_is_open(tmp_path, monkeypatch):
     at = write_chunked(path, values_of((2, 9, 5, 3), "uint8"))
     out = np.zeros((2, 9, 5, 3), np.uint8)
     with store.open_stack(path) as stack:
-        stack.images_ihwc.read_rows_into(0, 9, out)
+        stack.images_ihwc.read_into(Rectangle(0, 0, 9, 5), out)
         os.truncate(path, at + 10)
         with pytest.raises(StoreFormatError, match="images is damaged"):
-            stack.images_ihwc.read_rows_into(0, 9, out)
+            stack.images_ihwc.read_into(Rectangle(0, 0, 9, 5), out)
 
 
 def test_many_threads_read_one_array(tmp_path):

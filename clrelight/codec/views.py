@@ -10,22 +10,14 @@ from numpy.typing import NDArray
 
 from clrelight.codec.streams import Target
 from clrelight.device import Device
+from clrelight.tiles import Rectangle
 
 
 @dataclass(frozen=True)
-class Region:
-    """A part of an image at a level: rows and columns, from the first to the one before the end, in pixels there."""
+class Region(Rectangle):
+    """A part of an image at a level of resolution, in pixels there."""
 
-    top: int
-    left: int
-    bottom: int
-    right: int
     level: int = 0
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-        return self.bottom - self.top, self.right - self.left
 
 
 class View(Protocol):

@@ -12,6 +12,7 @@ import OpenImageIO as oiio
 from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
+from clrelight.tiles import row_tiles
 
 _PIECE_BYTES = 1 << 25
 _MOST_CHANNELS = 1023
@@ -73,10 +74,9 @@ def _write(
     output = oiio.ImageOutput.create("x.exr")  # the name that it has until it is whole ends otherwise
     if not output or not output.open(str(path), spec):
         raise InputError(f"cannot write the EXR image: {oiio.geterror()}")
-    for first in range(0, height, step):
+    for first, end in row_tiles((0, height), step):
         if progress is not None:
             progress(first, height)
-        end = min(first + step, height)
         rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
         coefficients.read_rows(first, end, rows_khwc)
         pixels = np.ascontiguousarray(np.moveaxis(rows_khwc, 0, 2).reshape(end - first, width, -1))

@@ -11,6 +11,7 @@ from clrelight.conventions import linear_to_srgb, srgb_to_linear
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
 from clrelight.surface import surface_facts
+from clrelight.tiles import row_tiles
 
 PIECE_BYTES = 1 << 26
 """Of display values that are held at a time."""
@@ -28,8 +29,7 @@ def row_pieces(coefficients: CoefficientMap, n_light: int) -> Iterator[tuple[int
     """Yield rows, from the first to before the end, whose display values under so many lights fit a piece."""
     height, width, _ = coefficients.image_shape
     step = max(PIECE_BYTES // (4 * 3 * max(n_light, coefficients.n_coeff) * width), 1)
-    for first in range(0, height, step):
-        yield first, min(first + step, height)
+    yield from row_tiles((0, height), step)
 
 
 def display_values(

@@ -16,6 +16,7 @@ from clrelight.conventions import TRANSFERS
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.experiment.grid import Experiment
+from clrelight.passes import stack_rows
 from clrelight.relight import to_display
 from clrelight.store import open_stack
 from datasets_synth.scenes import SCENES
@@ -92,16 +93,16 @@ class Survey:
 def survey_stack(stack: LightStack) -> Survey:
     """Read all images once; InputError names a sample that is negative or not finite."""
     light = int(np.argmax(stack.directions_i3 @ PICTURE_LIGHT))
-    height, width, channel = stack.image_shape
+    _, width, channel = stack.image_shape
     sum32 = zlib.crc32(repr((stack.n_light, stack.image_shape, stack.peak, stack.transfer)).encode())
     for array in (stack.directions_i3, stack.weights_i, stack.mask_hw):
         sum32 = zlib.crc32(b"" if array is None else np.ascontiguousarray(array).tobytes(), sum32)
     step = max(1, (1 << 26) // (stack.n_light * width * channel * 4))
     means, rows = [], []
-    for first in range(0, height, step):
-        tile_ihwc = stack.read_rows(first, min(first + step, height))
-        sum32 = zlib.crc32(tile_ihwc.data.cast("B"), sum32)
-        means.append(tile_ihwc.mean(axis=0, dtype=np.float64).ravel())
+    with stack_rows(stack, step) as tiles:
+        for _, _, tile_ihwc in tiles:
+            sum32 = zlib.crc32(tile_ihwc.data.cast("B"), sum32)
+            means.append(tile_ihwc.mean(axis=0, dtype=np.float64).ravel())
         rows.append(tile_ihwc[light].astype(np.float32) / stack.peak)
     mean_p = np.concatenate(means)
     order = np.argsort(mean_p, kind="stable")

@@ -21,6 +21,7 @@ from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.recycling import kept_within
 from clrelight.streaming import Buffer, reading_ahead
+from clrelight.tiles import chunk_rows, row_tiles
 
 
 def collect_fit(
@@ -83,9 +84,7 @@ def rows_per_tile(
     if rows < 1:
         raise InputError(f"one row of this fit takes {row_bytes} bytes, more than the memory budget {memory_bytes}")
     # Whole chunks of the images as well, where there is room for both.
-    chunks = getattr(stack.images_ihwc, "chunks", None)
-    chunk_rows = chunks[1] if chunks else 1
-    for step in (math.lcm(row_step, chunk_rows), row_step):
+    for step in (math.lcm(row_step, chunk_rows(stack.images_ihwc)), row_step):
         if step <= rows:
             rows -= rows % step
             break
@@ -130,8 +129,7 @@ def fit_tiles(
     scaling = TileScaling(stack, prepared.plan, compute_dtype(prepared.precision))
     height, width, channel = stack.image_shape
     step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step, beside=beside)
-    top, bottom = rows or (0, height)
-    tiles = [(first, min(first + step, bottom)) for first in range(top, bottom, step)]
+    tiles = row_tiles(rows or (0, height), step)
     work = TileFit(prepared, scaling.curve, [Buffer() for _ in tiles[:held]])
     samples_of = itertools.cycle([Buffer() for _ in tiles[:2]])
 

@@ -217,11 +217,11 @@ def read_folder(
     directions_i3 = unit_directions(written_i3, label, allow_below)
     headers = read_headers([table.images[i] for i in chosen], layer, upright)
     window = place_crop(headers[0], crop)
-    check_covers(headers, (window.column, window.row, window.width, window.height))
+    check_covers(headers, (window.left, window.top, *window.shape[::-1]))
     values = choose_values(table, headers[0], chosen, transfer, peak, divide_intensities)
     mask_path = Path(os.fsdecode(mask)) if mask is not None else table.mask
     mask_hw, mask_notes = keep_mask(mask_path, headers[0], window, memory_bytes)
-    shrink = plan_shrink(window.height, window.width, downscale, max_side)
+    shrink = plan_shrink(*window.shape, downscale, max_side)
     tables = [table.source, *(table.source.parent / name for name in (NAMES_FILE, INTENSITIES_FILE))]
     extremes = [Extremes(values.code_peak) for _ in headers]
     source = Photographs(headers, window, values, Negatives(clip_negative), mask_hw, extremes, shrink, transfer)
@@ -236,7 +236,7 @@ def read_folder(
         *horizon_note(written_i3, label, allow_below),
         *_notes(table, folder, mask_path, values),
         *mask_notes,
-        *shrink_notes(shrink, window.height, window.width, max_side),
+        *shrink_notes(shrink, *window.shape, max_side),
         *describe_headers(headers),
     )
     inputs = [*table.images, *tables, *([mask_path] if mask_path is not None else [])]

@@ -17,24 +17,10 @@ from clrelight.ingest.shrinking import Shrink
 from clrelight.lights import LightTable, subset_text
 from clrelight.masks import read_mask
 from clrelight.negatives import Negatives
+from clrelight.tiles import Rectangle
 
 # Half precision keeps 11 bits between these.
 _HALF_SMALLEST, _HALF_LARGEST = 2.0**-14, 65504.0
-
-
-@dataclass(frozen=True)
-class Window:
-    """The rows and columns of the images that the stack keeps."""
-
-    row: int
-    column: int
-    height: int
-    width: int
-
-    @property
-    def rows(self) -> tuple[int, int]:
-        """First row, and the one behind the last."""
-        return self.row, self.row + self.height
 
 
 @dataclass(frozen=True)
@@ -85,7 +71,7 @@ class Photographs:
     """What is read: the images, the part of them that is kept, and how their values change."""
 
     headers: list[ImageHeader]
-    window: Window
+    window: Rectangle
     values: Values
     negatives: Negatives = field(default_factory=Negatives)
     mask_hw: NDArray[np.bool_] | None = None
@@ -96,7 +82,7 @@ class Photographs:
     @property
     def shape_ihwc(self) -> tuple[int, int, int, int]:
         """Shape of the stack."""
-        shape = (self.window.height, self.window.width) if self.shrink is None else self.shrink.shape
+        shape = self.window.shape if self.shrink is None else self.shrink.shape
         return len(self.headers), *shape, self.headers[0].channels
 
     def bands(self, light: int, band_bytes: int) -> Iterator[tuple[int, NDArray]]:
@@ -108,16 +94,16 @@ class Photographs:
 
     def _whole_bands(self, light: int, band_bytes: int) -> Iterator[tuple[int, NDArray]]:
         header = self.headers[light]
-        for row, band_hwc in read_bands(header, self.window.rows, band_bytes):
+        for row, band_hwc in read_bands(header, (self.window.top, self.window.bottom), band_bytes):
             kept_hwc = _columns(band_hwc, self.window)
             if header.dtype.kind == "f":
-                kept_hwc = self.negatives.clip(kept_hwc, light, f"image {header.path}", row, self.window.column)
+                kept_hwc = self.negatives.clip(kept_hwc, light, f"image {header.path}", row, self.window.left)
             if self.extremes:
-                at = row - self.window.row
+                at = row - self.window.top
                 self.extremes[light].take(
                     kept_hwc, None if self.mask_hw is None else self.mask_hw[at : at + len(kept_hwc)]
                 )
-            yield row - self.window.row, self.values.convert(kept_hwc, light)
+            yield row - self.window.top, self.values.convert(kept_hwc, light)
 
     def extreme_notes(self, chosen: list[int]) -> Iterator[str]:
         """Yield which images are wholly black or white, as where a lamp failed, and what leaves them out."""
@@ -135,17 +121,17 @@ class Photographs:
                 yield f"{which} wholly {what} ({why}): {listed}{instead}"
 
 
-def place_crop(header: ImageHeader, crop: tuple[int, int, int, int] | None) -> Window:
+def place_crop(header: ImageHeader, crop: tuple[int, int, int, int] | None) -> Rectangle:
     """Return what a crop (x, y, width, height) keeps; InputError where it is empty or not within the images."""
     if crop is None:
-        return Window(0, 0, header.height, header.width)
+        return Rectangle(0, 0, header.height, header.width)
     x, y, width, height = crop
     if min(x, y) < 0 or min(width, height) < 1 or x + width > header.width or y + height > header.height:
         raise InputError(
             f"crop x={x} y={y} width={width} height={height} is empty or not within the images of "
             f"{header.width}×{header.height} pixels"
         )
-    return Window(y, x, height, width)
+    return Rectangle(y, x, y + height, x + width)
 
 
 def choose_values(
@@ -172,17 +158,17 @@ def choose_values(
 
 
 def keep_mask(
-    path: Path | None, header: ImageHeader, window: Window, memory_bytes: int
+    path: Path | None, header: ImageHeader, window: Rectangle, memory_bytes: int
 ) -> tuple[NDArray[np.bool_] | None, list[str]]:
     """Return which of the pixels that are kept count, None without a mask, and what to say of it."""
     if path is None:
         return None, []
     whole_hw, notes = read_mask(path, (header.height, header.width), min(BAND_BYTES, memory_bytes // 2))
-    mask_hw = np.ascontiguousarray(_columns(whole_hw[slice(*window.rows)], window))
+    mask_hw = np.ascontiguousarray(_columns(whole_hw[window.rows], window))
     if not mask_hw.any():
         raise InputError(f"mask {path} is zero everywhere in the pixels that are kept")
     return mask_hw, [f"mask {path.name} keeps {np.count_nonzero(mask_hw)} of {mask_hw.size} pixels", *notes]
 
 
-def _columns(band_hwc: NDArray, window: Window) -> NDArray:
-    return band_hwc[:, window.column : window.column + window.width]
+def _columns(band_hwc: NDArray, window: Rectangle) -> NDArray:
+    return band_hwc[:, window.columns]

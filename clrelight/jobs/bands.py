@@ -10,10 +10,10 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.arrays import part_reader
 from clrelight.dataset import LightStack
 from clrelight.recycling import empty
 from clrelight.streaming import Buffer, one_thread
+from clrelight.tiles import Rectangle, chunk_rows, has_columns, read_tile
 
 _BAND_BYTES = 1 << 25
 _HELD = 4
@@ -35,8 +35,8 @@ class Bands:
         height, width, channel = stack.image_shape
         row_bytes = stack.n_light * width * channel * np.dtype(stack.images_ihwc.dtype).itemsize
         chunks = getattr(stack.images_ihwc, "chunks", None)
-        chunk_rows = chunks[1] if chunks else 1
-        self._rows = min(max(_BAND_BYTES // row_bytes // chunk_rows, 1) * chunk_rows, height)
+        together = chunk_rows(stack.images_ihwc)
+        self._rows = min(max(_BAND_BYTES // row_bytes // together, 1) * together, height)
         self._stack, self._pool, self._height = stack, pool, height
         self._held: dict[int, NDArray] = {}
         self._coming: tuple[int, Future[NDArray]] | None = None
@@ -45,7 +45,7 @@ class Bands:
         # now; and what is read ahead then.
         self._buffers = itertools.cycle([Buffer() for _ in range(4)])
         self._has_chunks, self._width, self._channel = chunks is not None, width, channel
-        self._read_part = part_reader(stack.images_ihwc)
+        self._is_free = has_columns(stack.images_ihwc)
 
     def part(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
         """Return samples (n_light, rows, columns, channel), C-contiguous; those of floats are not looked at.
@@ -57,9 +57,8 @@ class Bands:
             return self._whole_rows(first, end)
         shape = (self._stack.n_light, end - first, columns[1] - columns[0], self._channel)
         found = empty(shape, self._stack.images_ihwc.dtype)
-        if self._read_part is not None:
-            self._read_part(rows, columns, found)
-            return found
+        if self._is_free:
+            return read_tile(self._stack.images_ihwc, Rectangle(first, columns[0], end, columns[1]), found)
         pieces = []
         for number in range(first // self._rows, (end - 1) // self._rows + 1):
             top = number * self._rows

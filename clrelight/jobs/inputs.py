@@ -14,7 +14,6 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.arrays import read_rows_into
 from clrelight.bases import require_sh
 from clrelight.codec import Encoded, decode, decode_regions
 from clrelight.codec.damage import Damage
@@ -27,6 +26,7 @@ from clrelight.jobs.report import Progress, Report, stage
 from clrelight.light_files import read_light_file
 from clrelight.store import open_fit, open_fitted, open_stack
 from clrelight.store.scratch import ScratchWorkspace
+from clrelight.tiles import Rectangle, read_tile
 
 Path = str | os.PathLike[str]
 StackLike = Path | LightStack
@@ -257,19 +257,20 @@ class _Finite:
 
     def __init__(self, name: str, stored_khwc: Any) -> None:
         self.shape, self.dtype = stored_khwc.shape, stored_khwc.dtype
+        self.chunks = getattr(stored_khwc, "chunks", None)
         self._name, self._stored = name, stored_khwc
 
-    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
-        read_rows_into(self._stored, first, end, out)
-        _check_finite(self._name, out, first)
+    def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
+        read_tile(self._stored, tile, out, picked_n)
+        _check_finite(self._name, out, tile.top, tile.left)
 
 
-def _check_finite(name: str, coeffs_khwc: NDArray, first_row: int = 0) -> None:
+def _check_finite(name: str, coeffs_khwc: NDArray, top: int = 0, left: int = 0) -> None:
     for k, plane_hwc in enumerate(coeffs_khwc):
         if not _all_finite(plane_hwc):
             row, column, channel = (int(v) for v in np.argwhere(~np.isfinite(plane_hwc))[0])
             raise InputError(
-                f"{name}: coefficient {k} at row {first_row + row}, column {column}, channel {channel} is "
+                f"{name}: coefficient {k} at row {top + row}, column {left + column}, channel {channel} is "
                 f"{plane_hwc[row, column, channel]}, expected a finite number"
             )
 

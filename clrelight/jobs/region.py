@@ -10,10 +10,11 @@ import numpy as np
 from clrelight.codec import decode
 from clrelight.codec.entropy.units import LEVELS, PRECINCT, low_side
 from clrelight.codec.views import Region
-from clrelight.dataset import CoefficientMap, FitRecord, read_rows_into
+from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.jobs.inputs import Packed, whole
+from clrelight.tiles import read_tile
 
 _COLUMNS = 64
 """Columns of tiles are a multiple of this."""
@@ -80,12 +81,9 @@ def refuse_level(part: Part, what: str) -> None:
 def crop(coefficients: CoefficientMap, part: Part) -> CoefficientMap:
     """Return a part of a fit at full resolution: without the surface, of which it has not all vertices."""
     region = part.of(*coefficients.image_shape[:2])
-    rows, columns = slice(region.top, region.bottom), slice(region.left, region.right)
-    n_coeff, _, width, channel = coefficients.coeffs_khwc.shape
-    whole_rows = np.empty((n_coeff, region.shape[0], width, channel), coefficients.coeffs_khwc.dtype)
-    read_rows_into(coefficients.coeffs_khwc, rows.start, rows.stop, whole_rows)
-    record = FitRecord.of(coefficients).without_surface()
-    return record.to_map(np.ascontiguousarray(whole_rows[:, :, columns], np.float32))
+    stored = coefficients.coeffs_khwc
+    part_khwc = read_tile(stored, region, np.empty((stored.shape[0], *region.shape, stored.shape[3]), stored.dtype))
+    return FitRecord.of(coefficients).without_surface().to_map(part_khwc.astype(np.float32, copy=False))
 
 
 def decode_part(packed: Packed, part: Part, device: Device) -> CoefficientMap:

@@ -28,6 +28,7 @@ from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import create_fit, open_fit
 from clrelight.store.shards import shard_name
 from clrelight.store.tiling import write_tiles
+from clrelight.tiles import row_tiles
 
 _threads = threading.local()
 
@@ -223,10 +224,8 @@ def _is_same(one: Any, other: Any) -> bool:
 def _copy(part: Any, sink: Any, first: int, budget: int) -> None:
     n_coeff, (height, width, channel) = part.n_coeff, part.image_shape
     step = max(1, min(height, budget // (8 * n_coeff * width * channel)))
-    for row in range(0, height, step):
-        rows = slice(row, min(row + step, height))
-        coeffs_khwc = part.read_rows(
-            rows.start, rows.stop, np.empty((n_coeff, rows.stop - row, width, channel), np.float32)
-        )
+    for row, end in row_tiles((0, height), step):
+        rows = slice(row, end)
+        coeffs_khwc = part.read_rows(row, end, np.empty((n_coeff, end - row, width, channel), np.float32))
         maps = [None if each is None else each[rows] for each in (part.lambda_hwc, part.rank_hwc)]
         sink.write_rows(first + row, coeffs_khwc, *maps)

@@ -19,6 +19,7 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.matmul import multiply_columns
 from clrelight.store import create_fit
+from clrelight.tiles import row_tiles
 
 _PIECE_BYTES = 1 << 26
 
@@ -78,8 +79,7 @@ def to_sh(
             return record.to_map(rows_of(0, height))
         with create_fit(out, record, held.image_shape) as sink, stage(progress, "changing the basis") as tell:
             step = max(step // sink.coeffs_khwc.chunks[1], 1) * sink.coeffs_khwc.chunks[1]
-            for first in range(0, height, step):
-                end = min(first + step, height)
+            for first, end in row_tiles((0, height), step):
                 sink.write_rows(first, rows_of(first, end), None, None)
                 tell(end, height)
         kept.add("write", since)

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.arrays import read_rows_into
 from clrelight.bases import SH
 from clrelight.codec.registry import check_coefficients, check_decoded
 from clrelight.codec.streams import Source, Target, buffers
 from clrelight.codec.workspace import Workspace
 from clrelight.device import Device
 from clrelight.store.stored import StoredArray
+from clrelight.tiles import read_rows_into
 
 
 class StoredSource(Source):

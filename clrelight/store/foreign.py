@@ -18,6 +18,7 @@ from clrelight.store.blocks import box_of
 from clrelight.store.opening import Opened
 from clrelight.store.stored import StoredArray
 from clrelight.store.surfaces import surface_of
+from clrelight.tiles import Rectangle, check_shape, row_tiles
 
 LEAST_LENGTH, MOST_LENGTH = 0.99, 1.01
 """Directions of such lengths are made unit vectors; others are no directions."""
@@ -53,7 +54,7 @@ class ForeignImages:
         """Read a selection, as `StoredArray` does."""
         box, rest = box_of(key, self.shape)
         out = np.empty([part.stop - part.start for part in box], self.dtype)
-        self._read_into(box, out)
+        self._convert_into(box, out)
         return out[rest]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
@@ -61,18 +62,17 @@ class ForeignImages:
         whole = self[...]
         return whole if dtype is None else whole.astype(dtype, copy=False)
 
-    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
-        """Read ``[:, first:end]`` into an array of that shape and this dtype."""
-        self._read_into(box_of(np.s_[:, first:end], self.shape)[0], out)
-
-    def read_some_into(self, picked_n: NDArray[np.intp], first: int, end: int, out: NDArray) -> None:
-        """Read ``[picked_n, first:end]`` into an array of that shape and this dtype."""
+    def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
+        """See `clrelight.tiles.PixelArray`."""
+        check_shape(tile, out, self.shape, picked_n)
+        if picked_n is None:
+            self._convert_into(box_of(np.s_[:, tile.rows, tile.columns], self.shape)[0], out)
+            return
         step = max(1, PIECE_BYTES // (math.prod(self.shape) // self.shape[1] * self.dtype.itemsize))
-        for start in range(first, end, step):
-            stop = min(start + step, end)
-            out[:, start - first : stop - first] = self[:, start:stop][picked_n]
+        for start, stop in row_tiles((tile.top, tile.bottom), step):
+            out[:, start - tile.top : stop - tile.top] = self[:, start:stop, tile.columns][picked_n]
 
-    def _read_into(self, box: tuple[slice, ...], out: NDArray) -> None:
+    def _convert_into(self, box: tuple[slice, ...], out: NDArray) -> None:
         """Read and convert a few rows at a time: wide types take more memory than what they become."""
         if not out.size:
             return

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.store.blocks import box_of
 from clrelight.store.scratch import Scratch
+from clrelight.tiles import Rectangle, check_shape
 
 
 class ScratchImages:
@@ -27,6 +28,7 @@ class ScratchImages:
     """
 
     chunks = None
+    has_columns = True
 
     def __init__(self, folder: str | os.PathLike, shape: tuple[int, ...], dtype: np.dtype) -> None:
         self.shape, self.dtype = tuple(shape), np.dtype(dtype)
@@ -52,40 +54,25 @@ class ScratchImages:
         for row, values in enumerate(np.ascontiguousarray(part_hwc), start=first):
             self._scratch.write(light * self._image_bytes + row * self._row_bytes + left * pixel_bytes, values)
 
-    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
-        """Read rows of all images."""
-        self.read_some_into(np.arange(len(self)), first, end, out)
-
-    def read_some_into(self, picked_n: NDArray[np.intp], first: int, end: int, out: NDArray) -> None:
-        """Read rows of some images."""
-        expected = (len(picked_n), end - first, *self.shape[2:])
-        if out.shape != expected or out.dtype != self.dtype or not 0 <= first <= end <= self.shape[1]:
-            raise TypeError(f"expected {self.dtype} {expected}, got {out.dtype} {out.shape}")
-        for light, rows_hwc in zip(picked_n.tolist(), out, strict=True):
-            self._scratch.read_into(light * self._image_bytes + first * self._row_bytes, rows_hwc)
-
-    def read_part_into(self, rows: tuple[int, int], columns: tuple[int, int], out: NDArray) -> None:
-        """Read some columns of rows of all images, each from the first to the one before the end."""
-        self.read_some_part_into(np.arange(len(self)), rows, columns, out)
-
-    def read_some_part_into(
-        self, picked_n: NDArray[np.intp], rows: tuple[int, int], columns: tuple[int, int], out: NDArray
-    ) -> None:
-        """Read some columns of rows of some images; the disk's other columns are not touched."""
-        expected = (len(picked_n), rows[1] - rows[0], columns[1] - columns[0], *self.shape[3:])
-        within = 0 <= rows[0] <= rows[1] <= self.shape[1] and 0 <= columns[0] <= columns[1] <= self.shape[2]
-        if out.shape != expected or out.dtype != self.dtype or not within:
-            raise TypeError(f"expected {self.dtype} {expected}, got {out.dtype} {out.shape}")
-        left = columns[0] * (self._row_bytes // self.shape[2])
-        for light, part_hwc in zip(picked_n.tolist(), out, strict=True):
-            at = light * self._image_bytes + rows[0] * self._row_bytes + left
-            self._scratch.read_strided_into(at, self._row_bytes, part_hwc.reshape(len(part_hwc), -1))
+    def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
+        """See `clrelight.tiles.PixelArray`; the disk's other columns are not touched."""
+        check_shape(tile, out, self.shape, picked_n)
+        if out.dtype != self.dtype:
+            raise TypeError(f"expected an array of {self.dtype}, got {out.dtype}")
+        at = tile.top * self._row_bytes + tile.left * (self._row_bytes // self.shape[2])
+        is_whole = tile.shape[1] == self.shape[2]
+        for light, part_hwc in zip(range(len(self)) if picked_n is None else picked_n.tolist(), out, strict=True):
+            if is_whole:
+                self._scratch.read_into(light * self._image_bytes + at, part_hwc)
+            else:
+                rows_rb = part_hwc.reshape(len(part_hwc), part_hwc[0].size if len(part_hwc) else 0)
+                self._scratch.read_strided_into(light * self._image_bytes + at, self._row_bytes, rows_rb)
 
     def __getitem__(self, key: Any) -> NDArray:
         """Read a selection: integers, slices, and lists of integers."""
         (lights, rows, *others), rest = box_of(key, self.shape)
         out = np.empty((lights.stop - lights.start, rows.stop - rows.start, *self.shape[2:]), self.dtype)
-        self.read_some_into(np.arange(lights.start, lights.stop), rows.start, rows.stop, out)
+        self.read_into(Rectangle(rows.start, 0, rows.stop, self.shape[2]), out, np.arange(lights.start, lights.stop))
         return out[(slice(None), slice(None), *others)][rest]
 
     def close(self) -> None:

@@ -24,6 +24,7 @@ from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.schemas import FIT, TILES
 from clrelight.store.seal import SEAL_ATTRIBUTE
 from clrelight.store.stored import StoredArray
+from clrelight.tiles import Rectangle, check_shape
 
 MOST_SHARDS = 1 << 10
 TILED = {"coefficients": 1, "lambda": 0, "rank": 0}
@@ -172,12 +173,11 @@ class TiledArray:
         whole = self[...]
         return whole if dtype is None else whole.astype(dtype, copy=False)
 
-    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
-        """Read ``[:, first:end]`` into an array of that shape, whose type holds this one's values."""
-        # As a `StoredArray` does, of an axis that is the second.
-        if not 0 <= first <= end <= self.shape[1] or out.shape != (self.shape[0], end - first, *self.shape[2:]):
-            raise ValueError(f"expected rows of {self.shape[1]} in an array of their shape, got {out.shape} at {first}")
-        self._fill(first, end, out, lambda array, part: array[:, part])
+    def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
+        """See `clrelight.tiles.PixelArray`; the axis of tiles is the second."""
+        check_shape(tile, out, self.shape, picked_n)
+        which = slice(None) if picked_n is None else picked_n
+        self._fill(tile.top, tile.bottom, out, lambda array, part: array[:, part, tile.columns][which])
 
     def _fill(self, first: int, end: int, out: NDArray, read: Any) -> None:
         with self._files.one_at_a_time:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from clrelight.errors import StoreFormatError
 from clrelight.store.blocks import BlockReader, Blocks, Box, box_of
 from clrelight.store.walk import CHECKSUM_BYTES
+from clrelight.tiles import Rectangle, check_shape, row_tiles
 
 
 class StoredArray:
@@ -77,30 +78,22 @@ class StoredArray:
         self._read(box, out)
         return out[rest]
 
-    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
-        """Read ``[:, first:end]`` into an array of that shape, whose type holds this one's values."""
-        self._check_rows(first, end, out, len(self))
-        self._read(box_of(np.s_[:, first:end], self.shape)[0], out)
-
-    def read_some_into(self, picked_n: NDArray[np.intp], first: int, end: int, out: NDArray) -> None:
-        """Read ``[picked_n, first:end]`` into an array of that shape, whose type holds this one's values."""
-        self._check_rows(first, end, out, len(picked_n))
+    def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
+        """See `clrelight.tiles.PixelArray`."""
+        check_shape(tile, out, self.shape, picked_n)
+        if picked_n is None:
+            self._read(box_of(np.s_[:, tile.rows, tile.columns], self.shape)[0], out)
+            return
         (images, *_), _ = box_of(picked_n, self.shape)
         picked_n = np.where(picked_n < 0, picked_n + len(self), picked_n)
         if self._reader is not None:
-            self._read(box_of(np.s_[images, first:end], self.shape)[0], out, picked_n)
+            self._read(box_of(np.s_[images, tile.rows, tile.columns], self.shape)[0], out, picked_n)
             return
         # HDF5 reads scattered images slowly and rows of all images fast: pick after reading, a few rows at a time.
-        step = self.chunks[1] if self.chunks else end - first
-        for start in range(first, end, step):
-            stop = min(start + step, end)
-            out[:, start - first : stop - first] = self[images, start:stop][picked_n - images.start]
-
-    def _check_rows(self, first: int, end: int, out: NDArray, count: int) -> None:
-        height, *others = self.shape[1:]
-        expected = (count, end - first, *others)
-        if not 0 <= first <= end <= height or out.shape != expected:
-            raise ValueError(f"expected rows of {height} in an array {expected}, got {out.shape} at {first}")
+        step = self.chunks[1] if self.chunks else max(tile.shape[0], 1)
+        for start, stop in row_tiles((tile.top, tile.bottom), step):
+            values = self[images, start:stop, tile.columns]
+            out[:, start - tile.top : stop - tile.top] = values[picked_n - images.start]
 
     def _read(self, box: Box, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
         if not self._dataset:

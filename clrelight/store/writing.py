@@ -22,6 +22,7 @@ from clrelight.store.creating import create_compact, create_in_memory, create_on
 from clrelight.store.nexus import describe
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
 from clrelight.store.seal import MOST_IN_TEXT, SEAL_ATTRIBUTE, TABLE, seal_of, sums_text, type_text
+from clrelight.tiles import Rectangle, check_shape
 
 IN_MEMORY_BYTES = 64 << 20
 """Files of fewer bytes are built in memory, which holds them three times, and where a full disk cannot reach HDF5."""
@@ -75,14 +76,14 @@ class Sink:
         """Read back what was filled, before the file is finished."""
         return self._dataset[key] if isinstance(self._target, BlockWriter) else self._target[key]
 
-    def read_rows_into(self, first: int, end: int, out: NDArray) -> None:
-        """Read back ``[:, first:end]`` into an array of that shape and this dtype."""
+    def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
+        """See `clrelight.tiles.PixelArray`: read back what was filled."""
+        check_shape(tile, out, self.shape, picked_n)
         if not isinstance(self._target, BlockWriter) or self._missing:
-            out[...] = self[:, first:end]
-            return
-        if self._reader is None:
-            self._reader = BlockReader(self._dataset, self._target.sums())
-        self._reader.read_into(box_of(np.s_[:, first:end], self.shape)[0], out)
+            out[...] = self[:, tile.rows, tile.columns][slice(None) if picked_n is None else picked_n]
+        else:
+            self._reader = self._reader or BlockReader(self._dataset, self._target.sums())
+            self._reader.read_into(box_of(np.s_[:, tile.rows, tile.columns], self.shape)[0], out, picked_n)
 
     def check_filled(self) -> None:
         """Raise ValueError if fewer elements were written than there are."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.surface import Surface
+from clrelight.tiles import row_tiles
 from clrelight.transfer.cameras import Camera, frame_surface, picture_size
 from clrelight.transfer.rays import RayScene
 
@@ -120,7 +121,7 @@ def look(
         raise InputError(f"subsamples must be 1 to {MAX_SUBSAMPLES}, got {subsamples}")
     first, end = rows or (0, height)
     step = max(1, _RAYS_AT_ONCE // (width * subsamples**2))
-    bands = [(row, min(row + step, end)) for row in range(first, end, step)]
+    bands = row_tiles((first, end), step)
     found = [_look_at_rows(scene, camera, (width, height), subsamples, band) for band in bands]
     share_s, face_s, weights_sj, coverage_p = (np.concatenate([each[i] for each in found]) for i in (1, 2, 3, 5))
     # Pixels of a band begin at its first row.

@@ -14,8 +14,10 @@ from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.memory import DEFAULT_MEMORY
+from clrelight.passes import rows_within, stack_rows
 from clrelight.streaming import Buffer, reading_ahead
 from clrelight.threads import on_one_thread
+from clrelight.tiles import chunk_rows
 from clrelight.variation.heights import integrate_normals
 from clrelight.variation.normals import METHODS, light_condition
 from clrelight.variation.reflectance_kernel import LANES
@@ -164,17 +166,10 @@ def _pass(
     tally: Callable[[str, float], float],
 ) -> None:
     """Send all rows through once."""
-    height, width, channel = stack.image_shape
-    tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
-    buffers = itertools.cycle([Buffer() for _ in tiles[:2]])
-
-    def read(rows: tuple[int, int]) -> NDArray:
-        shape = (stack.n_light, rows[1] - rows[0], width, channel)
-        return stack.read_rows(*rows, next(buffers).lend(shape, stack.images_ihwc.dtype))
-
+    height = stack.image_shape[0]
     since = time.perf_counter()
-    with on_one_thread(), reading_ahead(read, tiles) as samples:
-        for (first, end), tile_ihwc in zip(tiles, samples, strict=True):
+    with on_one_thread(), stack_rows(stack, step) as tiles:
+        for first, end, tile_ihwc in tiles:
             since = tally("read", since)
             filler.fill(first, end, tile_ihwc)
             since = tally("solve", since)
@@ -190,11 +185,10 @@ def _plan(stack: LightStack, memory_bytes: int) -> tuple[int, int]:
     block = max(64, min(_BLOCK, memory_bytes // 4 // work // LANES * LANES))
     rows = (memory_bytes - work * block) // (2 * width * pixel)
     if rows < 1:
-        needed = 2 * width * pixel + work * block
-        raise InputError(f"one row of this stack takes {needed} bytes, more than the memory budget {memory_bytes}")
-    chunks = getattr(stack.images_ihwc, "chunks", None)
-    if chunks and chunks[1] <= rows:
-        rows -= rows % chunks[1]
+        rows_within(2 * width * pixel + work * block, memory_bytes)
+    together = chunk_rows(stack.images_ihwc)
+    if together <= rows:
+        rows -= rows % together
     return int(min(rows, height)), block
 
 

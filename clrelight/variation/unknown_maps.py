@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.memory import DEFAULT_MEMORY
-from clrelight.streaming import reading_ahead
+from clrelight.passes import rows_within, stack_rows
 from clrelight.threads import on_one_thread
 from clrelight.variation.integrable import resolve_lorentz
 from clrelight.variation.maps import NormalMap
@@ -146,18 +146,14 @@ def _tell(progress: Callable[[int, int], None] | None, done: int, total: int) ->
 def _rows(stack: LightStack, memory_bytes: int) -> int:
     _, width, channel = stack.image_shape
     row = width * channel * stack.n_light * (2 * stack.images_ihwc.dtype.itemsize + 20)
-    if memory_bytes < row:
-        raise InputError(f"one row of this stack takes {row} bytes, more than the memory budget {memory_bytes}")
-    return memory_bytes // row
+    return rows_within(row, memory_bytes)
 
 
 def _tiles(stack: LightStack, reader: SampleReader, rows: int) -> Iterator[tuple[int, int, NDArray[np.float32]]]:
     """Yield linear samples of the pixels inside the mask, (channel, n_light, P), tile by tile."""
-    height, _, channel = stack.image_shape
-    tiles = [(first, min(first + rows, height)) for first in range(0, height, rows)]
-    with reading_ahead(lambda each: stack.read_rows(*each), tiles) as samples:
-        for (first, end), tile_ihwc in zip(tiles, samples, strict=True):
-            columns_ipc = tile_ihwc.reshape(stack.n_light, -1, channel)
+    with stack_rows(stack, rows) as tiles:
+        for first, end, tile_ihwc in tiles:
+            columns_ipc = tile_ihwc.reshape(stack.n_light, -1, stack.image_shape[2])
             if stack.mask_hw is not None:
                 columns_ipc = columns_ipc[:, stack.mask_hw[first:end].ravel()]
             yield first, end, reader.linear(columns_ipc)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.arrays import read_rows_into
 from clrelight.codec.bodies import Body
 from clrelight.codec.formats.klt_units import VERSION as UNITS_VERSION
 from clrelight.codec.formats.klt_units import parse_body
@@ -32,6 +31,7 @@ from clrelight.jobs.inputs import Packed, decoded_of, lend_fitted
 from clrelight.jobs.report import Report
 from clrelight.store import file_schema, open_stack
 from clrelight.surface import surface_facts
+from clrelight.tiles import read_rows_into
 from clrelight.transfer.reflection import OPERATOR
 from clrelight.view.texels import TILE, count_levels, halve, level_side, pack_bytes, pack_half, tile_place
 

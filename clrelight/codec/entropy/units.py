@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.transforms.lifting import list_subbands
+from clrelight.tiles import Rectangle
 
 LEVELS = 5
 PRECINCT = 512
@@ -29,24 +30,8 @@ MARGIN = 128
 
 
 @dataclass(frozen=True)
-class Window:
-    """A part of an image whose planes are transformed together, and the tile in it that is coded.
-
-    Attributes
-    ----------
-    top, left, bottom, right : int
-        Pixels of the image; the first two are multiples of ``2 ** LEVELS``.
-    """
-
-    top: int
-    left: int
-    bottom: int
-    right: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-        return self.bottom - self.top, self.right - self.left
+class Window(Rectangle):
+    """A part of an image whose planes are transformed together; it begins at multiples of ``2 ** LEVELS``."""
 
     def sides_at(self, level: int) -> tuple[int, int]:
         """Return the height and width of its planes at a level."""

@@ -12,8 +12,8 @@ from clrelight.bases import SH
 from clrelight.codec.streams import Source
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.vectors import golden_indices
-from clrelight.dataset import read_rows_into
 from clrelight.memory import PIECE_BYTES
+from clrelight.tiles import read_rows_into, row_tiles
 
 _SAMPLED_COLUMNS = 16384
 _SAMPLED_BLOCKS = 1024
@@ -76,10 +76,10 @@ def measure_image_error(coeffs_khwc: Any, decoded_khwc: Any, basis: str = SH) ->
     forward_jk = hemisphere_metric(n_coeff, "singular", basis).forward_jk
     step = max(1, PIECE_BYTES // (8 * n_coeff * width * channel))
     total = 0.0
-    for first in range(0, height, step):
-        shape = (n_coeff, min(step, height - first), width, channel)
+    for first, end in row_tiles((0, height), step):
+        shape = (n_coeff, end - first, width, channel)
         original_kp, decoded_kp = (
-            read_rows_into(values, first, first + shape[1], np.empty(shape, np.float32)).reshape(n_coeff, -1)
+            read_rows_into(values, first, end, np.empty(shape, np.float32)).reshape(n_coeff, -1)
             for values in (coeffs_khwc, decoded_khwc)
         )
         seen_jp = forward_jk @ (decoded_kp - original_kp.astype(np.float64))

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.arrays import Span
 from clrelight.codec.slabs import SLAB_BYTES
 from clrelight.codec.streams import Linear, Source
 from clrelight.codec.transforms.code_values import bend, code_values_of, node_matrices
@@ -20,6 +19,7 @@ from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_o
 from clrelight.memory import PIECE_BYTES
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.streaming import Buffer
+from clrelight.tiles import Span
 
 _DEPTH = 64
 

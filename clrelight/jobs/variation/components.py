@@ -26,8 +26,8 @@ from clrelight.jobs.variation.component_pictures import (
 from clrelight.jobs.written import count_bytes
 from clrelight.lighting.light import Light
 from clrelight.memory import DEFAULT_MEMORY
+from clrelight.passes import rows_within, stack_rows
 from clrelight.store import write_light
-from clrelight.streaming import reading_ahead
 from clrelight.surface import Surface
 from clrelight.transfer.mesh_files import read_mesh
 from clrelight.transfer.meshes import vertex_areas
@@ -138,13 +138,9 @@ def _blocks(stack: LightStack, budget: int, tell: object) -> Iterator[NDArray[np
     """Yield linear samples of the pixels inside the mask, (n_light, P), tile by tile."""
     height, width, channel = stack.image_shape
     row = width * channel * stack.n_light * (2 * stack.images_ihwc.dtype.itemsize + 12)
-    step = budget // row
-    if step < 1:
-        raise InputError(f"one row of this stack takes {row} bytes, more than the memory budget {budget}")
-    reader = SampleReader(stack)
-    tiles = [(first, min(first + step, height)) for first in range(0, height, step)]
-    with reading_ahead(lambda rows: stack.read_rows(*rows), tiles) as samples:
-        for (first, end), tile_ihwc in zip(tiles, samples, strict=True):
+    step, reader = rows_within(row, budget), SampleReader(stack)
+    with stack_rows(stack, step) as tiles:
+        for first, end, tile_ihwc in tiles:
             columns_ipc = tile_ihwc.reshape(stack.n_light, -1, channel)
             if stack.mask_hw is not None:
                 columns_ipc = columns_ipc[:, stack.mask_hw[first:end].ravel()]

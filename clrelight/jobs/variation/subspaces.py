@@ -20,6 +20,7 @@ from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.variation.components import MESHES, read_normals, visible_vertices
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
+from clrelight.passes import rows_within, stack_rows
 from clrelight.sampling import make_pattern
 from clrelight.surface import Surface
 from clrelight.threads import on_one_thread
@@ -172,19 +173,16 @@ def _products_of_stack(
 def _rows(stack: LightStack, found: NormalMap, budget: int, tell: object) -> Iterator[NDArray[np.float32]]:
     """Yield photographs and albedo times harmonics, (n_light + 9, P), of pixels inside the mask, tile by tile."""
     height, width, channel = stack.image_shape
-    row = width * channel * (stack.n_light * (stack.images_ihwc.dtype.itemsize + 4) + (stack.n_light + 9) * 12)
-    step = budget // row
-    if step < 1:
-        raise InputError(f"one row of this stack takes {row} bytes, more than the memory budget {budget}")
-    reader = SampleReader(stack)
-    for first in range(0, height, step):
-        end = min(first + step, height)
-        inside_hw = np.any(found.normals_hw3[first:end] != 0.0, axis=2)
-        if stack.mask_hw is not None:
-            inside_hw &= stack.mask_hw[first:end]
-        samples_cip = reader.linear(stack.read_rows(first, end)[:, inside_hw])
-        basis_kp = evaluate_basis(found.normals_hw3[first:end][inside_hw].astype(np.float64), 2).T
-        albedo_pc = found.albedo_hwc[first:end][inside_hw]
-        for samples_ip, albedo_p in zip(samples_cip, albedo_pc.T, strict=True):
-            yield np.concatenate([samples_ip, (basis_kp * albedo_p).astype(np.float32)])
-        tell(end, height)  # type: ignore[operator]
+    row = width * channel * (stack.n_light * (2 * stack.images_ihwc.dtype.itemsize + 4) + (stack.n_light + 9) * 12)
+    step, reader = rows_within(row, budget), SampleReader(stack)
+    with stack_rows(stack, step) as tiles:
+        for first, end, tile_ihwc in tiles:
+            inside_hw = np.any(found.normals_hw3[first:end] != 0.0, axis=2)
+            if stack.mask_hw is not None:
+                inside_hw &= stack.mask_hw[first:end]
+            samples_cip = reader.linear(tile_ihwc[:, inside_hw])
+            basis_kp = evaluate_basis(found.normals_hw3[first:end][inside_hw].astype(np.float64), 2).T
+            albedo_pc = found.albedo_hwc[first:end][inside_hw]
+            for samples_ip, albedo_p in zip(samples_cip, albedo_pc.T, strict=True):
+                yield np.concatenate([samples_ip, (basis_kp * albedo_p).astype(np.float32)])
+            tell(end, height)  # type: ignore[operator]

@@ -1,0 +1,39 @@
+"""One pass over a stack: its rows tile by tile, the next being read while the caller has one."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from numpy.typing import NDArray
+
+from clrelight.dataset import LightStack
+from clrelight.errors import InputError
+from clrelight.streaming import Buffer, reading_ahead
+from clrelight.tiles import Span, row_tiles
+
+
+def rows_within(row_bytes: int, budget: int, of: str = "stack") -> int:
+    """Return how many rows fit a budget; InputError where not one does."""
+    if budget < row_bytes:
+        raise InputError(f"one row of this {of} takes {row_bytes} bytes, more than the memory budget {budget}")
+    return budget // row_bytes
+
+
+@contextmanager
+def stack_rows(stack: LightStack, step: int) -> Iterator[Iterator[tuple[int, int, NDArray]]]:
+    """Lend the first row, the one behind the last, and the samples (n_light, rows, width, channel) of each tile.
+
+    Samples are the caller's until the next tile but one is asked for. InputError as `LightStack.read_rows` raises it.
+    """
+    height, width, channel = stack.image_shape
+    tiles = row_tiles((0, height), step)
+    buffers = itertools.cycle([Buffer() for _ in tiles[:2]])
+
+    def read(rows: Span) -> NDArray:
+        shape = (stack.n_light, rows[1] - rows[0], width, channel)
+        return stack.read_rows(*rows, next(buffers).lend(shape, stack.images_ihwc.dtype))
+
+    with reading_ahead(read, tiles) as samples:
+        yield ((first, end, tile_ihwc) for (first, end), tile_ihwc in zip(tiles, samples, strict=True))
