@@ -84,6 +84,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.store import read_light as read_light
     from clrelight.store import read_results as read_results
     from clrelight.store import read_shrm as read_shrm
+    from clrelight.store import read_stack as read_stack
     from clrelight.store import write_encoded as write_encoded
     from clrelight.store import write_fit as write_fit
     from clrelight.store import write_light as write_light
@@ -151,7 +152,7 @@ _MODULES = {
     "opencl.devices": "list_devices",
     "report": "write_report",
     "shrm.record": "Shrm",
-    "store": "open_fit open_stack read_encoded read_fit read_light read_results read_shrm "
+    "store": "open_fit open_stack read_encoded read_fit read_light read_results read_shrm read_stack "
     "write_encoded write_fit write_light write_shrm write_stack",
     "surface": "Surface",
     "transfer.cameras": "Camera Framing",
@@ -167,7 +168,10 @@ __all__ = sorted([*_HOMES, "__version__"])
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from difflib import get_close_matches
+
+        near = "".join(f"; did you mean {each!r}?" for each in get_close_matches(name, _HOMES, 1))
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{near}")
     import importlib
 
     importlib.import_module(_HOMES[name])

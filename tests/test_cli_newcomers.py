@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 
 import clrelight as cr
@@ -79,3 +80,15 @@ def test_records_and_reports_are_shown_in_few_lines(tmp_path):
     assert any(line.split() == ["method", "uls"] for line in lines)
     psnr = f"{report.psnr['mean_fitted']:.2f}"
     assert any(line.split() == ["psnr", "mean_fitted", psnr, "dB"] for line in lines)
+
+
+def test_a_stack_is_read_whole_and_a_misspelt_name_is_told(tmp_path):
+    cr.write_stack(tmp_path / "s.h5", make_stack(3))
+    stack = cr.read_stack(tmp_path / "s.h5")
+    (tmp_path / "s.h5").unlink()
+    np.testing.assert_array_equal(stack.images_ihwc, make_stack(3).images_ihwc)
+    np.testing.assert_array_equal(stack.directions_i3, make_stack(3).directions_i3)
+    assert stack.peak == 255.0
+    with pytest.raises(AttributeError, match="did you mean 'relight'"):
+        cr.relite  # noqa: B018
+    assert not hasattr(cr, "__wrapped__")

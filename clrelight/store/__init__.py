@@ -6,7 +6,7 @@ from clrelight.store.fits import FitSink, create_fit, open_fit, read_fit, write_
 from clrelight.store.fitted import open_fitted
 from clrelight.store.lights import read_light, write_light
 from clrelight.store.shrms import read_shrm, write_shrm
-from clrelight.store.stacks import create_stack, open_stack, write_stack
+from clrelight.store.stacks import create_stack, open_stack, read_stack, write_stack
 from clrelight.store.stored import StoredArray
 from clrelight.store.summary import describe, file_schema
 from clrelight.store.tables import read_results, write_results
@@ -30,6 +30,7 @@ __all__ = [
     "read_light",
     "read_results",
     "read_shrm",
+    "read_stack",
     "write_encoded",
     "write_fit",
     "write_light",

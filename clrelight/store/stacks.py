@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
@@ -67,6 +68,12 @@ def open_stack(path: str | os.PathLike) -> Iterator[LightStack]:
         with refusing(opened.path):
             stack = stack_of(opened)
         yield stack
+
+
+def read_stack(path: str | os.PathLike) -> LightStack:
+    """Read a whole stack into memory; errors as of `open_fit`."""
+    with open_stack(path) as stack:
+        return replace(stack, images_ihwc=stack.images_ihwc[...])
 
 
 def stack_of(opened: Opened) -> LightStack:
