@@ -174,7 +174,10 @@ def test_diligent_folder_that_does_not_fit(tmp_path, settings, message):
 def test_nothing_found(tmp_path):
     with pytest.raises(InputError, match="no folder"):
         find_lights(tmp_path / "none")
-    with pytest.raises(InputError, match=r"filenames.txt .*\.lp file.*light_directions.txt"):
+    with pytest.raises(InputError, match="holds no files"):
+        find_lights(tmp_path)
+    (tmp_path / "note").touch()
+    with pytest.raises(InputError, match=r"filenames.txt .*\.lp file.*light_directions.txt.*clrelight find-lights"):
         find_lights(tmp_path)
     with pytest.raises(InputError, match="no light file"):
         find_lights(tmp_path, tmp_path / "x.lp")
