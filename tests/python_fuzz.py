@@ -39,13 +39,15 @@ def targets():
     from tests.file_mutations import KINDS
     from tests.mutations import families
 
-    return [*families(), *(f"file {kind}" for kind in KINDS), "journal", "shards"]
+    return [*families(), *(f"file {kind}" for kind in KINDS), "journal", "list", "shards"]
 
 
 def prepare(name, folder, large=False):
     """Return what does one input, and inputs to begin with; modules are loaded while atheris looks."""
     if name == "journal":
         return _journal(folder)
+    if name == "list":
+        return _list(folder)
     if name == "shards":
         return _shards()
     if name.startswith("file "):
@@ -128,7 +130,7 @@ def _file(kind, folder):
 
 
 def _journal(folder):
-    from clrelight.batch.journal import Journal
+    from clrelight.batch.journal import Journal, sealed
     from clrelight.batch.task import Outcome
     from clrelight.errors import InputError
 
@@ -138,11 +140,33 @@ def _journal(folder):
     journal.close()
 
     def run(data):
-        path.write_bytes(data)
+        # The first byte says whether the checksums of its lines fit.
+        lines = data[1:].split(b"\n") if data[:1] and data[0] & 1 else [data[1:]]
+        ours = len(b'{"sum":"0123456789abcdef",')
+        path.write_bytes(b"\n".join(sealed(b"{" + line[ours:]) if len(line) > ours else line for line in lines))
         with contextlib.suppress(InputError):
             Journal(path).close()
 
-    return run, [path.read_bytes()]
+    return run, [how + path.read_bytes() for how in (b"\0", b"\1")]
+
+
+def _list(folder):
+    from clrelight.batch.lists import read_list
+    from clrelight.errors import InputError
+
+    path = folder / "list.toml"
+    (folder / "in.h5").touch()
+
+    def run(data):
+        path.write_bytes(data)
+        with contextlib.suppress(InputError):
+            read_list(path, None)
+
+    return run, [
+        b'job = "pack"\nstacks = ["i*.h5"]\nexclude = ["x*"]\n[options]\nbytes = "200k"\n',
+        b'job = "fit"\nending = ".h5"\n[[override]]\nmatch = "c*"\ndegree = 4\n',
+        b'job = "fit"\n[[stack]]\nsource = "in.h5"\nname = "a"\noptions = {degree = 4}\n',
+    ]
 
 
 def _shards():
