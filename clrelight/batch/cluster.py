@@ -83,6 +83,8 @@ class DaskEngine:
         self._flying: dict[int, _Parcel] = {}
         self._pace = Pace()
         self._unsound: set[str] = set()
+        self._warm: set[str] = set()
+        self._died: set[str] = set()
         self._known: dict[str, int] = {}
         self._asked, self._count = 0.0, 0
         self._cluster: Any = None
@@ -114,6 +116,7 @@ class DaskEngine:
                 **(worker_environment(workers) if workers > 1 else dict.fromkeys(_THREADS)),
             },
             "distributed.worker.profile.enabled": False,
+            "distributed.admin.tick.interval": "250ms",
             "distributed.admin.system-monitor.gil.enabled": False,
         }
         if getattr(multiprocessing.current_process(), "_inheriting", False):
@@ -156,16 +159,23 @@ class DaskEngine:
 
     def _send(self) -> None:
         """Give to the scheduler what is held."""
-        only = {"workers": [*self._threads()], "allow_other_workers": False} if self._unsound else {}
         while self._held:
             parcel = _Parcel(self._held[: self._pace.size])
             del self._held[: len(parcel.works)]
+            only = self._where(parcel)
             self._count += 1
             key = f"{parcel.works[0].name}-{len(parcel.works)}-{self._count}"  # each try is another to the scheduler
             told = [asdict(work) for work in parcel.works]
             parcel.future = self._client.submit(_perform, told, key=key, pure=False, **only)
             self._flying[id(parcel)] = parcel
             parcel.future.add_done_callback(lambda _, parcel=parcel: self._ended.put(parcel))
+
+    def _where(self, parcel: _Parcel) -> dict[str, Any]:
+        """Return which workers may do tasks: sound ones; what died is better tried where nothing is to be loaded."""
+        if self._unsound:
+            return {"workers": [*self._threads()], "allow_other_workers": False}
+        warm = self._warm & self._threads().keys() if parcel.works[0].name in self._died else set()
+        return {"workers": [*warm], "allow_other_workers": True} if warm else {}
 
     def collect(self, seconds: float) -> list[Ended]:
         """Return what has ended, after waiting for the first so long at most."""
@@ -189,12 +199,15 @@ class DaskEngine:
         if future.status == "finished":
             outcomes = future.result()
             self._pace.learn([outcome.get("seconds", 0.0) for outcome in outcomes])
+            self._warm.update(outcome["worker"] for outcome in outcomes)
             self._held += parcel.works[len(outcomes) :]  # for which its worker took no time
             return [Ended(name, outcome) for name, outcome in zip(names, outcomes, strict=False)]
         error = future.exception() if future.status == "error" else None
         future.release()
         if error is None:
             raise InputError(self._gone())
+        self._died.update(names)
+        self._known = {}  # of workers, of which there is another now
         fault = f"{type(error).__name__}: {_line(error)}"
         if isinstance(error, self._distributed.KilledWorker):
             fault = f"ends the process of its worker {error.last_worker.address}"
@@ -215,6 +228,7 @@ class DaskEngine:
         with suppress(Exception):
             if self._flying:
                 self._client.cancel([parcel.future for parcel in self._flying.values()], force=True)
+            if self._flying or self._died:  # and some are being started anew
                 self._kill()
         for each in (self._client, self._cluster):
             with suppress(Exception):

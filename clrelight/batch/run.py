@@ -257,7 +257,9 @@ class _Driver:
         if ended.outcome is None:
             alone, deaths = self._count_death(task.name, is_alone)
             if ended.kind == "died" and (not alone or deaths <= self.retries):
-                self.suspects.append(task)
+                # What was given out first was most likely being done: so it comes last, and those who only waited
+                # behind it find a worker that has not to be started anew.
+                (self.suspects.append if alone else self.suspects.appendleft)(task)
                 return
             times = f", {deaths} times" if deaths > 1 else ""
             outcome = Outcome(task.name, FAILED, self._key(task), f"{ended.fault}{times}", ended.kind, tries=tries)
