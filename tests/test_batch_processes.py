@@ -14,6 +14,7 @@ from tests.batches import (
     are_gone,
     await_line,
     children_of,
+    faulty_environment,
     finish_batch,
     make_stacks,
     results_in,
@@ -176,3 +177,23 @@ def test_a_script_without_a_guard_is_told_of_it(stacks, tmp_path):
     assert done.returncode
     assert "\nclrelight.errors.InputError: no worker of Dask could be started" in done.stderr
     assert "under if __name__ == '__main__'" in done.stderr
+
+
+@pytest.mark.parametrize("seconds", [86400.0, -86400.0])
+def test_a_clock_that_is_set_while_a_batch_runs(stacks, made, tmp_path, seconds):
+    """Nothing is late, waits longer, is done twice or is lost where the clock jumps by a day each time one looks."""
+    out = tmp_path / "out"
+    code = "import time; print(abs(time.time() - time.time()) > 80000, abs(time.time_ns() - time.time_ns()) > 8e13)"
+    changes = {"CLRELIGHT_CLOCK": str(seconds)}
+    looked = subprocess.run(
+        [sys.executable, "-c", code], env=faulty_environment(**changes), capture_output=True, text=True, check=True
+    )
+    assert looked.stdout == "True True\n"
+    words = (stacks, out, *FIT, "--jobs", 2, "--timeout", 60, "--json")
+    ended, told, complaint = finish_batch(*words, **changes)
+    assert ended == 0, complaint
+    assert json.loads(told)["done"] == 4
+    assert results_in(out) == made
+    ended, told, complaint = finish_batch(*words, **changes)
+    assert (ended, json.loads(told)["kept"]) == (0, 4), complaint
+    assert strays_in(out) == []
