@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import heapq
 import os
+import resource
 import tempfile
 import time
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 import click
 import numpy as np
@@ -135,6 +137,29 @@ class Cost:
     task: float
 
 
+@dataclass(frozen=True)
+class Run:
+    """A batch that was run: its seconds, those of processors, and those of each task at its worker, in order."""
+
+    seconds: float
+    cpu: float
+    lengths: list[float]
+
+
+def _processor_seconds() -> float:
+    """Return what this process has taken of processors, and its children that have ended."""
+    return sum(each.ru_utime + each.ru_stime for each in map(resource.getrusage, _WHOSE))
+
+
+_WHOSE = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+
+
+def measure_single(name: str, workers: int, count: int) -> float:
+    """Return an engine's seconds for each task where it gives them out one at a time, as it does large ones."""
+    with mock.patch("clrelight.batch.pace._MOST_TASKS", 1):
+        return measure_engine(name, workers, count).task
+
+
 def measure_engine(name: str, workers: int, count: int) -> Cost:
     """Return what an engine takes for tasks that its workers refuse at once, as they come from another program."""
     from clrelight.batch.cluster import DaskEngine
@@ -170,37 +195,47 @@ def make_stacks(folder: Path, count: int, size: int) -> Path:
     return folder
 
 
-def run_real(stacks: Path, out: Path, name: str, workers: int) -> tuple[float, list[float]]:
-    """Fit all stacks; return the seconds it took, and those of each task at its worker, in order."""
+def run_real(stacks: Path, out: Path, name: str, workers: int) -> Run:
+    """Fit all stacks with an engine."""
     tasks = make_tasks(read_listing(stacks, "fit"), out, job="fit", options=OPTIONS)
-    since = time.perf_counter()
+    since, before = time.perf_counter(), _processor_seconds()
     batch = run_batch(tasks, out, engine=name, workers=workers, report=Report())
     assert not batch.failed
-    return time.perf_counter() - since, [each.seconds for each in batch.outcomes]
+    spent, cpu = time.perf_counter() - since, _processor_seconds() - before
+    return Run(spent, cpu, [each.seconds for each in batch.outcomes])
 
 
-def run_alone(stacks: Path, out: Path) -> float:
-    """Fit all stacks in this process, one after the other; return the seconds, without those of the first."""
+def run_alone(stacks: Path, out: Path) -> Run:
+    """Fit all stacks in this process, one after the other, as if the first took what the others do."""
     tasks = make_tasks(read_listing(stacks, "fit"), out, job="fit", options=OPTIONS)
-    since = time.perf_counter()
-    for number, task in enumerate(tasks):
-        assert perform(task.to_json(), "", code_digest(), None)["state"] == "done"
-        if number == 0:
-            since = time.perf_counter()
-    return (time.perf_counter() - since) * len(tasks) / (len(tasks) - 1)
+    lengths, cpu = [], 0.0
+    for task in tasks:
+        before = _processor_seconds()
+        told = perform(task.to_json(), "", code_digest(), None)
+        assert told["state"] == "done"
+        lengths.append(told["seconds"])
+        cpu += (_processor_seconds() - before) * (len(lengths) > 1)
+    whole = len(tasks) / (len(tasks) - 1)
+    return Run(sum(lengths[1:]) * whole, cpu * whole, lengths)
 
 
 @dataclass(frozen=True)
 class Check:
-    """A real run beside what was said of it, in seconds."""
+    """A real run beside what was said of it, in seconds; `start` holds what its first tasks took beyond the others."""
 
     engine: str
     workers: int
-    real: float
+    start: float
+    run: Run
     simulated: float
     foretold: float
-    alone: float
+    alone: Run
     cost: Cost
+
+    @property
+    def net(self) -> float:
+        """Seconds without those of the start."""
+        return self.run.seconds - self.start
 
 
 def check(folder: Path, count: int, size: int, driver: float, engines: Sequence[tuple[str, int]]) -> list[Check]:
@@ -214,7 +249,7 @@ def check(folder: Path, count: int, size: int, driver: float, engines: Sequence[
     rows = []
     for name, workers in engines:
         cost = measure_engine(name, workers, 100)
-        _, lengths = run_real(pilots, folder / f"p-{name}-{workers}", name, workers)
+        lengths = run_real(pilots, folder / f"p-{name}-{workers}", name, workers).lengths
         # The first task of each worker loads what the others have.
         first, rest = float(np.median(lengths[:workers])), float(np.mean(lengths[workers:]))
         ahead = workers if name == "dask" else 0
@@ -222,9 +257,10 @@ def check(folder: Path, count: int, size: int, driver: float, engines: Sequence[
         foretold = simulate(
             [first] * workers + [rest] * (count - workers), workers, ahead=ahead, driver=each, start=cost.start
         )
-        real, lengths = run_real(stacks, folder / f"r-{name}-{workers}", name, workers)
-        simulated = simulate(lengths, workers, ahead=ahead, driver=each, start=cost.start)
-        rows.append(Check(name, workers, real, simulated, foretold, alone, cost))
+        run = run_real(stacks, folder / f"r-{name}-{workers}", name, workers)
+        simulated = simulate(run.lengths, workers, ahead=ahead, driver=each, start=cost.start)
+        loading = max(0.0, float(np.mean(run.lengths[:workers]) - np.median(run.lengths[workers:])))
+        rows.append(Check(name, workers, cost.start + loading, run, simulated, foretold, alone, cost))
     return rows
 
 
@@ -270,7 +306,9 @@ def main(tasks: int, size: int, seconds: float, disk: float, markdown: Path | No
         folder = Path(place)
         driver = measure_driver(folder / "driver", 500)
         checks = check(folder, tasks, size, driver, [("local", 1), ("local", 2), ("dask", 1), ("dask", 2)])
-    block = "\n".join([*_measured(checks, driver, tasks), *_scaled(checks, driver, seconds, disk)])
+        # Other programs on the machine can only add to it.
+        single = min(measure_single("dask", 1, 100) for _ in range(2))
+    block = "\n".join([*_measured(checks, driver, tasks), *_scaled(single, driver, seconds, disk)])
     click.echo(block)
     if markdown is not None:
         replace_block(markdown, block, BEGIN, END)
@@ -279,17 +317,20 @@ def main(tasks: int, size: int, seconds: float, disk: float, markdown: Path | No
 def _measured(checks: Sequence[Check], driver: float, tasks: int) -> list[str]:
     rows = [
         [
-            *(each.engine, str(each.workers), f"{each.cost.start:.1f}", f"{1e3 * max(driver, each.cost.task):.1f}"),
-            *(f"{each.real:.1f}", f"{each.simulated:.1f}", f"{each.foretold:.1f}"),
-            f"{(each.real - each.cost.start) / each.alone:.2f}",
+            *(each.engine, str(each.workers), f"{each.start:.1f}", f"{1e3 * max(driver, each.cost.task):.1f}"),
+            *(f"{each.run.seconds:.1f}", f"{each.simulated:.1f}", f"{each.foretold:.1f}"),
+            f"{each.net / each.alone.seconds:.2f}",
+            f"{each.run.cpu:.1f}",
         ]
         for each in checks
     ]
     load = os.getloadavg()[0]
+    pairs = [(one, two) for one in checks for two in checks if one.engine == two.engine and one.workers < two.workers]
     return [
         f"- command: python -m benchmarks.schedule, {tasks} stacks",
         f"- driver: {1e3 * driver:.1f} ms a task, its journal flushed each time",
-        f"- one process: {checks[0].alone:.1f} s",
+        f"- one process: {checks[0].alone.seconds:.1f} s, {checks[0].alone.cpu:.1f} s of a processor",
+        *(f"- two workers beside one, net of the start: {one.engine} {one.net / two.net:.2f}" for one, two in pairs),
         f"- load: {load:.1f} processes in the minute before its end, on {usable_cores()} processors",
         "",
         markdown_table(_HEADERS, rows),
@@ -297,12 +338,14 @@ def _measured(checks: Sequence[Check], driver: float, tasks: int) -> list[str]:
     ]
 
 
-_HEADERS = ["engine", "workers", "start s", "ms a task", "real s", "simulated s", "from pilots s", "of one process"]
+_HEADERS = [
+    *("engine", "workers", "start s", "ms a task", "real s", "simulated s", "from pilots s", "of one process"),
+    "CPU s",
+]
 
 
-def _scaled(checks: Sequence[Check], driver: float, seconds: float, disk: float) -> list[str]:
-    # Other programs on the machine can only add to it.
-    slowest = max(driver, min(each.cost.task for each in checks if each.engine == "dask"))
+def _scaled(single: float, driver: float, seconds: float, disk: float) -> list[str]:
+    slowest = max(driver, single)
     lines = []
     for title, count in (("100 000 stacks", 100_000), ("10¹² pixels", round(1e12 / 24e6))):
         total = count * (READ + WRITTEN) / 1e12

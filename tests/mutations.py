@@ -186,17 +186,18 @@ def make_payloads(family, device):
     for options in settings[: 1 if inner else None]:
         config = {"codec": inner, "options": options} if inner else options
         for number, shape in enumerate(SHAPES):
-            payloads.append(_make_payload(outer, config, shape, number, device))
+            payloads.append(make_payload(outer, config, shape, number, device))
     return payloads
 
 
 def make_units(number, device):
     """Return the payload of a case of `UNITS`."""
     shape, options = UNITS_CASES[number]
-    return _make_payload("klt", options, shape, number, device, lit=True)
+    return make_payload("klt", options, shape, number, device, lit=True)
 
 
-def _make_payload(codec, config, shape, number, device, lit=False):
+def make_payload(codec, config, shape, number, device, lit=False):
+    """Return a payload of noise; `lit` is mostly positive, as radiance is."""
     coeffs = np.random.default_rng(number).standard_normal(shape).astype(np.float32)
     if lit:  # most radiance is positive, and has a code value
         coeffs = coeffs * np.float32(0.2)

@@ -4,13 +4,18 @@
 sealed again after they were changed, so that decoders see the damage behind the checksums; files of every kind are
 opened with and without their seal; journals of batches and lists of shards are read. An exception that is no
 `InputError` ends its process, and its input is kept under ``--findings``.
+
+Payloads claim few coefficients, so that a million of them are tried in minutes; ``--large`` has the shapes and the
+frozen files of ``tests.mutations``, and decodes whatever is claimed.
 """
 
 import contextlib
 import importlib.util
 import json
+import math
 import os
 import re
+import struct
 import subprocess
 import sys
 import tempfile
@@ -23,6 +28,9 @@ from tests.commands import ROOT, environment
 
 SECONDS_EACH = 30
 MEGABYTES = 4096
+MOST_COEFFICIENTS = 128
+"""That a payload may claim to be decoded, unless it is a large one; its bytes are then few too."""
+SMALL_SHAPES = [(1, 1, 1, 1), (1, 2, 2, 1), (4, 1, 2, 1), (4, 2, 3, 3), (4, 3, 5, 2)]
 INSTALL = "atheris is not installed: pip install 'clrelight[fuzz]'"
 
 
@@ -31,21 +39,23 @@ def targets():
     from tests.file_mutations import KINDS
     from tests.mutations import families
 
-    return [*families(), *(f"file {kind}" for kind in KINDS), "journal", "shards"]
+    return [*families(), *(f"file {kind}" for kind in KINDS), "journal", "list", "shards"]
 
 
-def prepare(name, folder):
+def prepare(name, folder, large=False):
     """Return what does one input, and inputs to begin with; modules are loaded while atheris looks."""
     if name == "journal":
         return _journal(folder)
+    if name == "list":
+        return _list(folder)
     if name == "shards":
         return _shards()
     if name.startswith("file "):
         return _file(name.removeprefix("file "), folder)
-    return _payload(name)
+    return _payload(name, large)
 
 
-def _payload(family):
+def _payload(family, large):
     from clrelight.codec import decode
     from clrelight.device import open_device
     from clrelight.errors import PayloadError
@@ -56,13 +66,43 @@ def _payload(family):
     def run(data):
         # The first byte says which checksums fit.
         payload = data[1:]
+        if not large and _claim_of(payload) > MOST_COEFFICIENTS:
+            return -1  # and such inputs are not kept
         if data[:1] and data[0] & 1:
             with contextlib.suppress(IndexError, ValueError, OverflowError):
                 payload = seal_units(payload)
         with contextlib.suppress(PayloadError):
             decode(seal(payload), device)
+        return 0
 
-    return run, [bytes([number % 2]) + each for number, each in enumerate(make_payloads(family, device))]
+    seeds = make_payloads(family, device) if large else _small_payloads(family, device)
+    return run, [bytes([number % 2]) + each for number, each in enumerate(seeds)]
+
+
+def _claim_of(payload):
+    """Return how many coefficients a header claims; 0 where there is no whole one."""
+    at = 6 + payload[5] if len(payload) > 5 else 0
+    return math.prod(struct.unpack_from("<4I", payload, at)) if at and len(payload) >= at + 16 else 0
+
+
+def _small_payloads(family, device):
+    """Return payloads of few coefficients; of old versions frozen ones, whose headers claim less than they hold."""
+    from clrelight.errors import InputError
+    from tests.mutations import FROZEN, OPTIONS, UNITS, make_payload
+
+    outer, _, inner = ("klt" if family == UNITS else family).partition("/")
+    made = []
+    for options in OPTIONS.get(inner or outer, [{}]):
+        for number, shape in enumerate(SMALL_SHAPES):
+            with contextlib.suppress(InputError):  # a rate at which the tables of so small a map have no room
+                config = {"codec": inner, "options": options} if inner else options
+                made.append(make_payload(outer, config, shape, number, device, lit=family == UNITS))
+    for path in sorted(FROZEN.glob(f"{outer}*.bin")) if not inner and family != UNITS else ():
+        payload = bytearray(path.read_bytes())
+        struct.pack_into("<2I", payload, 10 + payload[5], 1, 2)
+        if _claim_of(payload) <= MOST_COEFFICIENTS:
+            made.append(bytes(payload))
+    return made
 
 
 def _file(kind, folder):
@@ -74,18 +114,23 @@ def _file(kind, folder):
     path = folder / "input.h5"
 
     def run(data):
+        # The first byte says whether checksums are trusted, and whether the file is described or read.
+        how = data[0] if data else 0
         path.write_bytes(data[1:])
         with contextlib.suppress(InputError):
-            describe(path)
-        with contextlib.suppress(InputError), opening(path, trusting=bool(data[:1] and data[0] & 1)) as opened:
-            for array in opened.arrays.values():
-                array[...]
+            if how & 2:
+                describe(path)
+                return
+            with opening(path, trusting=bool(how & 1)) as opened:
+                for array in opened.arrays.values():
+                    array[...]
 
-    return run, [b"\1" + write_all(folder)[kind].read_bytes()]
+    sound = write_all(folder)[kind].read_bytes()
+    return run, [how + sound for how in (b"\0", b"\1", b"\2")]
 
 
 def _journal(folder):
-    from clrelight.batch.journal import Journal
+    from clrelight.batch.journal import Journal, sealed
     from clrelight.batch.task import Outcome
     from clrelight.errors import InputError
 
@@ -95,11 +140,36 @@ def _journal(folder):
     journal.close()
 
     def run(data):
-        path.write_bytes(data)
+        # The first byte says whether the checksums of its lines fit.
+        lines = data[1:].split(b"\n") if data[:1] and data[0] & 1 else [data[1:]]
+        ours = len(b'{"sum":"0123456789abcdef",')
+        path.write_bytes(b"\n".join(sealed(b"{" + line[ours:]) if len(line) > ours else line for line in lines))
         with contextlib.suppress(InputError):
             Journal(path).close()
 
-    return run, [path.read_bytes()]
+    return run, [how + path.read_bytes() for how in (b"\0", b"\1")]
+
+
+def _list(folder):
+    from clrelight.batch.lists import read_list
+    from clrelight.errors import InputError
+
+    path = folder / "list.toml"
+    (folder / "in.h5").touch()
+
+    def run(data):
+        if b"/" in data:
+            return -1  # a pattern may name the whole disk
+        path.write_bytes(data)
+        with contextlib.suppress(InputError):
+            read_list(path, None)
+        return 0
+
+    return run, [
+        b'job = "pack"\nstacks = ["i*.h5"]\nexclude = ["x*"]\n[options]\nbytes = "200k"\n',
+        b'job = "fit"\nending = ".h5"\n[[override]]\nmatch = "c*"\ndegree = 4\n',
+        b'job = "fit"\n[[stack]]\nsource = "in.h5"\nname = "a"\noptions = {degree = 4}\n',
+    ]
 
 
 def _shards():
@@ -121,14 +191,15 @@ def _shards():
     return run, [json.dumps(manifest).encode()]
 
 
-def child(name, findings, words):
+def child(name, findings, words, large=False):
     """Fuzz one target in this process, which ends here."""
     import atheris
 
-    with tempfile.TemporaryDirectory() as place:
+    memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None  # files are written a thousand times a second
+    with tempfile.TemporaryDirectory(dir=memory) as place:
         folder = Path(place)
         with atheris.instrument_imports(include=["clrelight"], enable_loader_override=False):
-            run, seeds = prepare(name, folder)
+            run, seeds = prepare(name, folder, large)
         corpus = folder / "corpus"
         corpus.mkdir()
         for number, seed in enumerate(seeds):
@@ -137,11 +208,11 @@ def child(name, findings, words):
         atheris.Fuzz()
 
 
-def fuzz(name, executions, seconds, seed, findings):
+def fuzz(name, executions, seconds, seed, findings, large=False):
     """Fuzz one target in a process of its own; return what came of it."""
     limits = [f"-runs={executions}", f"-seed={seed}", f"-timeout={SECONDS_EACH}", f"-rss_limit_mb={MEGABYTES}"]
     limits += ["-print_final_stats=1", *([f"-max_total_time={seconds}"] if seconds else [])]
-    code = f"from tests.python_fuzz import child; child({name!r}, {str(findings)!r}, {limits!r})"
+    code = f"from tests.python_fuzz import child; child({name!r}, {str(findings)!r}, {limits!r}, {large})"
     start = time.perf_counter()
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])  # atheris may lie apart
     done = subprocess.run(
@@ -170,8 +241,9 @@ def fuzz(name, executions, seconds, seed, findings):
 @click.option("--seconds", type=click.IntRange(min=0), default=0, show_default=True, help="Longest for each; 0: any.")
 @click.option("--seed", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--only", metavar="TEXT", default="", help="Only targets whose name holds TEXT.")
+@click.option("--large", is_flag=True, help="Payloads of many coefficients too: a hundred times slower.")
 @click.option("--findings", type=click.Path(path_type=Path), default=Path("results/fuzz"), show_default=True)
-def main(executions, seconds, seed, only, findings):
+def main(executions, seconds, seed, only, large, findings):
     """Fuzz; print one JSON object for each target, exit 1 on a failure."""
     if importlib.util.find_spec("atheris") is None:
         raise click.ClickException(INSTALL)
@@ -179,7 +251,7 @@ def main(executions, seconds, seed, only, findings):
     failed = False
     for name in targets():
         if only in name:
-            told = fuzz(name, executions, seconds, seed, findings.resolve())
+            told = fuzz(name, executions, seconds, seed, findings.resolve(), large)
             print(json.dumps(told), flush=True)
             failed |= bool(told["failures"])
     sys.exit(failed)

@@ -12,7 +12,7 @@ from clrelight.batch import journal as journals
 from clrelight.batch import make_tasks, read_listing, run_batch
 from clrelight.batch.engine import Ended, usable_cores, worker_environment
 from clrelight.batch.fingerprint import is_unchanged, take_fingerprint
-from clrelight.batch.journal import Journal
+from clrelight.batch.journal import Journal, sealed
 from clrelight.batch.leftovers import sweep
 from clrelight.batch.perform import _work, perform
 from clrelight.batch.task import Outcome, Task
@@ -300,6 +300,9 @@ def test_files_that_options_name_are_inputs(tmp_path):
 
 
 LISTS = {
+    "nested too deeply": "job = " + "[" * 5000,
+    "is no list in TOML: Exceeds": "job = " + "9" * 5000,
+    r"must be a list of texts, got \[1, .*\.\.\.$": 'job = "fit"\nstacks = ' + str([1] * 999),
     "is no list in TOML": "job = ",
     "unknown key 'jobs'": 'jobs = "fit"',
     "it needs a job": 'stacks = ["in/*.h5"]',
@@ -477,11 +480,42 @@ def test_a_journal_with_flipped_bits_says_nothing_wrong(tmp_path):
 
 def test_other_files_are_no_journals(tmp_path):
     path = tmp_path / "journal.jsonl"
-    for content in (b"my diary\n", b"my diary", b'{"sum":"0"}\n', b"\n"):
+    for content in (b"my diary\n", b"my diary", b'{"sum":"0"}\n', b"\n", b'{"sum":"' * 20000, bytes(1 << 20)):
         path.write_bytes(content)
         with pytest.raises(InputError, match="no journal"):
             Journal(path)
         assert path.read_bytes() == content
+
+
+HOSTILE = [
+    '{"stack":"a"}',
+    '{"stack":{}}',
+    '{"stack":{"name":["a"],"state":"done"}}',
+    '{"stack":{"name":"a","state":"finished"}}',
+    '{"stack":{"name":"a","state":"done","seconds":"long"}}',
+    '{"stack":{"name":"a","state":"done","outputs":{"a.h5":7}}}',
+    '{"stack":{"name":"a","state":"done","outputs":{"a.h5":{"bytes":"many"}}}}',
+    '{"stack":{"name":"a","state":"done","outputs":["a.h5"]}}',
+    '{"stack":{"name":"a","state":"done","psnr":{"mean":"good"}}}',
+    '{"stack":{"name":"a","state":"done","notes":[1]}}',
+    '{"stack":{"name":"a","state":"done","new":1}}',
+    "[1]",
+    '{"run":1}',
+]
+
+
+@pytest.mark.parametrize("line", HOSTILE)
+def test_sealed_lines_of_others_count_for_nothing(tmp_path, line):
+    """Checksums are no secret: what a line holds is looked at all the same."""
+    path = tmp_path / "journal.jsonl"
+    journal = Journal(path)
+    journal.add(Outcome("first", "done", "k"))
+    journal.close()
+    with path.open("ab") as file:
+        file.write(sealed(line.encode()) + b"\n")
+    journal = Journal(path)
+    assert [*journal.outcomes] == ["first"]
+    journal.close()
 
 
 def test_two_drivers(stacks, tmp_path, monkeypatch):

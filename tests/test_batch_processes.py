@@ -14,6 +14,7 @@ from tests.batches import (
     are_gone,
     await_line,
     children_of,
+    faulty_environment,
     finish_batch,
     make_stacks,
     results_in,
@@ -149,3 +150,50 @@ def test_a_full_disk(tmp_path):
     assert strays_in(out) == []
     assert call("batch", stacks, out, *FIT).code == 0
     assert len(results_in(out)["a.h5"]) > limit
+
+
+def test_small_stacks_share_a_task_of_dask(tmp_path):
+    """More than one round of parcels: every stack has its line in the journal, and results are those of one process."""
+    pytest.importorskip("distributed", reason="the engines of Dask: pip install 'clrelight[cluster]'")
+    names = [f"s{number:02d}" for number in range(30)]
+    stacks, alone, out = make_stacks(tmp_path / "in", names), tmp_path / "alone", tmp_path / "out"
+    assert call("batch", stacks, alone, *FIT).code == 0
+    code, told, complaint = finish_batch(stacks, out, *FIT, "--engine", "dask", "--jobs", 1, "--json")
+    assert code == 0, complaint
+    assert [row["stack"] for row in json.loads(told)["rows"]] == names
+    assert (out / "journal.jsonl").read_text().count('"state":"done"') == 30
+    assert results_in(out) == results_in(alone)
+
+
+def test_a_script_without_a_guard_is_told_of_it(stacks, tmp_path):
+    pytest.importorskip("distributed", reason="the engines of Dask: pip install 'clrelight[cluster]'")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from clrelight.batch import make_tasks, read_listing, run_batch\n"
+        f"tasks = make_tasks(read_listing({str(stacks)!r}, 'fit'), {str(tmp_path / 'out')!r}, job='fit')\n"
+        f"run_batch(tasks, {str(tmp_path / 'out')!r}, engine='dask', workers=1)\n"
+    )
+    done = subprocess.run([sys.executable, script], env=environment(), capture_output=True, text=True, timeout=60)
+    assert done.returncode
+    assert "\nclrelight.errors.InputError: no worker of Dask could be started" in done.stderr
+    assert "under if __name__ == '__main__'" in done.stderr
+
+
+@pytest.mark.parametrize("seconds", [86400.0, -86400.0])
+def test_a_clock_that_is_set_while_a_batch_runs(stacks, made, tmp_path, seconds):
+    """Nothing is late, waits longer, is done twice or is lost where the clock jumps by a day each time one looks."""
+    out = tmp_path / "out"
+    code = "import time; print(abs(time.time() - time.time()) > 80000, abs(time.time_ns() - time.time_ns()) > 8e13)"
+    changes = {"CLRELIGHT_CLOCK": str(seconds)}
+    looked = subprocess.run(
+        [sys.executable, "-c", code], env=faulty_environment(**changes), capture_output=True, text=True, check=True
+    )
+    assert looked.stdout == "True True\n"
+    words = (stacks, out, *FIT, "--jobs", 2, "--timeout", 60, "--json")
+    ended, told, complaint = finish_batch(*words, **changes)
+    assert ended == 0, complaint
+    assert json.loads(told)["done"] == 4
+    assert results_in(out) == made
+    ended, told, complaint = finish_batch(*words, **changes)
+    assert (ended, json.loads(told)["kept"]) == (0, 4), complaint
+    assert strays_in(out) == []

@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks.schedule import Nothing, measure_driver, scale_rows, simulate
 from tests.python_fuzz import prepare, targets
+from tests.refusal_times import CORPORA, Slowest
 
 
 def test_schedules_that_can_be_told_beforehand():
@@ -45,7 +46,7 @@ def test_the_driver_alone(tmp_path):
     assert Nothing().isolates
 
 
-@pytest.mark.parametrize("name", ["journal", "shards", "file fit", "half"])
+@pytest.mark.parametrize("name", ["journal", "list", "shards", "file fit", "half"])
 def test_what_fuzzers_are_given(name, tmp_path):
     """Seeds, and some of them cut short: nothing that is not refused."""
     assert name in targets()
@@ -54,3 +55,19 @@ def test_what_fuzzers_are_given(name, tmp_path):
     for seed in seeds[:3]:
         for end in (len(seed), len(seed) // 2, 1, 0):
             run(seed[:end])
+
+
+@pytest.mark.parametrize("kind", ["tiles", "shards", "journals", "lists", "stacks made to do harm"])
+def test_what_is_to_be_refused(kind, tmp_path):
+    slowest = Slowest(10.0)
+    CORPORA[kind](tmp_path, 3, slowest, np.random.default_rng(1))
+    told = slowest.told(kind)
+    assert not told["failures"]
+    assert told["refused"] > 0
+    assert told["slowest_cpu_ms"] > 0
+
+
+def test_an_exception_that_is_no_refusal_is_a_failure():
+    slowest = Slowest(10.0)
+    slowest.time("a case", lambda: 1 / 0)
+    assert slowest.told("kind")["failures"] == ["a case: ZeroDivisionError('division by zero')"]

@@ -141,6 +141,14 @@ def cut(folder):
     os.truncate(folder / shard_name(5, 10), 3000)
 
 
+def test_a_missing_shard_is_found_before_others_are_read(tiled):
+    """Of a thousand the last may be the one: here the first is damaged."""
+    (tiled / "a.shards" / "000015-000017.h5").unlink()
+    (tiled / "a.shards" / "000000-000005.h5").write_bytes(b"nothing")
+    with pytest.raises(StoreFormatError, match=r"000015-000017\.h5 is missing"), open_fit(tiled / "a.h5"):
+        pass
+
+
 @pytest.mark.parametrize(
     ("harm", "complaint"),
     [

@@ -1,21 +1,25 @@
 """The engines of Dask: processes of this machine that it looks after, or a scheduler's workers, wherever they are.
 
 Dask brings what a cluster needs: workers that come and go, and are started anew; limits on their memory; batch systems
-such as SLURM. The driver gives tasks out, a few at a time, and decides itself what is tried again.
+such as SLURM. The driver gives tasks out, a few at a time, and decides itself what is tried again. What Dask does for
+each task takes milliseconds of the scheduler and of the worker: small tasks go to a worker several at a time.
 """
 
 from __future__ import annotations
 
 import gc
+import multiprocessing
 import os
 import queue
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from clrelight.batch.engine import Ended, Work, usable_cores, worker_environment
+from clrelight.batch.pace import MOST_SECONDS, Pace
 from clrelight.batch.perform import perform
 from clrelight.errors import InputError
 
@@ -23,6 +27,9 @@ INSTALL = "the engines of Dask need it: pip install 'clrelight[cluster]'"
 _SCHEMES = ("tcp://", "tls://", "ucx://", "ws://", "wss://")
 _PATIENCE = "30s"
 _EVERY_SECONDS = 1.0
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Of which Dask gives a worker one; one that is alone here has all, as any command has."""
+_UNGUARDED = "a script keeps what starts workers of Dask under if __name__ == '__main__', since each of them imports it"
 
 
 def is_address(engine: str) -> bool:
@@ -30,8 +37,16 @@ def is_address(engine: str) -> bool:
     return engine.startswith(_SCHEMES)
 
 
+@dataclass
+class _Parcel:
+    """Tasks that a worker does one after the other: one task to Dask, with its future."""
+
+    works: list[Work]
+    future: Any = field(default=None, repr=False)
+
+
 class DaskEngine:
-    """Tasks go to workers of Dask, one to each of their threads.
+    """Tasks go to workers of Dask, one to each of their threads, or a parcel of small ones.
 
     Parameters
     ----------
@@ -45,7 +60,7 @@ class DaskEngine:
     Raises
     ------
     InputError
-        If Dask is not installed, or the scheduler cannot be reached.
+        If Dask is not installed, no worker can be started, or the scheduler cannot be reached.
     """
 
     isolates = False
@@ -63,9 +78,13 @@ class DaskEngine:
         except ImportError:
             raise InputError(INSTALL) from None
         self._distributed = distributed
-        self._ended: queue.Queue[tuple[str, Any]] = queue.Queue()
-        self._waiting: dict[str, Any] = {}
+        self._ended: queue.Queue[_Parcel] = queue.Queue()
+        self._held: list[Work] = []
+        self._flying: dict[int, _Parcel] = {}
+        self._pace = Pace()
         self._unsound: set[str] = set()
+        self._warm: set[str] = set()
+        self._died: set[str] = set()
         self._known: dict[str, int] = {}
         self._asked, self._count = 0.0, 0
         self._cluster: Any = None
@@ -91,20 +110,30 @@ class DaskEngine:
             "distributed.worker.multiprocessing-method": "spawn",
             "distributed.nanny.pre-spawn-environ": {
                 **dask.config.get("distributed.nanny.pre-spawn-environ", {}),
-                **worker_environment(workers),
+                # With any threshold, memory of arrays that are gone is asked of the system again for the next: half of
+                # what a worker did. Who takes too much of it is seen by the memory limit.
+                "MALLOC_TRIM_THRESHOLD_": None,
+                **(worker_environment(workers) if workers > 1 else dict.fromkeys(_THREADS)),
             },
+            "distributed.worker.profile.enabled": False,
+            "distributed.admin.tick.interval": "250ms",
             "distributed.admin.system-monitor.gil.enabled": False,
         }
+        if getattr(multiprocessing.current_process(), "_inheriting", False):
+            raise InputError(_UNGUARDED)
         with dask.config.set(settings):
-            return self._distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=memory,
-                dashboard_address="127.0.0.1:0",
-                host="127.0.0.1",
-                silence_logs=50,
-            )
+            try:
+                return self._distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    memory_limit=memory,
+                    dashboard_address="127.0.0.1:0",
+                    host="127.0.0.1",
+                    silence_logs=50,
+                )
+            except RuntimeError as error:
+                raise InputError(f"no worker of Dask could be started: {_line(error)} ({_UNGUARDED})") from error
 
     def _threads(self) -> dict[str, int]:
         """Return how many tasks each sound worker does at a time; asked of the scheduler once in a while."""
@@ -119,46 +148,75 @@ class DaskEngine:
 
     @property
     def ahead(self) -> int:
-        """How many more may wait at workers: one for each."""
-        return self.workers
+        """How many more may wait at workers: one for each, or a parcel where tasks are small."""
+        return self.workers * (2 * self._pace.size - 1)
 
     def submit(self, work: Work) -> None:
-        """Give a task to the scheduler."""
-        only = {"workers": [*self._threads()], "allow_other_workers": False} if self._unsound else {}
-        self._count += 1
-        key = f"{work.name}-{work.key}-{self._count}"  # each try is another to the scheduler
-        future = self._client.submit(_perform, work.task, work.key, work.code, work.device, key=key, pure=False, **only)
-        self._waiting[work.name] = future
-        future.add_done_callback(lambda ended, name=work.name: self._ended.put((name, ended)))
+        """Give a task to the scheduler, or hold it until there is a parcel of them."""
+        self._held.append(work)
+        if len(self._held) >= self._pace.size:
+            self._send()
+
+    def _send(self) -> None:
+        """Give to the scheduler what is held."""
+        while self._held:
+            parcel = _Parcel(self._held[: self._pace.size])
+            del self._held[: len(parcel.works)]
+            only = self._where(parcel)
+            self._count += 1
+            key = f"{parcel.works[0].name}-{len(parcel.works)}-{self._count}"  # each try is another to the scheduler
+            told = [asdict(work) for work in parcel.works]
+            parcel.future = self._client.submit(_perform, told, key=key, pure=False, **only)
+            self._flying[id(parcel)] = parcel
+            parcel.future.add_done_callback(lambda _, parcel=parcel: self._ended.put(parcel))
+
+    def _where(self, parcel: _Parcel) -> dict[str, Any]:
+        """Return which workers may do tasks: sound ones; what died is better tried where nothing is to be loaded."""
+        if self._unsound:
+            return {"workers": [*self._threads()], "allow_other_workers": False}
+        warm = self._warm & self._threads().keys() if parcel.works[0].name in self._died else set()
+        return {"workers": [*warm], "allow_other_workers": True} if warm else {}
 
     def collect(self, seconds: float) -> list[Ended]:
         """Return what has ended, after waiting for the first so long at most."""
-        ended = []
+        self._send()
+        ended: list[Ended] = []
         with suppress(queue.Empty):
-            name, future = self._ended.get(timeout=seconds)
+            parcel = self._ended.get(timeout=seconds)
             while True:
-                if self._waiting.get(name) is future:
-                    del self._waiting[name]
-                    ended.append(self._told(name, future))
-                name, future = self._ended.get_nowait()
+                if self._flying.pop(id(parcel), None) is not None:
+                    ended += self._told(parcel)
+                parcel = self._ended.get_nowait()
         if not ended and self._client.status not in ("running", "connecting"):
-            raise InputError(f"{self.label}: the scheduler is gone; run the batch again to go on")
+            raise InputError(self._gone())
         return ended
 
-    def _told(self, name: str, future: Any) -> Ended:
-        error = future.exception() if future.status == "error" else None
+    def _gone(self) -> str:
+        return f"{self.label}: the scheduler is gone; run the batch again to go on"
+
+    def _told(self, parcel: _Parcel) -> list[Ended]:
+        future, names = parcel.future, [work.name for work in parcel.works]
         if future.status == "finished":
-            return Ended(name, future.result())
+            outcomes = future.result()
+            self._pace.learn([outcome.get("seconds", 0.0) for outcome in outcomes])
+            self._warm.update(outcome["worker"] for outcome in outcomes)
+            self._held += parcel.works[len(outcomes) :]  # for which its worker took no time
+            return [Ended(name, outcome) for name, outcome in zip(names, outcomes, strict=False)]
+        error = future.exception() if future.status == "error" else None
         future.release()
-        if isinstance(error, self._distributed.KilledWorker):
-            return Ended(name, None, f"ends the process of its worker {error.last_worker.address}", "died")
         if error is None:
-            raise InputError(f"{self.label}: the scheduler is gone; run the batch again to go on")
-        return Ended(name, None, f"{type(error).__name__}: {_line(error)}", "died")
+            raise InputError(self._gone())
+        self._died.update(names)
+        self._known = {}  # of workers, of which there is another now
+        fault = f"{type(error).__name__}: {_line(error)}"
+        if isinstance(error, self._distributed.KilledWorker):
+            fault = f"ends the process of its worker {error.last_worker.address}"
+        return [Ended(name, None, fault, "died") for name in names]
 
     def doing(self) -> str:
         """Return how many tasks are being done or wait."""
-        return f"{len(self._waiting)} at {self.workers} workers"
+        count = sum(len(parcel.works) for parcel in self._flying.values()) + len(self._held)
+        return f"{count} at {self.workers} workers"
 
     def avoid(self, worker: str) -> bool:
         """Give no more tasks to a worker whose device is not sound; return whether there are others."""
@@ -168,8 +226,9 @@ class DaskEngine:
     def close(self) -> None:
         """End all workers that were started here; the tasks that others have are cancelled."""
         with suppress(Exception):
-            if self._waiting:
-                self._client.cancel(list(self._waiting.values()), force=True)
+            if self._flying:
+                self._client.cancel([parcel.future for parcel in self._flying.values()], force=True)
+            if self._flying or self._died:  # and some are being started anew
                 self._kill()
         for each in (self._client, self._cluster):
             with suppress(Exception):
@@ -187,11 +246,17 @@ class DaskEngine:
                 os.kill(nanny.pid, signal.SIGKILL)
 
 
-def _perform(task: Mapping[str, Any], key: str, code: str, device: str | None) -> dict[str, Any]:
-    """Do a task at a worker, and name it as the scheduler does."""
+def _perform(works: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Do tasks at a worker, as many as there is time for, and name it as the scheduler does."""
     from distributed import get_worker
 
-    return {**perform(task, key, code, device), "worker": get_worker().address}
+    worker, end = get_worker().address, time.monotonic() + MOST_SECONDS
+    done: list[dict[str, Any]] = []
+    for work in works:
+        if done and time.monotonic() > end:  # these take longer than those before them: others may have time for them
+            break
+        done.append({**perform(work["task"], work["key"], work["code"], work["device"]), "worker": worker})
+    return done
 
 
 def _line(error: BaseException) -> str:

@@ -24,6 +24,8 @@ from clrelight.errors import InputError
 
 FORMAT = "clrelight-batch/1"
 _SUM = b'{"sum":"'
+_FIRST_BYTES = 1 << 16
+"""Among which a line of a journal is: they have a kilobyte or two."""
 _FILES = ("inputs", "outputs")
 """Of outcomes: names of files, which stand in the journal as they are from its folder."""
 _WAIT_SECONDS = 10.0
@@ -124,27 +126,47 @@ class Journal:
             raise
 
     def _read(self) -> None:
-        content = self.path.read_bytes()
+        with self.path.open("rb") as file:
+            content = file.read(_FIRST_BYTES)
+            if content and not _is_ours(content):
+                raise InputError(f"{self.path} is no journal of this version: it is no {FORMAT}; choose another folder")
+            content += file.read()
         whole, newline, torn = content.rpartition(b"\n")
         records = [_record_of(line) for line in whole.split(b"\n")] if newline else []
         known = [record for record in records if record is not None]
         others = {str(record["format"]) for record in known if "format" in record} - {FORMAT}
-        # Where nothing is ours it is no journal, and nothing is cut from it or added to it.
-        if content and (others or not (known or _begins_ours(content))):
-            what = f"it is {others.pop()}" if others else f"it is no {FORMAT}"
+        if others:
+            what = f"it is {others.pop()[:80]}"
             raise InputError(f"{self.path} is no journal of this version: {what}; choose another folder")
         if torn:
             os.ftruncate(self.descriptor, len(whole) + len(newline))
         self.damaged = records.count(None) + bool(torn)
         for record in known:
-            if "stack" in record:
-                told = record["stack"]
-                for which in _FILES:
-                    files = told.get(which, {})
-                    told[which] = {os.path.normpath(self.path.parent / name): files[name] for name in files}
-                with suppress(TypeError):  # of a later version, whose outcomes have more fields
-                    outcome = Outcome.from_json(told)
-                    self.outcomes[outcome.name] = outcome
+            outcome = self._outcome_of(record["stack"]) if "stack" in record else None
+            if outcome is not None:
+                self.outcomes[outcome.name] = outcome
+
+    def _outcome_of(self, told: Any) -> Outcome | None:
+        """Return what a line says; None where another program wrote it, or a later version with more fields."""
+        if not isinstance(told, dict) or not isinstance(told.get("name"), str):
+            return None
+        try:
+            for which in _FILES:
+                files = told.get(which, {})
+                told[which] = {os.path.normpath(self.path.parent / name): dict(files[name]) for name in files}
+            outcome = Outcome.from_json(told)
+        except (TypeError, ValueError, AttributeError):
+            return None
+        return outcome if outcome.is_sound() else None
+
+
+def _is_ours(content: bytes) -> bool:
+    """Return whether what a file begins with is a journal's; if not, nothing is cut from it or added to it.
+
+    A line of the first bytes is whole, whatever befell those before, or they are a first line that was torn.
+    """
+    *lines, _ = content.split(b"\n")
+    return any(line.startswith(_SUM) and _record_of(line) is not None for line in lines) or _begins_ours(content)
 
 
 def _begins_ours(content: bytes) -> bool:
@@ -155,16 +177,17 @@ def _begins_ours(content: bytes) -> bool:
 
 def _line_of(record: Mapping[str, Any]) -> bytes:
     text = json.dumps(record, separators=(",", ":"), allow_nan=False).encode("ascii")
-    return _sealed(text) + b"\n"
+    return sealed(text) + b"\n"
 
 
-def _sealed(text: bytes) -> bytes:
+def sealed(text: bytes) -> bytes:
+    """Return a JSON object that begins with a checksum of its rest."""
     return _SUM + xxhash.xxh3_64_hexdigest(text).encode("ascii") + b'",' + text[1:]
 
 
 def _record_of(line: bytes) -> dict[str, Any] | None:
     text = b"{" + line[len(_SUM) + 18 :]
-    if line != _sealed(text):
+    if line != sealed(text):
         return None
     with suppress(ValueError):
         record = json.loads(text)

@@ -25,7 +25,9 @@ def read_list(file: Path, job: str | None) -> Listing:
         raise InputError(f"there is no file or folder {file}") from None
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise InputError(f"{file} is no list in TOML: its values are nested too deeply") from None
+    except ValueError as error:  # of TOML, of UTF-8, or of a number with thousands of digits
         raise InputError(f"{file} is no list in TOML: {error}") from None
     try:
         return _listing_of(given, file.parent, job)
@@ -90,19 +92,24 @@ def _check_keys(given: Mapping[str, Any], known: Sequence[str], where: str) -> N
 def _typed(kind: type, given: Mapping[str, Any], key: str, default: Any) -> Any:
     value = given.get(key, default)
     if type(value) is not kind:
-        raise InputError(f"{key} must be {'a text' if kind is str else 'a table'}, got {value!r}")
+        raise InputError(f"{key} must be {'a text' if kind is str else 'a table'}, got {_short(value)}")
     return value
 
 
 def _texts(given: Mapping[str, Any], key: str) -> list[str]:
     value = given.get(key, [])
     if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
-        raise InputError(f"{key} must be a list of texts, got {value!r}")
+        raise InputError(f"{key} must be a list of texts, got {_short(value)}")
     return value
 
 
 def _tables(given: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
     value = given.get(key, [])
     if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
-        raise InputError(f"[[{key}]] must be tables, got {value!r}")
+        raise InputError(f"[[{key}]] must be tables, got {_short(value)}")
     return value
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:80]}..."

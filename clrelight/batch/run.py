@@ -168,6 +168,8 @@ class _Driver:
     report: Report
     tries: dict[str, int] = field(default_factory=dict)
     deaths: dict[str, int] = field(default_factory=dict)
+    doubted: set[str] = field(default_factory=set)
+    waiting: deque[Task] = field(default_factory=deque)
     suspects: deque[Task] = field(default_factory=deque)
     keys: dict[str, str] = field(default_factory=dict)
     failures: int = 0
@@ -179,21 +181,21 @@ class _Driver:
         wanted = {task.name: task for task in self.tasks}
         sweep(path for task in self.tasks for path in outputs_of(task))
         kept = self.find_kept()
-        waiting = deque(task for name, task in wanted.items() if name not in kept)
-        self.total = len(waiting)
+        self.waiting = deque(task for name, task in wanted.items() if name not in kept)
+        self.total = len(self.waiting)
         try:
-            if waiting:
+            if self.waiting:
                 engine = open_engine()
                 try:
-                    self.journal.begin_run({"job": waiting[0].job, "stacks": self.total, "engine": engine.label})
-                    self._drive(engine, waiting, wanted)
+                    self.journal.begin_run({"job": self.waiting[0].job, "stacks": self.total, "engine": engine.label})
+                    self._drive(engine, wanted)
                 finally:
                     engine.close()
                     sweep(path for task in self.tasks for path in outputs_of(task))
         finally:
             outcomes = self._outcomes(wanted)
-            files = write_summary(self.folder, outcomes, kept, len(waiting) + len(self.suspects))
-        left = tuple(task.name for task in (*waiting, *self.suspects))
+            files = write_summary(self.folder, outcomes, kept, len(self.waiting) + len(self.suspects))
+        left = tuple(task.name for task in (*self.waiting, *self.suspects))
         return Batch(outcomes, kept, left, (str(self.journal.path), *files))
 
     def _key(self, task: Task) -> str:
@@ -225,26 +227,26 @@ class _Driver:
         every = (*before.inputs.items(), *before.outputs.items())
         return all(is_unchanged(path, known, verify=self.verify) for path, known in every)
 
-    def _drive(self, engine: Engine, waiting: deque[Task], wanted: dict[str, Task]) -> None:
+    def _drive(self, engine: Engine, wanted: dict[str, Task]) -> None:
         flying: set[str] = set()
-        while waiting or self.suspects or flying:
+        while self.waiting or self.suspects or flying:
             stopping = self.failures and not self.keep_going
-            while not stopping and (task := self._next(engine, waiting, len(flying))) is not None:
+            while not stopping and (task := self._next(engine, len(flying))) is not None:
                 self.tries[task.name] = self.tries.get(task.name, 0) + 1
                 engine.submit(Work(task.name, task.to_json(), self._key(task), code_digest(), self.device))
                 flying.add(task.name)
             if not flying:
                 return
             self._tell(engine)
+            is_alone = engine.isolates or len(flying) == 1
             for ended in engine.collect(_LOOK_SECONDS):
-                is_alone = engine.isolates or flying == {ended.name}
                 flying.discard(ended.name)
                 self._settle(engine, wanted[ended.name], ended, is_alone)
 
-    def _next(self, engine: Engine, waiting: deque[Task], flying: int) -> Task | None:
+    def _next(self, engine: Engine, flying: int) -> Task | None:
         """Return the next task to begin; None where there is none, or all workers have enough."""
-        if waiting:
-            return waiting.popleft() if flying < engine.workers + engine.ahead else None
+        if self.waiting:
+            return self.waiting.popleft() if flying < engine.workers + engine.ahead else None
         # What died with its worker is tried last: where workers hold several tasks, one alone, so that an innocent one
         # does not die twice of its neighbour.
         most = engine.workers if engine.isolates else 1
@@ -253,10 +255,11 @@ class _Driver:
     def _settle(self, engine: Engine, task: Task, ended: Ended, is_alone: bool) -> None:
         tries = self.tries[task.name]
         if ended.outcome is None:
-            # A worker that had several tasks ended for one of them: only of a task that is alone is that known.
-            deaths = self.deaths[task.name] = self.deaths.get(task.name, 0) + is_alone
-            if ended.kind == "died" and deaths <= self.retries:
-                self.suspects.append(task)
+            alone, deaths = self._count_death(task.name, is_alone)
+            if ended.kind == "died" and (not alone or deaths <= self.retries):
+                # What was given out first was most likely being done: so it comes last, and those who only waited
+                # behind it find a worker that has not to be started anew.
+                (self.suspects.append if alone else self.suspects.appendleft)(task)
                 return
             times = f", {deaths} times" if deaths > 1 else ""
             outcome = Outcome(task.name, FAILED, self._key(task), f"{ended.fault}{times}", ended.kind, tries=tries)
@@ -264,13 +267,24 @@ class _Driver:
             outcome = replace(Outcome.from_json(ended.outcome), tries=tries)
             if outcome.kind == "device" and engine.avoid(outcome.worker):
                 self.report.note(f"{outcome.worker} gets no more stacks: {outcome.error}")
-                self.suspects.append(task)
+                self.waiting.appendleft(task)
                 return
         self.journal.add(outcome)
         self.done += 1
         if not outcome.is_done:
             self.failures += 1
             self.report.note(f"{task.name}: {outcome.error}")
+
+    def _count_death(self, name: str, is_alone: bool) -> tuple[int, int]:
+        """Return how often a task ended a worker that it had for itself, and how often in all.
+
+        A worker that had several tasks ended for one of them. So that death fails nobody; but who then does it alone
+        has done it before, and all of them together count once, however many neighbours died.
+        """
+        self.deaths[name] = self.deaths.get(name, 0) + is_alone
+        if not is_alone:
+            self.doubted.add(name)
+        return self.deaths[name], self.deaths[name] + (name in self.doubted)
 
     def _tell(self, engine: Engine) -> None:
         if self.progress is not None:

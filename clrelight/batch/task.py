@@ -106,6 +106,18 @@ class Outcome:
         """Bytes of all that it wrote; None where there is no such thing."""
         return sum(int(each["bytes"]) for each in self.outputs.values()) if self.outputs else None
 
+    def is_sound(self) -> bool:
+        """Return whether every field holds what it should, as of a record that somebody else may have written."""
+        texts = (self.name, self.key, self.error, self.kind, self.device, self.worker, self.trace, *self.notes)
+        numbers = (self.seconds, self.tries, *self.stages.values(), *self.psnr.values())
+        counts = (each.get("bytes", 0) for each in (*self.inputs.values(), *self.outputs.values()))
+        return (
+            self.state in (DONE, FAILED)
+            and all(isinstance(text, str) for text in texts)
+            and all(type(number) in (int, float) for number in numbers)
+            and all(type(count) is int for count in counts)
+        )
+
     def to_json(self) -> dict[str, Any]:
         """Return what `from_json` takes, JSON without infinities; what holds nothing is left out."""
         held = asdict(self) | {"psnr": {name: _plain(value) for name, value in self.psnr.items()}}

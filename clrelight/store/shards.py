@@ -10,6 +10,7 @@ import os
 import re
 import stat
 import threading
+from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ from clrelight.store.stored import StoredArray
 from clrelight.tiles import Rectangle, check_shape
 
 MOST_SHARDS = 1 << 10
+MOST_OPEN = 8
+"""Shards that are held open: opening one takes as long as reading some megabytes of it."""
 TILED = {"coefficients": 1, "lambda": 0, "rank": 0}
 """Arrays that lie in shards, and the axis of their rows."""
 _FOLDER = re.compile(r"(?!\.\.?$)[^/\0]{1,255}")
@@ -89,6 +92,8 @@ def _arrays_of(opened: Opened, stack: ExitStack) -> dict[str, Any]:
         raise StoreFormatError("it lies in several files, which are not fetched: join them first")
     shards = shards_of(opened)
     files = _Files(os.path.dirname(opened.path), shards)
+    for shard in shards:  # of a thousand that are to be opened the last may be the one that is missing
+        files.path(shard)
     stack.callback(files.close)
     found: dict[str, list[tuple[int, ...]]] = {}
     types: dict[str, np.dtype] = {}
@@ -112,34 +117,42 @@ def _arrays_of(opened: Opened, stack: ExitStack) -> dict[str, Any]:
 
 
 class _Files:
-    """The shards on the disk, of which one at a time is open."""
+    """The shards on the disk, of which the few that were asked for last are open."""
 
     def __init__(self, folder: str, shards: Sequence[Shard]) -> None:
         self.shards = shards
-        self._folder, self._open = folder, ExitStack()
-        self._index = -1
-        self._arrays: dict[str, StoredArray] = {}
+        self._folder = folder
+        self._held: OrderedDict[int, tuple[ExitStack, dict[str, StoredArray]]] = OrderedDict()
         self.one_at_a_time = threading.RLock()
 
+    def path(self, shard: Shard) -> str:
+        """Return where a shard lies; StoreFormatError if there is no file."""
+        path = os.path.join(self._folder, shard.file)
+        try:
+            mode = os.lstat(path).st_mode
+        except OSError:
+            raise StoreFormatError(f"its shard {shard.file[:300]} is missing") from None
+        if not stat.S_ISREG(mode):
+            raise StoreFormatError(f"its shard {shard.file} is no regular file")
+        return path
+
     def arrays(self, index: int) -> dict[str, StoredArray]:
-        """Return the arrays of a shard, until those of another are asked for."""
-        if index != self._index:
-            self.close()
+        """Return the arrays of a shard, until `MOST_OPEN` others were asked for."""
+        if index not in self._held:
             shard = self.shards[index]
-            path = os.path.join(self._folder, shard.file)
-            if not os.path.lexists(path):
-                raise StoreFormatError(f"its shard {shard.file} is missing")
-            if not stat.S_ISREG(os.lstat(path).st_mode):
-                raise StoreFormatError(f"its shard {shard.file} is no regular file")
-            opened = self._open.enter_context(opening(path, FIT.kind))
-            if seal_in(opened) != shard.seal:
-                raise StoreFormatError(f"its shard {shard.file} is not the one that was written")
-            self._index, self._arrays = index, opened.arrays
-        return self._arrays
+            with ExitStack() as stack:
+                opened = stack.enter_context(opening(self.path(shard), FIT.kind))
+                if seal_in(opened) != shard.seal:
+                    raise StoreFormatError(f"its shard {shard.file} is not the one that was written")
+                self._held[index] = stack.pop_all(), opened.arrays
+            while len(self._held) > MOST_OPEN:
+                self._held.popitem(last=False)[1][0].close()
+        self._held.move_to_end(index)
+        return self._held[index][1]
 
     def close(self) -> None:
-        self._open.close()
-        self._index, self._arrays = -1, {}
+        while self._held:
+            self._held.popitem()[1][0].close()
 
 
 class TiledArray:
