@@ -35,6 +35,22 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
     return np.frombuffer(memoryview(lease), dtype).reshape(shape)
 
 
+def zeros(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
+    """Return zeros, as `numpy.zeros` does; what is too large to be kept is not there before it is used."""
+    if math.prod(shape) * np.dtype(dtype).itemsize > _KEPT:
+        return np.zeros(shape, dtype)
+    made = empty(shape, dtype)
+    made[...] = 0
+    return made
+
+
+def copied(array: NDArray) -> NDArray:
+    """Return a copy, C-contiguous."""
+    made = empty(array.shape, array.dtype)
+    made[...] = array
+    return made
+
+
 def _class_of(size: int) -> int:
     """Return the next size of three leading bits: what differs by less than that shares memory."""
     step = 1 << max(size.bit_length() - 3, 0)

@@ -160,7 +160,7 @@ class Encoder:
         """Return the streams of a part's first planes; its values are lost unless they are to be kept."""
         shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
         values = reshaped(part.values, shape)
-        index = self._device.empty(shape, np.int32) if keep else with_type(values, np.int32)
+        index = with_type(self._pixels.lend("index", shape) if keep else values, np.int32)
         layout = part.layout.of_first(shape[0])
         return encode_streams(
             self._device, layout, values, index, default_tables(), multiplier, 1.0 / step, count=self._counts
@@ -287,7 +287,7 @@ class Encoder:
             ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
             multiplier = min(max(MULTIPLIER * ratio ** (-1.0 / MULTIPLIER_POWER), MULTIPLIERS[0]), MULTIPLIERS[1])
             if number + 1 == len(tiles):
-                part = self._take_tile(tile, planes, strips)
+                part = self._take_tile(tile, planes)  # small, for its indices take as much again
                 coded, multiplier = fill_by_multiplier(
                     functools.partial(self._encode_part, part, step, keep=True), left, multiplier
                 )
