@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 
 _LEAST = 1 << 18
 """Bytes below which the C library recycles by itself."""
-_KEPT = 1 << 27
+_KEPT = 1 << 28
 """Bytes that lie unused at most; what was given back first goes first."""
 
 _unused: deque[NDArray[np.uint8]] = deque()
@@ -22,8 +22,8 @@ _unused: deque[NDArray[np.uint8]] = deque()
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
     """Return an array whose values are undefined, as `numpy.empty` does.
 
-    Once nothing refers to it or to a view of it, its memory is kept for the next array of about its size; any thread
-    may ask, and any may be the last to refer.
+    Once nothing refers to it or to a view of it, its memory is kept for the next array of about its size, or somewhat
+    less; any thread may ask, and any may be the last to refer.
     """
     dtype = np.dtype(dtype)
     size = math.prod(shape) * dtype.itemsize
@@ -59,12 +59,13 @@ def _class_of(size: int) -> int:
 
 def _take(size: int) -> NDArray[np.uint8]:
     # Each step is whole under the interpreter's lock: no thread waits for another, not even for its own garbage.
-    for _ in range(len(_unused)):
+    for looked_at in range(len(_unused)):
         try:
             block = _unused.pop()  # the last is the likeliest to be in a cache
         except IndexError:
             break
-        if block.size == size:
+        if size <= block.size <= size + size // 2:
+            _unused.rotate(-looked_at)  # what was given back first is to go first, as ever
             return block
         _unused.appendleft(block)
     return np.empty(size, np.uint8)

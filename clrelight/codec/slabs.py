@@ -10,7 +10,7 @@ SLAB_BYTES = 1 << 26
 """Most float32 bytes that one launch reads or writes; drivers report limits that cannot be relied on."""
 
 
-CACHED_BYTES = 1 << 24
+CACHED_BYTES = 1 << 23
 """Of what goes through several launches: about a cache of a processor, and small enough for memory to be used again
 (`clrelight.recycling`)."""
 

@@ -95,8 +95,8 @@ def pack(
     perceptual : bool
         Measure FLIP and colour differences as well; as of `clrelight.jobs.measure.measure`.
     keep_stack : path, optional
-        Where the photographs are kept as a stack file; by default they lie in a file without a name beside `out`, which
-        goes with the process.
+        Where the photographs are kept as a stack file; by default they lie in memory that the system has to spare, if
+        they take a quarter of it at most, else in a file without a name beside `out`. Both go with the process.
     memory : int or str
         Bytes for photographs that are being read and for planes that are being coded.
     device, progress, report
@@ -107,7 +107,8 @@ def pack(
     Returns
     -------
     Report
-        With ``facts`` on the fit and the file, PSNRs, seconds a stage, and ``peak_memory`` of the process in bytes.
+        With ``facts`` on the fit and the file, PSNRs, seconds a stage, ``peak_memory`` of the process in bytes, and
+        ``photographs_in_memory``, bytes of a folder's photographs that lay there beside.
 
     Raises
     ------

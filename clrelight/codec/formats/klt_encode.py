@@ -99,10 +99,7 @@ class Encoder:
         """Return the body that fills a budget of bytes best, and what was found; InputError if none is as small."""
         trial = self._find_step(budget)
         tiles = self._tiles(trial.axes)
-        if len(tiles) <= 1:
-            body, step = self._fit_step(budget, trial, tiles)
-        else:
-            body, step = self._fit_multipliers(budget, trial, tiles)
+        body, step = (self._fit_step if len(tiles) <= 1 else self._fit_multipliers)(budget, trial, tiles)
         return body, {"step": step, "planes": float(len(trial.axes.scales_j))}
 
     def _collect(self, streams: list[bytes], tile: Tile, coded: Coded) -> None:
@@ -287,7 +284,9 @@ class Encoder:
             ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
             multiplier = min(max(MULTIPLIER * ratio ** (-1.0 / MULTIPLIER_POWER), MULTIPLIERS[0]), MULTIPLIERS[1])
             if number + 1 == len(tiles):
-                part = self._take_tile(tile, planes)  # small, for its indices take as much again
+                strips = None
+                self._pixels.forget()  # indices of this one take as much again as its values
+                part = self._take_tile(tile, planes)
                 coded, multiplier = fill_by_multiplier(
                     functools.partial(self._encode_part, part, step, keep=True), left, multiplier
                 )

@@ -140,6 +140,10 @@ class Pixels:
         host = self._buffers[name].lend(shape, np.float32) if self.device.shares_memory else None
         return self.device.empty(shape, np.float32, host)
 
+    def forget(self) -> None:
+        """Let go of what was lent, for work that needs little of it."""
+        self._buffers.clear()
+
 
 class _Chain:
     """The matrices between what is read and the planes.
