@@ -59,14 +59,14 @@ class Pixels:
         return coeffs_khwc
 
     def planes(self, rows: Span, columns: Span, planes: Planes, *, lent: bool = False) -> DeviceArray:
-        """Return planes of a part of the image, (n_plane, height, padded width), in the order of the matrix.
+        """Queue and return planes of a part of the image, (n_plane, height, padded width), in the order of the matrix.
 
-        Where they are `lent`, the next that are lie in the same memory.
+        Where they are `lent`, the next that are lie in the same memory. The device may be computing them still, while
+        the caller reads what the next are made of.
         """
         shape = (len(planes[1]), rows[1] - rows[0], padded_width(columns[1] - columns[0]))
         made = self.lend("planes", shape) if lent else self.device.empty(shape, np.float32)
         self.fill(made, rows, columns, planes)
-        self.device.finish()
         return made
 
     def fill(self, made: DeviceArray, rows: Span, columns: Span, planes: Planes) -> None:
