@@ -246,7 +246,7 @@ def _encode(name: str, extension: str, values: NDArray, stored: Any) -> None:
         spec.alpha_channel = -1
     if extension == ".png" and values.shape[0] * values.shape[1] >= _LARGE_PIXELS:
         spec.attribute("compression", "rle")  # a third of the time that a search takes, and 6% fewer bytes
-        spec.attribute("png:filter", 0x80)  # Paeth's
+        spec.attribute("png:filter", 0x40)  # average: faster than Paeth, and photographs get smaller
     if extension == ".jpg":
         spec.attribute("CompressionQuality", 95)
         spec.attribute("jpeg:subsampling", "4:4:4")

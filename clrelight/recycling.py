@@ -14,10 +14,10 @@ from numpy.typing import DTypeLike, NDArray
 
 _LEAST = 1 << 18
 """Bytes below which the C library recycles by itself."""
-_KEPT = 1 << 27
+_KEPT = 1 << 28
 """Bytes that lie unused at most, see `kept_within`; what was given back first goes first."""
 
-_SHARE = 8
+_SHARE = 4
 """Of a budget of memory, this part of it may lie unused."""
 
 _unused: deque[NDArray[np.uint8]] = deque()
@@ -43,8 +43,8 @@ def kept_within(memory_bytes: int) -> Iterator[None]:
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
     """Return an array whose values are undefined, as `numpy.empty` does.
 
-    Once nothing refers to it or to a view of it, its memory is kept for the next array of about its size; any thread
-    may ask, and any may be the last to refer.
+    Once nothing refers to it or to a view of it, its memory is kept for the next array of about its size, or somewhat
+    less; any thread may ask, and any may be the last to refer.
     """
     dtype = np.dtype(dtype)
     size = math.prod(shape) * dtype.itemsize
@@ -56,6 +56,22 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
     return np.frombuffer(memoryview(lease), dtype).reshape(shape)
 
 
+def zeros(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
+    """Return zeros, as `numpy.zeros` does; what is too large to be kept is not there before it is used."""
+    if math.prod(shape) * np.dtype(dtype).itemsize > _KEPT:
+        return np.zeros(shape, dtype)
+    made = empty(shape, dtype)
+    made[...] = 0
+    return made
+
+
+def copied(array: NDArray) -> NDArray:
+    """Return a copy, C-contiguous."""
+    made = empty(array.shape, array.dtype)
+    made[...] = array
+    return made
+
+
 def _class_of(size: int) -> int:
     """Return the next size of three leading bits: what differs by less than that shares memory."""
     step = 1 << max(size.bit_length() - 3, 0)
@@ -64,12 +80,13 @@ def _class_of(size: int) -> int:
 
 def _take(size: int) -> NDArray[np.uint8]:
     # Each step is whole under the interpreter's lock: no thread waits for another, not even for its own garbage.
-    for _ in range(len(_unused)):
+    for looked_at in range(len(_unused)):
         try:
             block = _unused.pop()  # the last is the likeliest to be in a cache
         except IndexError:
             break
-        if block.size == size:
+        if size <= block.size <= size + size // 2:
+            _unused.rotate(-looked_at)  # what was given back first is to go first, as ever
             return block
         _unused.appendleft(block)
     return np.empty(size, np.uint8)

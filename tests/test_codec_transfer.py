@@ -234,3 +234,18 @@ def test_a_metric_that_there_is_not_and_images_without_colours(device):
         Klt(metric="flip")
     with pytest.raises(InputError, match="metric perceptual is for red, green and blue, the images have 1 channel"):
         encode(shaded_sphere(16)[..., :1], Klt(metric="perceptual"), device)
+
+
+def test_the_curve_of_finite_values_has_the_same_bits(device):
+    """Where samples are integers the kernel of planes leaves out what infinities and NaN need."""
+    rng = np.random.default_rng(3)
+    powers = np.ldexp(1.0 + rng.random(4096), rng.integers(-140, 127, 4096))
+    values = np.concatenate([powers, -powers, rng.random(4096), [0.0, -0.0, 0.0031308, 1.0]]).astype(np.float32)
+    values = values[np.isfinite(values)]
+    bent = []
+    for finite in (0, 1):
+        held = device.hold(values.copy())
+        defines = {"VECTOR": device.info.lanes, "DECODE": 0, "STRETCH": len(values), "FINITE": finite}
+        device.launch("codec/bend.cl", "bend_values_p", (1,), held, len(values), defines=defines)
+        bent.append(device.download(held).view(np.int32))
+    np.testing.assert_array_equal(*bent)

@@ -52,15 +52,15 @@ def make_images(n_light=20, dtype=np.uint8, seed=0):
     return np.rint(255 * make_samples(make_pattern("uniform", n_light), SHAPE, seed)).astype(dtype)
 
 
-@pytest.mark.parametrize("kind", ["memory", "file", "scratch", "subset"])
+@pytest.mark.parametrize("kind", ["memory", "file", "scratch", "scratch in memory", "subset"])
 @pytest.mark.parametrize("band_bytes", [1, 20 * 37 * 3 * 4, 1 << 30])
 def test_bands_give_parts(tmp_path, monkeypatch, kind, band_bytes):
     monkeypatch.setattr(bands_module, "_BAND_BYTES", band_bytes)
     images, directions = make_images(), make_pattern("uniform", 20)
     stack = LightStack(images, directions, 255.0)
     expected = images
-    if kind == "scratch":
-        held = ScratchImages(tmp_path, images.shape, images.dtype)
+    if kind.startswith("scratch"):
+        held = ScratchImages(tmp_path, images.shape, images.dtype, in_memory=kind != "scratch")
         for light, image in enumerate(images):
             held.write_rows(light, 0, image[:5])
             held.write_part(light, 5, 0, image[5:, :20])

@@ -51,6 +51,34 @@ def test_a_view_keeps_its_memory():
     assert (view.view(np.float32) == 3.0).all()
 
 
+def test_a_somewhat_larger_block_is_used_too():
+    first = recycling.empty((3 << 20,), np.uint8)
+    place = address(first)
+    del first
+    assert address(recycling.empty((1 << 20,), np.uint8)) != place  # a third of it
+    assert address(recycling.empty((5 << 19,), np.uint8)) == place
+
+
+def test_looking_for_a_block_leaves_the_order():
+    sizes = [1 << 18, 1 << 20, 1 << 22, 1 << 24]
+    recycling._unused.extend(np.empty(size, np.uint8) for size in sizes)
+    recycling.empty((1 << 20,), np.uint8)  # its block comes back as the last
+    assert [block.size for block in recycling._unused] == [1 << 18, 1 << 22, 1 << 24, 1 << 20]
+    recycling.empty((1 << 26,), np.uint8)  # there is none
+    assert [block.size for block in recycling._unused][:4] == [1 << 18, 1 << 22, 1 << 24, 1 << 20]
+
+
+def test_zeros_and_copies_of_memory_that_was_used():
+    array = recycling.empty((1 << 18,), np.uint8)
+    array[...] = 7
+    copy = recycling.copied(array.reshape(1 << 9, 1 << 9)[:, ::2])
+    assert copy.flags.c_contiguous
+    assert (copy == 7).all()
+    del array
+    assert not recycling.zeros((1 << 18,), np.uint8).any()
+    assert not recycling.zeros((recycling._KEPT // 4 + 1,), np.float32)[::4096].any()
+
+
 def test_no_more_than_a_bound_is_kept():
     arrays = [recycling.empty((1 << 24,), np.uint8) for _ in range(20)]
     del arrays

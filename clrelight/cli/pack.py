@@ -122,7 +122,9 @@ def pack(
         **psnr_lines(report.psnr),
     }
     if facts["peak_memory"]:
-        lines["memory"] = f"{facts['peak_memory'] / 2**20:.0f} MiB at most"
+        held = facts.get("photographs_in_memory", 0) / 2**20
+        beside = f", beside {held:.0f} MiB of photographs" if held else ""
+        lines["memory"] = f"{facts['peak_memory'] / 2**20:.0f} MiB at most{beside}"
     print_report(report, as_json, lines)
 
 

@@ -10,9 +10,14 @@ SLAB_BYTES = 1 << 26
 """Most float32 bytes that one launch reads or writes; drivers report limits that cannot be relied on."""
 
 
-def slabs(count: int, item_bytes: int) -> Iterator[slice]:
-    """Yield consecutive slices of ``range(count)``, of at most `SLAB_BYTES` but at least one item each."""
-    step = max(1, SLAB_BYTES // item_bytes)
+CACHED_BYTES = 1 << 23
+"""Of what goes through several launches: about a cache of a processor, and small enough for memory to be used again
+(`clrelight.recycling`)."""
+
+
+def slabs(count: int, item_bytes: int, most_bytes: int = SLAB_BYTES) -> Iterator[slice]:
+    """Yield consecutive slices of ``range(count)``, of at most so many bytes but at least one item each."""
+    step = max(1, most_bytes // item_bytes)
     for start in range(0, count, step):
         yield slice(start, min(start + step, count))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import os
 import tempfile
 import time
@@ -17,6 +18,7 @@ from clrelight.errors import InputError
 from clrelight.ingest import ingest_folder, read_folder
 from clrelight.ingest.filling import fill_scratch, plan_memory
 from clrelight.jobs.inputs import path_text
+from clrelight.jobs.memory import SPARE_SHARE, spare_memory
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
@@ -113,8 +115,9 @@ def lend_photographs(
     outs: Sequence[str | os.PathLike[str]],
     look: Callable[[LightStack], object],
 ) -> Iterator[LightStack]:
-    """Lend the photographs of a folder, read into a file without a name in the folder `place`; as `ingest`.
+    """Lend the photographs of a folder, read into spare memory or a file without a name in `place`; as `ingest`.
 
+    The report's ``photographs_in_memory`` are the bytes of those in memory, which are not the process's own.
     InputError if one of the files `outs`, which are to be made of them, is one of those that are read. `look` may
     refuse what they will be, before any is read.
     """
@@ -124,7 +127,11 @@ def lend_photographs(
         check_output(out, found.inputs)
     look(found.stack)
     plan = plan_memory(found.source, memory)
-    images = ScratchImages(place, found.source.shape_ihwc, found.source.values.dtype)
+    shape, dtype = found.source.shape_ihwc, found.source.values.dtype
+    n_bytes = math.prod(shape) * dtype.itemsize
+    in_memory = SPARE_SHARE * n_bytes <= spare_memory()
+    report.facts["photographs_in_memory"] = n_bytes if in_memory else 0
+    images = ScratchImages(place, shape, dtype, in_memory=in_memory)
     with closing(images):
         with stage(progress, "reading images") as tell, closing(fill_scratch(images, found.source, plan)) as steps:
             for done in steps:

@@ -12,11 +12,12 @@ from clrelight.codec.views import Region, Regions
 from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import Device
 from clrelight.harmonics.index import coefficient_count
-from clrelight.jobs.bands import bands_of
+from clrelight.jobs.bands import Bands, bands_of
 from clrelight.jobs.region import list_tiles
 from clrelight.jobs.report import Progress, stage
 from clrelight.jobs.split_quality import Split, summarize_split
 from clrelight.metrics import measure_errors
+from clrelight.streaming import reading_ahead
 
 SAMPLED_FROM = 1 << 20
 """Pixels from which an image is measured at a sample where nothing else is said."""
@@ -56,14 +57,15 @@ def measure_parts(
     pixel_bytes = 4 * coefficient_count(record.degree) * channel
     windows = sample_windows(stack) if sampled else list_tiles(height, width, pixel_bytes, _TILE_BYTES)
     sums_wi, counts_w = np.zeros((len(windows), stack.n_light)), np.zeros(len(windows))
-    with stage(progress, "measuring") as tell, bands_of(stack) as bands:
-        for number, window in enumerate(windows):
-            rows, columns = (window.top, window.bottom), (window.left, window.right)
-            mask_hw = None if stack.mask_hw is None else stack.mask_hw[slice(*rows), slice(*columns)]
-            if mask_hw is None or mask_hw.any():
-                part = replace(stack, images_ihwc=bands.part(rows, columns), mask_hw=mask_hw, surface=None)
+    with (
+        stage(progress, "measuring") as tell,
+        bands_of(stack) as bands,
+        reading_ahead(lambda window: _part_of(stack, window, bands), windows) as parts,
+    ):
+        for number, (window, part) in enumerate(zip(windows, parts, strict=True)):
+            if part is not None:
                 fitted = replace(record, surface=None).to_map(regions.coefficients(window, device))
-                counts_w[number] = mask_hw.sum() if mask_hw is not None else math.prod(window.shape)
+                counts_w[number] = part.mask_hw.sum() if part.mask_hw is not None else math.prod(window.shape)
                 sums_wi[number] = measure_errors(fitted, part, device=device) * counts_w[number]
             tell(number + 1, len(windows))
     quality = summarize_split(sums_wi.sum(axis=0) / counts_w.sum(), record.directions_i3, stack, split)
@@ -74,6 +76,15 @@ def measure_parts(
             if len(lights):
                 quality[f"error_{name}"] = _standard_error(sums_wi[:, lights].mean(axis=1), counts_w)
     return quality
+
+
+def _part_of(stack: LightStack, window: Region, bands: Bands) -> LightStack | None:
+    """Return a window of the photographs; None where none of its pixels counts."""
+    rows, columns = (window.top, window.bottom), (window.left, window.right)
+    mask_hw = None if stack.mask_hw is None else stack.mask_hw[slice(*rows), slice(*columns)]
+    if mask_hw is not None and not mask_hw.any():
+        return None
+    return replace(stack, images_ihwc=bands.part(rows, columns), mask_hw=mask_hw, surface=None)
 
 
 def _standard_error(sum_w: NDArray[np.float64], count_w: NDArray[np.float64]) -> float:

@@ -98,8 +98,8 @@ def pack(
     perceptual : bool
         Measure FLIP and colour differences as well; as of `clrelight.jobs.measure.measure`.
     keep_stack : path, optional
-        Where the photographs are kept as a stack file; by default they lie in a file without a name beside `out`, which
-        goes with the process.
+        Where the photographs are kept as a stack file; by default they lie in memory that the system has to spare, if
+        they take a quarter of it at most, else in a file without a name beside `out`. Both go with the process.
     preview : path, optional
         A picture to write beside `out`, of what decodes under a light from the upper left (`clrelight.preview`).
     memory : int or str
@@ -112,7 +112,8 @@ def pack(
     Returns
     -------
     Report
-        With ``facts`` on the fit and the file, PSNRs, seconds a stage, and ``peak_memory`` of the process in bytes.
+        With ``facts`` on the fit and the file, PSNRs, seconds a stage, ``peak_memory`` of the process in bytes, and
+        ``photographs_in_memory``, bytes of a folder's photographs that lay there beside.
 
     Raises
     ------

@@ -25,16 +25,20 @@ class ScratchImages:
         Of what disk.
     shape : tuple of int
     dtype : dtype
+    in_memory : bool
+        As of `clrelight.store.scratch.Scratch`.
     """
 
     chunks = None
     has_columns = True
 
-    def __init__(self, folder: str | os.PathLike, shape: tuple[int, ...], dtype: np.dtype) -> None:
+    def __init__(
+        self, folder: str | os.PathLike, shape: tuple[int, ...], dtype: np.dtype, *, in_memory: bool = False
+    ) -> None:
         self.shape, self.dtype = tuple(shape), np.dtype(dtype)
         self._row_bytes = math.prod(shape[2:]) * self.dtype.itemsize
         self._image_bytes = self._row_bytes * shape[1]
-        self._scratch = Scratch(folder, self._image_bytes * shape[0])
+        self._scratch = Scratch(folder, self._image_bytes * shape[0], in_memory=in_memory)
 
     def __len__(self) -> int:
         return self.shape[0]

@@ -16,6 +16,7 @@
  * Global size: (tiles of a row, H).
  */
 #define DECODE 0
+#define FINITE 1
 #include "common/source_tile.clh"
 #include "codec/bend.clh"
 

@@ -13,90 +13,9 @@
  *
  * Error: forward and inverse together return each sample within 16 eps32 max|plane| per level.
  */
-#include "common/lanes.clh"
-typedef float8 lifted;
-#include "codec/lifting.clh"
+#include "codec/wavelet_rows.clh"
 
-#define SLACK 32  /* vectors reach up to 7 values over the end of a half row, and one sample is mirrored before it */
 #define BUFFERS 10 /* rows on their way through the steps along y, and through those along x */
-
-/* to = scale from + factor (a + b), in whole vectors: up to 7 values more than count are written. */
-static inline void lift(__global float *to, __global const float *from, const float scale, const float factor,
-                        __global const float *a, __global const float *b, const int count)
-{
-    for (int x = 0; x < count; x += 8)
-        AT(__global, float8, to + x) =
-            scale * AT(__global const, float8, from + x) +
-            factor * (AT(__global const, float8, a + x) + AT(__global const, float8, b + x));
-}
-
-/* to = gain (from + factor (a + b)), the same way. */
-static inline void lift_last(__global float *to, __global const float *from, const float gain, const float factor,
-                             __global const float *a, __global const float *b, const int count)
-{
-    for (int x = 0; x < count; x += 8)
-        AT(__global, float8, to + x) =
-            gain * (AT(__global const, float8, from + x) +
-                    factor * (AT(__global const, float8, a + x) + AT(__global const, float8, b + x)));
-}
-
-/* to += factor (a + b) */
-static inline void add(__global float *to, const float factor, __global const float *a, __global const float *b,
-                       const int count)
-{
-    for (int x = 0; x < count; x += 8)
-        AT(__global, float8, to + x) += factor * (AT(__global const, float8, a + x) + AT(__global const, float8, b + x));
-}
-
-/* to = scale from, count values and no more. */
-static inline void copy(__global float *to, __global const float *from, const float scale, const int count)
-{
-    int x = 0;
-    for (; x + 8 <= count; x += 8) AT(__global, float8, to + x) = scale * AT(__global const, float8, from + x);
-    for (; x < count; x++) to[x] = scale * from[x];
-}
-
-/* Whole-sample symmetric extension by one sample: of the odd samples before the first, of either beyond the last. */
-static inline void mirror_odd(__global float *odd, const int width)
-{
-    odd[-1] = odd[0];
-    if (width % 2) odd[width / 2] = odd[width / 2 - 1];
-}
-
-static inline void mirror_even(__global float *even, const int width)
-{
-    if (width % 2 == 0) even[width / 2] = even[width / 2 - 1];
-}
-
-/* One row along x, from samples to low and high halves; up to 7 values beyond the row are written. */
-static void analyse_row(__global float *to, __global const float *from, const int width, __global float *even,
-                        __global float *odd)
-{
-    if (width == 1) {
-        to[0] = from[0];
-        return;
-    }
-    const int n_high = width / 2, n_low = width - n_high;
-    int n = 0;
-    for (; 2 * n + 16 <= width; n += 8) {
-        const float8 a = AT(__global const, float8, from + 2 * n), b = AT(__global const, float8, from + 2 * n + 8);
-        AT(__global, float8, even + n) = (float8)(a.even, b.even);
-        AT(__global, float8, odd + n) = (float8)(a.odd, b.odd);
-    }
-    for (; n < n_low; n++) {
-        even[n] = from[2 * n];
-        if (n < n_high) odd[n] = from[2 * n + 1];
-    }
-    mirror_even(even, width);
-    add(odd, ALPHA, even, even + 1, n_high);
-    mirror_odd(odd, width);
-    add(even, BETA, odd - 1, odd, n_low);
-    mirror_even(even, width);
-    add(odd, GAMMA, even, even + 1, n_high);
-    mirror_odd(odd, width);
-    lift_last(to, even, LOW_GAIN, DELTA, odd - 1, odd, n_low);
-    copy(to + n_low, odd, HIGH_GAIN, n_high);
-}
 
 /* One row along x, from halves to samples, those and no more. */
 static void synthesise_row(__global float *to, __global const float *from, const int width, __global float *even,

@@ -9,6 +9,7 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight import recycling
 from clrelight.codec.entropy.units import LEVELS, Layout
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
@@ -232,7 +233,7 @@ def decode_streams(
     workers = min(most, _WORKERS[device.style] * device.info.compute_units)
     work = device.empty((workers, _WORK_BYTES), np.uint8)
     fault = device.hold(np.zeros(len(streams), np.int32))
-    known = device.hold(np.zeros(known_shape, np.uint8))
+    known = device.hold(recycling.zeros(known_shape, np.uint8))
     weight = device.upload(np.zeros((known_shape[0], 1), np.float32) if weight_jc is None else weight_jc)
     n_sum = 0 if weight_jc is None else weight_jc.shape[1]
     for begin, end in batches:

@@ -19,7 +19,7 @@ from clrelight.codec.factored import finite_images
 from clrelight.codec.formats.klt_regions import UnitReader
 from clrelight.codec.formats.klt_salvage import Salvage
 from clrelight.codec.formats.klt_units import Parsed
-from clrelight.codec.slabs import SLAB_BYTES
+from clrelight.codec.slabs import CACHED_BYTES
 from clrelight.codec.streams import Target
 from clrelight.codec.transforms.code_values import bent, radiance_of
 from clrelight.codec.transforms.lifting import join_channels, padded_width
@@ -33,6 +33,8 @@ from clrelight.matmul import apply_operator, multiply_columns, pack_operator
 
 _KEPT_BYTES = 1 << 26
 """Bytes of planes that a view keeps, for the lights that follow the first."""
+_SUMMED_BYTES, _SHOWN_ROWS = 1 << 29, 256
+"""Bytes of sums that are made together, for what lies at their edges is decoded twice; rows that are shown at once."""
 
 
 def _planes_of(reader: UnitReader, region: Region, count: int) -> NDArray[np.float32]:
@@ -53,7 +55,7 @@ class _Maker:
         count, height, width = planes_jyx.shape
         coeffs_khwc = recycling.empty((self._n_coeff, height, width, self._channel), np.float32)
         n_value, pitch = self._n_coeff * self._channel, padded_width(width)
-        step = max(SLAB_BYTES // (4 * pitch * (2 * n_value + count)), 1)
+        step = max(CACHED_BYTES // (4 * pitch * n_value), 1)
         for first in range(0, height, step):
             rows = slice(first, min(first + step, height))
             size = rows.stop - first
@@ -265,9 +267,14 @@ class UnitPlanes:
         elif n_sum >= count:
             yield slice(0, height), _sum_planes(reader.planes(region), operator_mj, device)
         else:
-            for top in range(region.top, region.bottom, 2 * PRECINCT):
-                rows = Region(top, region.left, min(top + 2 * PRECINCT, region.bottom), region.right, region.level)
-                yield slice(top - region.top, rows.bottom - region.top), reader.sums(rows, operator_mj)
+            step = max(_SUMMED_BYTES // (4 * n_sum * width) // PRECINCT, 2) * PRECINCT
+            for top in range(region.top, region.bottom, step):
+                part = Region(top, region.left, min(top + step, region.bottom), region.right, region.level)
+                sums_cyx = reader.sums(part, operator_mj)
+                for row in range(0, part.shape[0], _SHOWN_ROWS):
+                    rows = slice(row, min(row + _SHOWN_ROWS, part.shape[0]))
+                    first = top - region.top
+                    yield slice(first + rows.start, first + rows.stop), sums_cyx[:, rows]
 
 
 def _sum_planes(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.unit_streams import Coded, ValuesLostError, default_tables, encode_streams
-from clrelight.codec.entropy.units import LEVELS, Tile, Window, lay_out, list_tiles, list_units, whole_tile
+from clrelight.codec.entropy.units import LEVELS, Tile, Window, list_tiles, whole_tile
 from clrelight.codec.formats.klt_trials import (
     MULTIPLIER_POWER,
     MULTIPLIERS,
@@ -26,6 +26,7 @@ from clrelight.codec.transforms.colour import RADIANCE, colour_axes
 from clrelight.codec.transforms.lifting import transform_planes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
+from clrelight.codec.transforms.strips import Strips
 from clrelight.codec.transforms.whitening import Planes, reshaped, whitening_of, with_type
 from clrelight.codec.workspace import Progress
 from clrelight.errors import InputError
@@ -88,18 +89,17 @@ class Encoder:
             raise InputError(f"klt step must be {self._finest:.3g} or more for this map, got {step:g}")
         axes = self._try(step).axes
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
-        for tile in self._tiles(axes):
-            self._collect(streams, tile, self._encode_tile(tile, planes, step, MULTIPLIER))
+        tiles = self._tiles(axes)
+        strips = Strips.of(self._pixels, planes, tiles)
+        for tile in tiles:
+            self._collect(streams, tile, self._encode_tile(tile, planes, step, MULTIPLIER, strips))
         return self._pack(axes, step, streams), {"step": step, "planes": float(len(axes.scales_j))}
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
         """Return the body that fills a budget of bytes best, and what was found; InputError if none is as small."""
         trial = self._find_step(budget)
         tiles = self._tiles(trial.axes)
-        if len(tiles) <= 1:
-            body, step = self._fit_step(budget, trial, tiles)
-        else:
-            body, step = self._fit_multipliers(budget, trial, tiles)
+        body, step = (self._fit_step if len(tiles) <= 1 else self._fit_multipliers)(budget, trial, tiles)
         return body, {"step": step, "planes": float(len(trial.axes.scales_j))}
 
     def _collect(self, streams: list[bytes], tile: Tile, coded: Coded) -> None:
@@ -136,20 +136,20 @@ class Encoder:
         rows, columns = (window.top, window.bottom), (window.left, window.right)
         values = self._pixels.planes(rows, columns, planes, lent=lent)
         transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
-        middle = (window.top + window.bottom) // 2
-        if tile is None:  # a map of its own
-            size, window = window.shape, Window(0, 0, *window.shape)
-            units = list_units(*size)
-        else:
-            size, units = (self._shape[1], self._shape[2]), tile.units
-        layout = lay_out(units, size, window, values.shape[2], is_together(self._shape), [(0, values.shape[0])])
-        return Part(values, layout, middle, *window.shape)
+        return Part.of(values, window, tile, self._shape[1:3], is_together(self._shape))
 
-    def _encode_tile(self, tile: Tile, planes: Planes, step: float, multiplier: float) -> Coded:
+    def _take_tile(self, tile: Tile, planes: Planes, strips: Strips | None = None) -> Part:
+        if strips is None:
+            return self._take_part(tile.window, tile, planes, lent=True)
+        return Part.of(strips.take(tile), strips.window_of(tile), tile, self._shape[1:3], False)
+
+    def _encode_tile(
+        self, tile: Tile, planes: Planes, step: float, multiplier: float, strips: Strips | None = None
+    ) -> Coded:
         try:
-            return self._encode_part(self._take_part(tile.window, tile, planes, lent=True), step, multiplier)
+            return self._encode_part(self._take_tile(tile, planes, strips), step, multiplier)
         except ValuesLostError:
-            return self._encode_part(self._take_part(tile.window, tile, planes, lent=True), step, multiplier, keep=True)
+            return self._encode_part(self._take_tile(tile, planes), step, multiplier, keep=True)
 
     def _encode_part(
         self, part: Part, step: float, multiplier: float = MULTIPLIER, count: int | None = None, keep: bool = False
@@ -157,7 +157,7 @@ class Encoder:
         """Return the streams of a part's first planes; its values are lost unless they are to be kept."""
         shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
         values = reshaped(part.values, shape)
-        index = self._device.empty(shape, np.int32) if keep else with_type(values, np.int32)
+        index = with_type(self._pixels.lend("index", shape) if keep else values, np.int32)
         layout = part.layout.of_first(shape[0])
         return encode_streams(
             self._device, layout, values, index, default_tables(), multiplier, 1.0 / step, count=self._counts
@@ -276,7 +276,7 @@ class Encoder:
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         self._pieces, self._prepared = [], 0  # their memory is that of tiles now
         fixed = self._fixed_bytes(axes, step, float(budget))
-        spent, usual = 0.0, np.zeros(len(tiles))
+        spent, usual, strips = 0.0, np.zeros(len(tiles)), Strips.of(self._pixels, planes, tiles)
         for number, tile in enumerate(tiles):
             left = budget - fixed - spent
             # What has come so far tells how the trials err.
@@ -284,12 +284,14 @@ class Encoder:
             ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
             multiplier = min(max(MULTIPLIER * ratio ** (-1.0 / MULTIPLIER_POWER), MULTIPLIERS[0]), MULTIPLIERS[1])
             if number + 1 == len(tiles):
-                part = self._take_part(tile.window, tile, planes, lent=True)
+                strips = None
+                self._pixels.forget()  # indices of this one take as much again as its values
+                part = self._take_tile(tile, planes)
                 coded, multiplier = fill_by_multiplier(
                     functools.partial(self._encode_part, part, step, keep=True), left, multiplier
                 )
             else:
-                coded = self._encode_tile(tile, planes, step, multiplier)
+                coded = self._encode_tile(tile, planes, step, multiplier, strips)
             spent += coded.size
             usual[number] = coded.size * (multiplier / MULTIPLIER) ** MULTIPLIER_POWER
             self._collect(streams, tile, coded)

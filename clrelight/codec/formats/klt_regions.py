@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight import recycling
 from clrelight.codec.bodies import Body
 from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.unit_streams import decode_streams, default_tables
@@ -12,7 +13,6 @@ from clrelight.codec.entropy.units import (
     LEVELS,
     MARGIN,
     PRECINCT,
-    Layout,
     Unit,
     Window,
     lay_out,
@@ -67,7 +67,7 @@ class UnitReader:
         return self._synthesised(region, None)
 
     def sums(self, region: Region, weight_cj: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return weighted sums of the planes of a region, (n_sum, height, width), float32."""
+        """Return weighted sums of the planes of a region, (n_sum, height, width), float32; rows may lie apart."""
         return self._synthesised(region, np.ascontiguousarray(weight_cj.T, np.float32))
 
     def _synthesised(self, region: Region, weight_jc: NDArray[np.float32] | None) -> NDArray[np.float32]:
@@ -85,7 +85,9 @@ class UnitReader:
         top, left = region.top - (window.top >> level), region.left - (window.left >> level)
         part = found[:, top : top + region.shape[0], left : left + region.shape[1]]
         # Every level of the transform doubles what is even: an image at a level is a mean.
-        return np.ascontiguousarray(part) if not level else part * np.float32(0.5**level)
+        if level:
+            return part * np.float32(0.5**level)
+        return recycling.copied(part) if weight_jc is None else part
 
     def _halves(self, region: Region, n_values: int) -> tuple[Region, Region] | None:
         """Return two parts of a region whose values, and sizes of what lies around, a device may not hold."""
@@ -109,46 +111,61 @@ class UnitReader:
 
     def _decode(self, region: Region, window: Window, weight_jc: NDArray[np.float32] | None) -> DeviceArray:
         """Return values of indices, or sums, in a window at the region's level; what the region needs is in them."""
-        _, height, width, _ = self._shape
-        together = self._stored.together
-        chosen = list(range(len(self._units))) if together else self._needed(region)
-        cover = Window(0, 0, height, width) if together else _cover([self._units[t] for t in chosen], height, width)
+        chosen = list(range(len(self._units))) if self._stored.together else self._needed(region)
         self._stored.expect(self._body, self._stored.numbers(self._units, chosen))
         if self._salvage is None:
-            numbers = self._stored.numbers(self._units, chosen)
-            values, fault_t, _ = self._run(chosen, cover, window, region.level, weight_jc)
-            if fault_t.any():
-                number = numbers[int(np.argmax(fault_t))]
-                raise PayloadError(f"unit {number} of the {self._stored.name} body cannot be decoded")
+            values, faulty = self._run(chosen, window, region.level, weight_jc)
+            if faulty:
+                raise PayloadError(f"unit {faulty[0][1]} of the {self._stored.name} body cannot be decoded")
             return values
         while True:
             kept = self._salvage.keep(chosen, self._body)
-            values, fault_t, layout = self._run(kept, cover, window, region.level, weight_jc)
-            if not fault_t.any():
+            values, faulty = self._run(kept, window, region.level, weight_jc)
+            if not faulty:
                 return self._salvage.filled(values, window, chosen, self._body, self._device, weight_jc)
-            self._salvage.fault([kept[u] for u in layout.part_t4[fault_t != 0, 0]])
+            self._salvage.fault([t for t, _ in faulty])
 
     def _run(
-        self, chosen: list[int], cover: Window, window: Window, level: int, weight_jc: NDArray[np.float32] | None
-    ) -> tuple[DeviceArray, NDArray[np.int32], Layout]:
-        """Decode units into planes of a window at a level, or sums of them; return those, and which streams fail."""
-        _, height, width, _ = self._shape
-        stored, count = self._stored, self._stored.n_plane
-        units = [self._units[t] for t in chosen]
+        self, chosen: list[int], window: Window, level: int, weight_jc: NDArray[np.float32] | None
+    ) -> tuple[DeviceArray, list[tuple[int, int]]]:
+        """Decode units into planes of a window at a level, or sums of them.
+
+        Returns those, and which units fail, each with the number of its stream.
+        """
         rows, columns = window.sides_at(level)
-        n_values = count if weight_jc is None else weight_jc.shape[1]
-        # Memory that is not there before something is written to it.
-        values = self._device.hold(np.zeros((n_values, rows, padded_width(columns)), np.float32))
-        known = (count, low_side(cover.shape[0], 1), low_side(cover.shape[1], 1))
+        n_values = self._stored.n_plane if weight_jc is None else weight_jc.shape[1]
+        values = self._device.hold(recycling.zeros((n_values, rows, padded_width(columns)), np.float32))
+        faulty = []
+        for group in self._rows_of_precincts(chosen):
+            faulty += self._run_group(group, window, level, values, weight_jc)
+        return values, faulty
+
+    def _run_group(
+        self, chosen: list[int], window: Window, level: int, values: DeviceArray, weight_jc: NDArray[np.float32] | None
+    ) -> list[tuple[int, int]]:
+        """Decode units that no others hang on, or that hang on no others; return which fail."""
+        _, height, width, _ = self._shape
+        stored, units = self._stored, [self._units[t] for t in chosen]
+        cover = Window(0, 0, height, width) if stored.together else _cover(units, height, width)
+        known = (stored.n_plane, low_side(cover.shape[0], 1), low_side(cover.shape[1], 1))
         layout = lay_out(units, (height, width), cover, known[-1], stored.together, stored.groups)
-        if not units:
-            return values, np.zeros(0, np.int32), layout
-        streams = [stored.read(self._body, t) for t in stored.numbers(self._units, chosen)]
+        numbers = stored.numbers(self._units, chosen)
+        streams = [stored.read(self._body, t) for t in numbers]
         places, tables = place_units(units, window, level), default_tables()
         fault_t = decode_streams(
             self._device, layout, places, streams, tables, values, known, weight_jc, stored.coarse_jl
         )
-        return values, fault_t, layout
+        return [(chosen[layout.part_t4[at, 0]], numbers[at]) for at in np.flatnonzero(fault_t)]
+
+    def _rows_of_precincts(self, chosen: list[int]) -> list[list[int]]:
+        """Return units apart by rows of precincts, from coarse to fine: what contexts know of others is within one."""
+        if self._stored.together:
+            return [chosen] if chosen else []
+        rows: dict[int, list[int]] = {}
+        for t in chosen:
+            unit = self._units[t]
+            rows.setdefault((unit.row << (unit.level or LEVELS)) // PRECINCT, []).append(t)
+        return [rows[row] for row in sorted(rows)]
 
     def _needed(self, region: Region) -> list[int]:
         """Return the numbers of the units that a region's samples hang on."""

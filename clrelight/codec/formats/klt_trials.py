@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.unit_streams import Coded
-from clrelight.codec.entropy.units import Layout, Tile, Window
+from clrelight.codec.entropy.units import Layout, Tile, Window, lay_out, list_units
 from clrelight.codec.transforms.principal import Axes
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
@@ -48,6 +48,15 @@ class Part:
     row: int
     height: int
     width: int
+
+    @classmethod
+    def of(cls, values: DeviceArray, window: Window, tile: Tile | None, sides: tuple[int, int], together: bool) -> Part:
+        """Return what of a window's values is a tile of an image of some sides; without one it is a map of its own."""
+        middle, here, units = (window.top + window.bottom) // 2, window, [] if tile is None else tile.units
+        if tile is None:
+            sides, here, units = window.shape, Window(0, 0, *window.shape), list_units(*window.shape)
+        layout = lay_out(units, sides, here, values.shape[2], together, [(0, values.shape[0])])
+        return cls(values, layout, middle, *window.shape)
 
     def energy(self, count: int, device: Device) -> NDArray[np.float64]:
         """Return the sums of squares of the first planes."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clrelight import recycling
 from clrelight.bases import SH, basis_of
 from clrelight.codec.finite import check_sums
-from clrelight.codec.slabs import slabs
+from clrelight.codec.slabs import CACHED_BYTES, slabs
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.whitening import reshaped
 from clrelight.conventions import linear_to_srgb
@@ -109,8 +109,8 @@ def _through(coeffs_khwc: NDArray[np.float32], device: Device, basis: str, *, de
     synthesis, analysis = (pack_operator(device, matrix) for matrix in node_matrices(len(coeffs_khwc), basis))
     source_kp = coeffs_khwc.reshape(len(coeffs_khwc), -1)
     result_kp = recycling.empty(source_kp.shape, np.float32)
-    for columns in slabs(source_kp.shape[1], 4 * synthesis.shape[0]):
-        held = device.hold(np.array(source_kp[:, columns]))
+    for columns in slabs(source_kp.shape[1], 4 * synthesis.shape[0], CACHED_BYTES):
+        held = device.hold(recycling.copied(source_kp[:, columns]))
         shown = device.empty((synthesis.shape[0], held.shape[1]), np.float32)
         apply_operator(device, synthesis, held, shown)
         bend(shown, device, decode=decode)

@@ -22,6 +22,8 @@ from clrelight.streaming import Buffer
 from clrelight.tiles import Span
 
 _DEPTH = 64
+_ROWS = 32
+"""That are taken together where it makes no difference to reading."""
 
 
 class Pixels:
@@ -41,6 +43,7 @@ class Pixels:
         self.shape, self.device, self.transfer, self.basis = source.shape, source.device, transfer, source.basis
         self._source = source
         self._buffers: dict[str, Buffer] = defaultdict(Buffer)
+        self._way: tuple[NDArray[np.float64], _Way] | None = None
 
     def coefficients(self, rows: Span, columns: Span) -> NDArray[np.float32]:
         """Return what is coded, (n_coeff, rows, columns, channel); the next call may overwrite it."""
@@ -56,32 +59,41 @@ class Pixels:
         return coeffs_khwc
 
     def planes(self, rows: Span, columns: Span, planes: Planes, *, lent: bool = False) -> DeviceArray:
-        """Return planes of a part of the image, (n_plane, height, padded width), in the order of the matrix.
+        """Queue and return planes of a part of the image, (n_plane, height, padded width), in the order of the matrix.
 
-        Where they are `lent`, the next that are lie in the same memory.
+        Where they are `lent`, the next that are lie in the same memory. The device may be computing them still, while
+        the caller reads what the next are made of.
         """
-        operator_jq, offset_j = planes
-        n_coeff, channel, device = self.shape[0], self.shape[3], self.device
-        linear = self._source.linear
-        chain = _Chain(linear, self.basis, self.transfer, operator_jq.reshape(-1, n_coeff, channel))
-        width = columns[1] - columns[0]
-        shape = (len(offset_j), rows[1] - rows[0], padded_width(width))
-        made = self._lend("planes", shape) if lent else device.empty(shape, np.float32)
-        fused = None if linear is None else _Fused.of(chain, linear, self._source.sample_type, device)
-        if fused is not None:
-            fused.run(made, self._source, rows, columns, offset_j)
-            return made
-        first = None if chain.first is None else pack_operator(device, chain.first)
-        last = pack_operator(device, chain.last.reshape(len(offset_j), -1))
-        offset = device.upload(offset_j.astype(np.float32))
-        row_bytes = 4 * width * (2 * chain.last.shape[1] * channel + len(offset_j))
+        shape = (len(planes[1]), rows[1] - rows[0], padded_width(columns[1] - columns[0]))
+        made = self.lend("planes", shape) if lent else self.device.empty(shape, np.float32)
+        self.fill(made, rows, columns, planes)
+        return made
+
+    def fill(self, made: DeviceArray, rows: Span, columns: Span, planes: Planes) -> None:
+        """Queue planes of a part of the image, into the first rows of `made`."""
+        way = self._way_to(planes)
+        if way.fused is not None:
+            way.fused.run(made, self._source, rows, columns)
+            return
+        width, linear = columns[1] - columns[0], self._source.linear
+        row_bytes = 4 * width * (2 * way.n_value + made.shape[0])
         step, curve = max(SLAB_BYTES // row_bytes, 1), SampleCurve() if linear is None else linear.curve
         for top in range(*rows, step):
             piece = (top, min(top + step, rows[1]))
             held = self._read(piece, columns) if linear is None else self._source.read_samples(piece, columns)
-            values = self._values(np.ascontiguousarray(held), first, curve)
-            self._place(made, values, (held.shape[1], width), last, offset, top - rows[0])
-        return made
+            values = self._values(np.ascontiguousarray(held), way.first, curve)
+            self._place(made, values, (held.shape[1], width), way, top - rows[0])
+
+    def rows_at_once(self, columns: Span, planes: Planes) -> int:
+        """Return the rows of a part of the image that are read together."""
+        fused = self._way_to(planes).fused
+        return _ROWS if fused is None else fused.rows_at_once(columns[1] - columns[0], self.shape[3])
+
+    def _way_to(self, planes: Planes) -> _Way:
+        """Return what leads to planes; kept for the next part of the same ones."""
+        if self._way is None or self._way[0] is not planes[0]:
+            self._way = planes[0], _Way.of(self._source, self.transfer, planes)
+        return self._way[1]
 
     def _read(self, rows: Span, columns: Span) -> NDArray[np.float32]:
         coeffs_khwc = self._source.read_part(rows, columns)
@@ -93,7 +105,7 @@ class Pixels:
         source = self.device.upload(held.reshape(len(held), -1))
         if first is None:
             return source
-        values = self._lend("values", (first.shape[0], source.shape[1]))
+        values = self.lend("values", (first.shape[0], source.shape[1]))
         apply_operator(self.device, first, source, values, curve=curve)
         if self.transfer == "srgb":
             bend(values, self.device, decode=False)
@@ -104,30 +116,33 @@ class Pixels:
         made: DeviceArray,
         values: DeviceArray,
         shape: tuple[int, int],
-        last: PackedOperator,
-        offset: DeviceArray,
+        way: _Way,
         first_row: int,
     ) -> None:
         """Queue the planes of some rows, and wait: what they are made of is read into again."""
         device, (height, width), (count, _, pitch) = self.device, shape, made.shape
         channel = self.shape[3]
-        split = self._lend("split", (values.shape[0] * channel, height, pitch))
+        split = self.lend("split", (values.shape[0] * channel, height, pitch))
         split_planes(reshaped(values, (values.shape[0], height, width, channel)), split, device)
         flat = height * pitch
-        part = self._lend("part", (count, flat))
-        apply_operator(device, last, reshaped(split, (split.shape[0], flat)), part)
+        part = self.lend("part", (count, flat))
+        apply_operator(device, way.last, reshaped(split, (split.shape[0], flat)), part)
         device.launch(
             "codec/units_encode.cl",
             "place_planes",
             (height, count),
-            *(made, part, offset, first_row, flat, *made.shape[1:], width),
+            *(made, part, way.offset, first_row, flat, *made.shape[1:], width),
         )
         device.finish()
 
-    def _lend(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
-        """Return memory that pieces share: what is new costs a page fault for every 4 KiB."""
+    def lend(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
+        """Return memory under a name, the same for all that ask: what is new costs a page fault for every 4 KiB."""
         host = self._buffers[name].lend(shape, np.float32) if self.device.shares_memory else None
         return self.device.empty(shape, np.float32, host)
+
+    def forget(self) -> None:
+        """Let go of what was lent, for work that needs little of it."""
+        self._buffers.clear()
 
 
 class _Chain:
@@ -159,38 +174,71 @@ class _Chain:
 
 
 @dataclass(frozen=True)
+class _Way:
+    """The matrices of planes on a device: all in one kernel, or one after another."""
+
+    n_value: int
+    first: PackedOperator | None
+    last: PackedOperator
+    offset: DeviceArray
+    fused: _Fused | None
+
+    @classmethod
+    def of(cls, source: Source, transfer: str, planes: Planes) -> _Way:
+        """Return what leads from a source to planes."""
+        (operator_jq, offset_j), device, linear = planes, source.device, source.linear
+        n_coeff, channel = source.shape[0], source.shape[3]
+        chain = _Chain(linear, source.basis, transfer, operator_jq.reshape(-1, n_coeff, channel))
+        return cls(
+            chain.last.shape[1] * channel,
+            None if chain.first is None else pack_operator(device, chain.first),
+            pack_operator(device, chain.last.reshape(len(offset_j), -1)),
+            device.upload(offset_j.astype(np.float32)),
+            None if linear is None else _Fused.of(chain, linear, source.sample_type, offset_j, device),
+        )
+
+
+@dataclass(frozen=True)
 class _Fused:
     """One kernel from samples to planes, whose values on their way stay in a CPU's cache."""
 
-    chain: _Chain
+    first: PackedOperator
+    last: PackedOperator
+    table: DeviceArray
+    offset: DeviceArray
     linear: Linear
+    sample_type: np.dtype
     device: Device
     tile: int
+    bends: bool
 
     @classmethod
-    def of(cls, chain: _Chain, linear: Linear, dtype: np.dtype, device: Device) -> _Fused | None:
+    def of(
+        cls, chain: _Chain, linear: Linear, dtype: np.dtype, offset_j: NDArray[np.float64], device: Device
+    ) -> _Fused | None:
         """Return the kernel for a chain; None where a device or a type has none, or no tile is small enough."""
-        if device.style != "cpu" or not np.issubdtype(dtype, np.integer):
+        if device.style != "cpu" or not np.issubdtype(dtype, np.integer) or chain.first is None:
             return None
         values = math.prod(chain.last.shape[1:])
         least = 2 * device.info.lanes
         for tile in (256, 128, 64, 32, 16, 8):
             if tile >= least and 4 * tile * (values + _chunk(linear) + 8) <= device.info.local_memory_bytes // 2:
-                return cls(chain, linear, device, tile)
+                last_jcn = np.ascontiguousarray(chain.last.transpose(0, 2, 1)).reshape(len(chain.last), -1)
+                packed = pack_operator(device, chain.first), pack_operator(device, last_jcn)
+                table, offset = device.upload(linear.curve.table(dtype)), device.upload(offset_j.astype(np.float32))
+                return cls(*packed, table, offset, linear, dtype, device, tile, chain.bends)
         return None
 
-    def run(self, made: DeviceArray, source: Source, rows: Span, columns: Span, offset_j: NDArray[np.float64]) -> None:
-        """Fill planes; the next samples are read while the device computes."""
-        device, curve, first = self.device, self.linear.curve, self.chain.first
-        if first is None:
-            raise TypeError("a linear source has a first matrix")
-        last_jcn = np.ascontiguousarray(self.chain.last.transpose(0, 2, 1))
-        width, channel = columns[1] - columns[0], last_jcn.shape[1]
-        packed = pack_operator(device, first), pack_operator(device, last_jcn.reshape(len(last_jcn), -1))
-        heights = [operator.heights_b for operator in packed if operator.heights_b is not None]
-        offset = device.upload(offset_j.astype(np.float32))
-        table = device.upload(curve.table(source.sample_type))
-        step = max(PIECE_BYTES // (first.shape[1] * width * channel * source.sample_type.itemsize), 1)
+    def rows_at_once(self, width: int, channel: int) -> int:
+        """Return the rows that are read while the device computes those before."""
+        return max(PIECE_BYTES // (self.first.shape[1] * width * channel * self.sample_type.itemsize), 1)
+
+    def run(self, made: DeviceArray, source: Source, rows: Span, columns: Span) -> None:
+        """Queue planes; the next samples are read while the device computes."""
+        device, curve, channel = self.device, self.linear.curve, source.shape[3]
+        width, room = columns[1] - columns[0], self.last.shape[1]
+        heights = [operator.heights_b for operator in (self.first, self.last) if operator.heights_b is not None]
+        step = self.rows_at_once(width, channel)
         for top in range(*rows, step):
             piece = (top, min(top + step, rows[1]))
             samples = source.read_samples(piece, columns)
@@ -200,21 +248,20 @@ class _Fused:
                 "codec/planes.cl",
                 "make_planes_jyx",
                 (-(-width // self.tile), piece[1] - piece[0]),
-                *(made, device.upload(held), packed[0].packed_o, heights[0], packed[1].packed_o, heights[1]),
-                *(table, offset, 1.0 / curve.peak, top - rows[0], first.shape[0], *made.shape, *held.shape),
-                *(heights[0].shape[0], heights[1].shape[0]),
+                *(made, device.upload(held), self.first.packed_o, heights[0], self.last.packed_o, heights[1]),
+                *(self.table, self.offset, 1.0 / curve.peak, top - rows[0], self.first.shape[0], *made.shape),
+                *(*held.shape, heights[0].shape[0], heights[1].shape[0]),
                 defines={
-                    **sample_defines(source.sample_type),
+                    **sample_defines(self.sample_type),
                     "VECTOR": device.info.lanes,
                     "TILE": self.tile,
                     "CHUNK": _chunk(self.linear),
                     "DEPTH": _DEPTH,
-                    "CURVE": curve.mode(source.sample_type),
-                    "BEND": int(self.chain.bends),
-                    "ROOM": last_jcn.shape[1] * last_jcn.shape[2],
+                    "CURVE": curve.mode(self.sample_type),
+                    "BEND": int(self.bends),
+                    "ROOM": room,
                 },
             )
-        device.finish()
 
 
 def _chunk(linear: Linear) -> int:
