@@ -21,6 +21,7 @@ from clrelight.harmonics.basis import evaluate_basis
 _LEAST_LAMBDA = {np.dtype(np.float64): 1e-15, np.dtype(np.float32): 1e-7}
 """Least lambda as a part of the largest sigma^2: the error of the image is below half its root times that of E_c."""
 _MORE_ACTIVE = 8
+_LEAST_JOINING, _DIRECTIONS_PER_JOINING = 4, 24
 _MOST_SCRATCH = 1 << 26
 _MOST_WORK = 1 << 33
 """Of one launch: rank² times active bounds times columns, some seconds of a core."""
@@ -159,15 +160,15 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     z_rq, count = columns.z_rq, columns.source_ip.shape[1]
     rank, padded = z_rq.shape
     real = np.dtype(np.float64 if device.info.float64 and columns.precision != SINGLE else np.float32)
-    wide_r, wide_j = -(-rank // 8) * 8, -(-len(plan.low_j) // 32) * 32
-    active = min(len(plan.low_j), rank + _MORE_ACTIVE)
-    scratch = active * (2 * active + wide_r + 5) + 3 * wide_r + wide_j
+    wide_r, wide_j = -(-rank // 8) * 8, -(-len(plan.low_j) // 64) * 64
+    active = -(-min(len(plan.low_j), rank + _MORE_ACTIVE) // 8) * 8
+    scratch = active * (2 * active + wide_r + 7) + 5 * wide_r + wide_j
     groups = padded // LANES
     items = min(groups, _ITEMS_PER_UNIT[device.style] * device.info.compute_units)
     items = max(1, min(items, _MOST_SCRATCH // (scratch * real.itemsize)))
     values = np.zeros((len(plan.low_j), wide_r), real)
     values[:, :rank] = plan.values_jr
-    across = np.zeros((rank, wide_j), real)
+    across = np.zeros((rank, wide_j), np.float32)
     across[:, : len(plan.low_j)] = plan.values_jr.T
     spare = (0, wide_j - len(plan.low_j))
     low_t, high_t = np.pad(plan.low_j, spare, constant_values=-1e30), np.pad(plan.high_j, spare, constant_values=1e30)
@@ -178,12 +179,13 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     arrays = [device.upload(array) for array in (unit_q, plan.singular_r.astype(real), values, across)]
     arrays += [device.upload(array.astype(real)) for array in (low_t, high_t)]
     room = device.empty((items, scratch), real)
-    numbers = float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2), plan.least_energy
+    numbers = float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2), plan.least_energy, float(np.linalg.norm(plan.values_jr, axis=1).max())
     defines = {
         "REAL_BITS": 8 * real.itemsize,
         "Z_BITS": 8 * z_rq.dtype.itemsize,
         "ROOM": private_room(rank),
-        "MAX_ACTIVE": active,
+        "WIDTH_A": active,
+        "JOINING": max(_LEAST_JOINING, len(plan.low_j) // _DIRECTIONS_PER_JOINING),
         "WIDTH_R": wide_r,
         "WIDTH_J": wide_j,
     }
