@@ -13,7 +13,7 @@ from clrelight.errors import InputError
 from clrelight.fit.cls import ConstrainedLeastSquares, check_energy_factor, plan_constrained
 from clrelight.fit.columns import LANES, private_room
 from clrelight.fit.plan import FitPlan, Lighting, is_sphere
-from clrelight.fit.precision import SINGLE
+from clrelight.fit.precision import DOUBLE, MIXED, SINGLE
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 from clrelight.fit.value_bounds import LARGEST_BOUND, Direction, as_places, bound_directions, least_energy, limits_of
 from clrelight.harmonics.basis import evaluate_basis
@@ -21,7 +21,10 @@ from clrelight.harmonics.basis import evaluate_basis
 _LEAST_LAMBDA = {np.dtype(np.float64): 1e-15, np.dtype(np.float32): 1e-7}
 """Least lambda as a part of the largest sigma^2: the error of the image is below half its root times that of E_c."""
 _MORE_ACTIVE = 8
-_LEAST_JOINING, _DIRECTIONS_PER_JOINING = 4, 24
+_SAME = 1e-6
+"""Of the largest singular value: what functions differ by less at the directions of bounds is nothing there."""
+_LEAST_JOINING, _FUNCTIONS_PER_JOINING = 2, 8
+"""Bounds that join a column's active set at a time: of more some leave again, with fewer it takes more steps."""
 _MOST_SCRATCH = 1 << 26
 _MOST_WORK = 1 << 33
 """Of one launch: rank² times active bounds times columns, some seconds of a core."""
@@ -105,8 +108,12 @@ class BoundedLeastSquares(FitMethod):
 
     @property
     def is_refined(self) -> bool:
-        """Mixed precision solves every column in float64, from components in float32."""
+        """Mixed precision solves every column in float64 (see `arithmetic`)."""
         return True
+
+    def arithmetic(self, precision: str, device: Device) -> str:
+        """Return double for mixed precision: what lights hardly see follows the last digits of every column."""
+        return DOUBLE if precision == MIXED and device.info.float64 else precision
 
     def note_precision(self, plan: FitPlan, precision: str) -> str | None:
         """Return how far bounds are kept where there is no float64."""
@@ -159,17 +166,18 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     """Launch ``fit/constrained.cl`` over all columns of a tile."""
     z_rq, count = columns.z_rq, columns.source_ip.shape[1]
     rank, padded = z_rq.shape
-    real = np.dtype(np.float64 if device.info.float64 and columns.precision != SINGLE else np.float32)
+    real = np.dtype(z_rq.dtype)
     wide_r, wide_j = -(-rank // 8) * 8, -(-len(plan.low_j) // 64) * 64
-    active = -(-min(len(plan.low_j), rank + _MORE_ACTIVE) // 8) * 8
+    different = int(np.linalg.matrix_rank(plan.values_jr, tol=_SAME * np.linalg.norm(plan.values_jr, 2)))
+    active = -(-min(len(plan.low_j), different + _MORE_ACTIVE) // 8) * 8
     scratch = active * (2 * active + wide_r + 7) + 5 * wide_r + wide_j
     groups = padded // LANES
     items = min(groups, _ITEMS_PER_UNIT[device.style] * device.info.compute_units)
     items = max(1, min(items, _MOST_SCRATCH // (scratch * real.itemsize)))
     values = np.zeros((len(plan.low_j), wide_r), real)
     values[:, :rank] = plan.values_jr
-    across = np.zeros((rank, wide_j), np.float32)
-    across[:, : len(plan.low_j)] = plan.values_jr.T
+    across = np.zeros((wide_r, wide_j), np.float32)
+    across[:rank, : len(plan.low_j)] = plan.values_jr.T
     spare = (0, wide_j - len(plan.low_j))
     low_t, high_t = np.pad(plan.low_j, spare, constant_values=-1e30), np.pad(plan.high_j, spare, constant_values=1e30)
     unit_q = np.ones(padded, real)
@@ -179,13 +187,13 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     arrays = [device.upload(array) for array in (unit_q, plan.singular_r.astype(real), values, across)]
     arrays += [device.upload(array.astype(real)) for array in (low_t, high_t)]
     room = device.empty((items, scratch), real)
-    numbers = float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2), plan.least_energy, float(np.linalg.norm(plan.values_jr, axis=1).max())
+    numbers = float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2), plan.least_energy, _value_rounding(plan)
     defines = {
         "REAL_BITS": 8 * real.itemsize,
         "Z_BITS": 8 * z_rq.dtype.itemsize,
         "ROOM": private_room(rank),
         "WIDTH_A": active,
-        "JOINING": max(_LEAST_JOINING, len(plan.low_j) // _DIRECTIONS_PER_JOINING),
+        "JOINING": max(_LEAST_JOINING, different // _FUNCTIONS_PER_JOINING),
         "WIDTH_R": wide_r,
         "WIDTH_J": wide_j,
     }
@@ -201,6 +209,12 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
             defines=defines,
         )
     return Shrunk(lambda_q, unmet_q=unmet_q)
+
+
+def _value_rounding(plan: BoundedPlan) -> float:
+    """Return the error of a value that is summed in float32, for coefficients of norm 1: eps32 / 2 for each product."""
+    longest = float(np.linalg.norm(plan.values_jr, axis=1).max())
+    return 0.5 * float(np.finfo(np.float32).eps) * (len(plan.singular_r) + 4) * longest
 
 
 def _within(lower: float | None, upper: float | None) -> str:

@@ -8,12 +8,12 @@
  *   unit_q       (Q) REAL        radiance 1 in the units of the samples
  *   singular_r   (R) REAL        sigma; 0 for what no light sees
  *   rows_js         (J, S) REAL      values at the directions of the eigenbasis, zeros beyond R
- *   across_rt         (R, T) float     the same, zeros beyond J
+ *   across_st         (S, T) float     the same, zeros beyond R and J
  *   low_t, high_t  (T) REAL      in units of radiance; +-1e30 for none, and beyond J
  *   scratch_wn   (work-items, SCRATCH) REAL
  *   least        REAL            what lambda is at least: it takes the least energy of what is equally near
  *   least_energy REAL            of any t that meets the bounds, in units of radiance^2
- *   longest      float           of the rows: |g_j|
+ *   doubt        float           error of a value that is summed in float, in sqrt(E)
  *
  *   Z_BITS       32 or 64, the type of z
  *   ROOM         components that there is memory for, at least R
@@ -55,7 +55,7 @@ INLINE lanes search_lambda(const lanes *b, __global const REAL *singular_r, cons
     norm = root(norm) * inverse_root - singular_r[0] * singular_r[0];
     lambda = GREATER(norm, lambda);
     for (int k = 0; k < CLS_STEPS; k++) {
-        lanes f = 0.0f, slope = FLT_MIN;
+        lanes f = 0.0f, slope = TINY;
         for (int r = 0; r < size_r; r++) {
             const lanes inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
             const lanes t = b[r] * inverse;
@@ -74,10 +74,10 @@ INLINE lanes search_lambda(const lanes *b, __global const REAL *singular_r, cons
 __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict lambda_q,
                              __global int *restrict unmet_q, __global const Z *restrict energy_q,
                              __global const REAL *restrict unit_q, __global const REAL *restrict singular_r,
-                             __global const REAL *restrict rows_js, __global const float *restrict across_rt,
+                             __global const REAL *restrict rows_js, __global const float *restrict across_st,
                              __global const REAL *restrict low_t, __global const REAL *restrict high_t,
                              __global REAL *restrict scratch_wn, const REAL least, const REAL least_energy,
-                             const float longest,
+                             const float doubt,
                              const int first, const int end, const int size_j, const int size_r, const int size_q)
 {
     __global REAL *scratch = scratch_wn + (long)get_global_id(0) * SCRATCH;
@@ -87,7 +87,7 @@ __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict
                       (__global float *)(column + 4 * WIDTH_R), (__global float *)(column + 5 * WIDTH_R),
                       small, small + WIDTH_A, small + 2 * WIDTH_A, small + 3 * WIDTH_A, small + 4 * WIDTH_A,
                       small + 5 * WIDTH_A, small + 6 * WIDTH_A,
-                      rows_js, across_rt, low_t, high_t, 1.0f, longest, 0, size_j, size_r};
+                      rows_js, across_st, low_t, high_t, 1.0f, 1.0f, doubt, 0, size_j, size_r};
     for (int n = 0; n < 5 * WIDTH_R + WIDTH_J; n++) column[n] = 0.0f;
     for (int group = first + get_global_id(0); group < end; group += get_global_size(0)) {
         const int q = group * LANES;
@@ -95,7 +95,7 @@ __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict
         for (int r = 0; r < size_r; r++)
             b[r] = singular_r[r] * CONVERT(AT(__global const, z8, z_rq + (long)r * size_q + q), lanes);
         const lanes given = CONVERT(AT(__global const, z8, energy_q + q), lanes);
-        const lanes energy = GREATER(given, (lanes)FLT_MIN); /* of black columns any positive bound will do */
+        const lanes energy = GREATER(given, (lanes)TINY); /* of black columns any positive bound will do */
         lanes lambda = search_lambda(b, singular_r, size_r, energy, least);
         int unmet[LANES];
         for (int lane = 0; lane < LANES; lane++) {
