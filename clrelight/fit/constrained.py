@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -17,14 +18,13 @@ from clrelight.fit.precision import DOUBLE, MIXED, SINGLE
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 from clrelight.fit.value_bounds import LARGEST_BOUND, Direction, as_places, bound_directions, least_energy, limits_of
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.threads import on_one_thread
 
 _LEAST_LAMBDA = {np.dtype(np.float64): 1e-15, np.dtype(np.float32): 1e-7}
 """Least lambda as a part of the largest sigma^2: the error of the image is below half its root times that of E_c."""
 _MORE_ACTIVE = 8
 _SAME = 1e-6
 """Of the largest singular value: what functions differ by less at the directions of bounds is nothing there."""
-_LEAST_JOINING, _FUNCTIONS_PER_JOINING = 2, 8
-"""Bounds that join a column's active set at a time: of more some leave again, with fewer it takes more steps."""
 _MOST_SCRATCH = 1 << 26
 _MOST_WORK = 1 << 33
 """Of one launch: rank² times active bounds times columns, some seconds of a core."""
@@ -42,12 +42,15 @@ class BoundedPlan(FitPlan):
     low_j, high_j : ndarray, shape (n_direction,), float64
     least_energy : float
         Of any function that meets the bounds.
+    different : int
+        How many functions of this degree differ at the directions.
     """
 
     values_jr: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     low_j: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     high_j: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     least_energy: float = 0.0
+    different: int = 1
 
 
 @register
@@ -143,6 +146,7 @@ class BoundedLeastSquares(FitMethod):
             low_j=low_j,
             high_j=high_j,
             least_energy=least,
+            different=_count_different(values_jr),
         )
 
     def shrink(self, device: Device, plan: FitPlan, columns: Columns) -> Shrunk:
@@ -168,8 +172,7 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     rank, padded = z_rq.shape
     real = np.dtype(z_rq.dtype)
     wide_r, wide_j = -(-rank // 8) * 8, -(-len(plan.low_j) // 64) * 64
-    different = int(np.linalg.matrix_rank(plan.values_jr, tol=_SAME * np.linalg.norm(plan.values_jr, 2)))
-    active = -(-min(len(plan.low_j), different + _MORE_ACTIVE) // 8) * 8
+    active = -(-min(len(plan.low_j), plan.different + _MORE_ACTIVE) // 8) * 8
     scratch = active * (2 * active + wide_r + 7) + 5 * wide_r + wide_j
     groups = padded // LANES
     items = min(groups, _ITEMS_PER_UNIT[device.style] * device.info.compute_units)
@@ -193,7 +196,7 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
         "Z_BITS": 8 * z_rq.dtype.itemsize,
         "ROOM": private_room(rank),
         "WIDTH_A": active,
-        "JOINING": max(_LEAST_JOINING, different // _FUNCTIONS_PER_JOINING),
+        "JOINING": max(1, math.isqrt(plan.different)),
         "WIDTH_R": wide_r,
         "WIDTH_J": wide_j,
     }
@@ -209,6 +212,14 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
             defines=defines,
         )
     return Shrunk(lambda_q, unmet_q=unmet_q)
+
+
+def _count_different(values_jr: NDArray[np.float64]) -> int:
+    """Return the rank of the values."""
+    thin = values_jr if len(values_jr) < values_jr.shape[1] else values_jr.T
+    with on_one_thread():
+        squares = np.linalg.eigvalsh(thin @ thin.T)
+    return int(np.count_nonzero(squares > _SAME**2 * squares[-1]))
 
 
 def _value_rounding(plan: BoundedPlan) -> float:
