@@ -20,9 +20,13 @@ from clrelight.fit.value_bounds import LARGEST_BOUND, Direction, as_places, boun
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.threads import on_one_thread
 
+MOST_DEGREE = 20
+"""A column of degree 20 takes some 2 ms, one of 25 more than ten times that, and some are not solved at all."""
 _LEAST_LAMBDA = {np.dtype(np.float64): 1e-15, np.dtype(np.float32): 1e-7}
 """Least lambda as a part of the largest sigma^2: the error of the image is below half its root times that of E_c."""
 _MORE_ACTIVE = 8
+_FAST_STEPS = 200
+"""After so many lambda goes on in a bracket, which takes many times as long and ends for certain."""
 _SAME = 1e-6
 """Of the largest singular value: what functions differ by less at the directions of bounds is nothing there."""
 _MOST_SCRATCH = 1 << 26
@@ -125,7 +129,12 @@ class BoundedLeastSquares(FitMethod):
         return "constrained: single precision keeps bounds on values to some 1e-5 of a pixel's brightness only"
 
     def plan(self, lighting: Lighting, degree: int) -> BoundedPlan:
-        """Return the matrices; InputError where no function of this degree meets the bounds."""
+        """Return the matrices; InputError where no function of this degree meets the bounds, or it is too high."""
+        if degree > MOST_DEGREE:
+            raise InputError(
+                f"constrained takes degrees to {MOST_DEGREE}, got {degree}: above, a pixel takes tens of milliseconds, "
+                "and rounding decides which bounds hold; take a lower degree, or cls or spline without bounds on values"
+            )
         plan = plan_constrained(lighting, degree, self.energy, complete=True)
         if plan.synthesis_kr is None:
             raise ValueError("expected a least-squares plan, got one without a synthesis")
@@ -196,6 +205,7 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
         "Z_BITS": 8 * z_rq.dtype.itemsize,
         "ROOM": private_room(rank),
         "WIDTH_A": active,
+        "FAST_STEPS": _FAST_STEPS,
         "JOINING": max(1, math.isqrt(plan.different)),
         "WIDTH_R": wide_r,
         "WIDTH_J": wide_j,
