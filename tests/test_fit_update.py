@@ -96,7 +96,7 @@ def test_spline_notes_that_its_lambda_stays(device):
 @pytest.mark.parametrize("method", ["cls", "ceb", "spectrum", "project", "constrained"])
 def test_other_methods_are_refused(device, method):
     stack = shuffled_stack(shape_hwc=(1, 5, 3))
-    with pytest.raises(InputError, match=f"a fit by {method} which does not keep .* uls, sloan, spline, which can"):
+    with pytest.raises(InputError, match=f"a fit by {method}, which does not keep .* uls, sloan, spline, which can"):
         update_fit(fit(stack.select(OLD), method, 2), stack.select(NEW))
 
 
