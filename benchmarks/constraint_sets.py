@@ -33,8 +33,6 @@ BEGIN, END = "<!-- constraint sets -->", "<!-- /constraint sets -->"
 DEGREE, LIGHTS = 6, 256
 CERTAIN = 1e-9
 """The solver's answer counts where it meets the optimality conditions to this, in units of sqrt(E_c)."""
-MIXED_FACTOR = 20.0
-"""Of the limit on coefficients in mixed precision: what lights hardly see follows the float32 components there."""
 LIMITS = {"coefficients": 1e-6, "energy": 1e-5, "values": 1e-6, "time": 20.0}
 SETS: dict[str, dict[str, Any]] = {
     "not negative, grid of 98": {"lower": 0.0, "at": "grid"},
@@ -82,10 +80,7 @@ def _compared(columns: int) -> tuple[str, bool]:
     for name in SETS:
         for precision in ("double", "mixed"):
             found = compare(columns, name, precision)
-            limit = LIMITS["coefficients"] * (1.0 if precision == "double" else MIXED_FACTOR)
-            holds = (
-                found.coefficients <= limit and found.energy <= LIMITS["energy"] and found.values <= LIMITS["values"]
-            )
+            holds = all(getattr(found, each) <= LIMITS[each] for each in ("coefficients", "energy", "values"))
             kept &= holds
             shown = (found.coefficients, found.image, found.energy, found.values)
             cells = [name, precision, f"{found.certain} of {found.columns}", *(f"{value:.1e}" for value in shown)]

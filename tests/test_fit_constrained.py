@@ -52,15 +52,46 @@ def compare(stack, fitted, at_j3, *, lower=None, upper=None, energy=1.0, toleran
 
 
 @pytest.mark.parametrize("degree", [1, 4, 6])
-@pytest.mark.parametrize(("precision", "tolerance"), [("double", 1e-6), ("mixed", 2e-5)])
-def test_against_a_solver_of_cone_programmes(device, degree, precision, tolerance):
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+def test_against_a_solver_of_cone_programmes(device, degree, precision):
     stack = make_stack(shape_hwc=(1, 11, 3))
     fitted = fit(stack, "constrained", degree, precision=precision)
-    assert compare(stack, fitted, grid_of(degree), lower=0.0, tolerance=tolerance) >= 30
+    assert compare(stack, fitted, grid_of(degree), lower=0.0) >= 30
     assert values_at(fitted, grid_of(degree)).min() > -1e-6
     if degree > 1:
         plain = fit(stack, "cls", degree)
         assert np.mean((values_at(plain, grid_of(degree)) < -1e-4).any(axis=0)) > 0.3
+
+
+def test_rows_that_depend_on_each_other(device):
+    """On the horizon 13 functions differ at 52 directions: rows that leave together come back, and go in circles."""
+    stack = make_stack(n_light=90, shape_hwc=(1, 12, 3))
+    at_j3 = bound_directions("ring", 6, stack.directions_i3, sphere=False)
+    fitted = fit(stack, "constrained", 6, at="ring")
+    assert compare(stack, fitted, at_j3, lower=0.0) >= 30
+    assert values_at(fitted, at_j3).min() > -1e-6
+
+
+@pytest.mark.parametrize("steps", [0, 2])
+def test_what_does_not_end_at_once_is_solved_in_a_bracket(device, monkeypatch, steps):
+    monkeypatch.setattr(constrained, "_FAST_STEPS", steps)
+    stack = make_stack(shape_hwc=(1, 7, 3))
+    fitted = fit(stack, "constrained", 4)
+    assert compare(stack, fitted, grid_of(4), lower=0.0) >= 18
+
+
+def test_a_degree_above_what_it_solves_is_refused(device):
+    with pytest.raises(InputError, match=r"constrained takes degrees to 20, got 21: .* lower degree, or cls"):
+        fit(make_stack(shape_hwc=(1, 3, 3)), "constrained", 21)
+
+
+def test_functions_that_no_light_sees_are_bounded_too(device):
+    """144 coefficients of 40 lights: the energy hardly binds, and lambda is many decades below sigma^2."""
+    stack = make_stack(n_light=40, shape_hwc=(1, 5, 3))
+    fitted = fit(stack, "constrained", 11, energy=2.0)
+    assert values_at(fitted, grid_of(11)).min() > -1e-6
+    energy_p = 2.0 * reference.bound(samples_of(stack), np.ones(stack.n_light))
+    assert (np.sum(columns_of(fitted) ** 2, axis=0) <= energy_p * (1 + 1e-5) + 1e-30).all()
 
 
 def test_both_bounds_on_the_horizon(device):
@@ -97,7 +128,7 @@ def test_styles_agree_with_float64(style, monkeypatch):
 
     stack = make_stack(shape_hwc=(1, 5, 3))
     fitted = fit(stack, "constrained", 4, device=open_device(style=style))
-    assert compare(stack, fitted, grid_of(4), lower=0.0, tolerance=2e-5) >= 13
+    assert compare(stack, fitted, grid_of(4), lower=0.0) >= 13
 
 
 def test_what_meets_its_bounds_is_cls(device):

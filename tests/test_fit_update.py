@@ -93,10 +93,10 @@ def test_spline_notes_that_its_lambda_stays(device):
     assert grown.config["lam"] == old.config["lam"]
 
 
-@pytest.mark.parametrize("method", ["cls", "ceb", "spectrum", "project"])
+@pytest.mark.parametrize("method", ["cls", "ceb", "spectrum", "project", "constrained"])
 def test_other_methods_are_refused(device, method):
     stack = shuffled_stack(shape_hwc=(1, 5, 3))
-    with pytest.raises(InputError, match=f"a fit by {method} does not keep .* uls, sloan, spline do"):
+    with pytest.raises(InputError, match=f"a fit by {method}, which does not keep .* uls, sloan, spline, which can"):
         update_fit(fit(stack.select(OLD), method, 2), stack.select(NEW))
 
 

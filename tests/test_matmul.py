@@ -244,6 +244,7 @@ def test_row_blocks():
             assert max(blocks) - min(blocks) <= 1
             assert len(blocks) == -(-rows // widest)
     assert [pad_columns(p) for p in (1, 15, 16, 17)] == [16, 16, 16, 32]
+    assert [pad_columns(p) for p in (240, 241, 256, 257, 1 << 15)] == [240, 272, 272, 272, (1 << 15) + 16]
 
 
 def test_tilings_hold_all_rows_in_one_group_s_reach():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -13,14 +14,21 @@ from clrelight.errors import InputError
 from clrelight.fit.cls import ConstrainedLeastSquares, check_energy_factor, plan_constrained
 from clrelight.fit.columns import LANES, private_room
 from clrelight.fit.plan import FitPlan, Lighting, is_sphere
-from clrelight.fit.precision import SINGLE
+from clrelight.fit.precision import DOUBLE, MIXED, SINGLE
 from clrelight.fit.registry import Columns, FitMethod, Shrunk, register
 from clrelight.fit.value_bounds import LARGEST_BOUND, Direction, as_places, bound_directions, least_energy, limits_of
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.threads import on_one_thread
 
+MOST_DEGREE = 20
+"""A column of degree 20 takes some 2 ms, one of 25 more than ten times that, and some are not solved at all."""
 _LEAST_LAMBDA = {np.dtype(np.float64): 1e-15, np.dtype(np.float32): 1e-7}
 """Least lambda as a part of the largest sigma^2: the error of the image is below half its root times that of E_c."""
 _MORE_ACTIVE = 8
+_FAST_STEPS = 200
+"""After so many lambda goes on in a bracket, which takes many times as long and ends for certain."""
+_SAME = 1e-6
+"""Of the largest singular value: what functions differ by less at the directions of bounds is nothing there."""
 _MOST_SCRATCH = 1 << 26
 _MOST_WORK = 1 << 33
 """Of one launch: rank² times active bounds times columns, some seconds of a core."""
@@ -38,12 +46,15 @@ class BoundedPlan(FitPlan):
     low_j, high_j : ndarray, shape (n_direction,), float64
     least_energy : float
         Of any function that meets the bounds.
+    different : int
+        How many functions of this degree differ at the directions.
     """
 
     values_jr: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     low_j: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     high_j: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     least_energy: float = 0.0
+    different: int = 1
 
 
 @register
@@ -105,8 +116,12 @@ class BoundedLeastSquares(FitMethod):
 
     @property
     def is_refined(self) -> bool:
-        """Mixed precision solves every column in float64, from components in float32."""
+        """Mixed precision solves every column in float64 (see `arithmetic`)."""
         return True
+
+    def arithmetic(self, precision: str, device: Device) -> str:
+        """Return double for mixed precision: what lights hardly see follows the last digits of every column."""
+        return DOUBLE if precision == MIXED and device.info.float64 else precision
 
     def note_precision(self, plan: FitPlan, precision: str) -> str | None:
         """Return how far bounds are kept where there is no float64."""
@@ -115,7 +130,12 @@ class BoundedLeastSquares(FitMethod):
         return "constrained: single precision keeps bounds on values to some 1e-5 of a pixel's brightness only"
 
     def plan(self, lighting: Lighting, degree: int) -> BoundedPlan:
-        """Return the matrices; InputError where no function of this degree meets the bounds."""
+        """Return the matrices; InputError where no function of this degree meets the bounds, or it is too high."""
+        if degree > MOST_DEGREE:
+            raise InputError(
+                f"constrained takes degrees to {MOST_DEGREE}, got {degree}: above, a pixel takes tens of milliseconds, "
+                "and rounding decides which bounds hold; take a lower degree, or cls or spline without bounds on values"
+            )
         plan = plan_constrained(lighting, degree, self.energy, complete=True)
         if plan.synthesis_kr is None:
             raise ValueError("expected a least-squares plan, got one without a synthesis")
@@ -136,6 +156,7 @@ class BoundedLeastSquares(FitMethod):
             low_j=low_j,
             high_j=high_j,
             least_energy=least,
+            different=_count_different(values_jr),
         )
 
     def shrink(self, device: Device, plan: FitPlan, columns: Columns) -> Shrunk:
@@ -159,17 +180,17 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     """Launch ``fit/constrained.cl`` over all columns of a tile."""
     z_rq, count = columns.z_rq, columns.source_ip.shape[1]
     rank, padded = z_rq.shape
-    real = np.dtype(np.float64 if device.info.float64 and columns.precision != SINGLE else np.float32)
-    wide_r, wide_j = -(-rank // 8) * 8, -(-len(plan.low_j) // 32) * 32
-    active = min(len(plan.low_j), rank + _MORE_ACTIVE)
-    scratch = active * (2 * active + wide_r + 5) + 3 * wide_r + wide_j
+    real = np.dtype(z_rq.dtype)
+    wide_r, wide_j = -(-rank // 8) * 8, -(-len(plan.low_j) // 64) * 64
+    active = -(-min(len(plan.low_j), plan.different + _MORE_ACTIVE) // 8) * 8
+    scratch = active * (2 * active + wide_r + 7) + 5 * wide_r + wide_j
     groups = padded // LANES
     items = min(groups, _ITEMS_PER_UNIT[device.style] * device.info.compute_units)
     items = max(1, min(items, _MOST_SCRATCH // (scratch * real.itemsize)))
     values = np.zeros((len(plan.low_j), wide_r), real)
     values[:, :rank] = plan.values_jr
-    across = np.zeros((rank, wide_j), real)
-    across[:, : len(plan.low_j)] = plan.values_jr.T
+    across = np.zeros((wide_r, wide_j), np.float32)
+    across[:rank, : len(plan.low_j)] = plan.values_jr.T
     spare = (0, wide_j - len(plan.low_j))
     low_t, high_t = np.pad(plan.low_j, spare, constant_values=-1e30), np.pad(plan.high_j, spare, constant_values=1e30)
     unit_q = np.ones(padded, real)
@@ -179,12 +200,14 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     arrays = [device.upload(array) for array in (unit_q, plan.singular_r.astype(real), values, across)]
     arrays += [device.upload(array.astype(real)) for array in (low_t, high_t)]
     room = device.empty((items, scratch), real)
-    numbers = float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2), plan.least_energy
+    numbers = float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2), plan.least_energy, _value_rounding(plan)
     defines = {
         "REAL_BITS": 8 * real.itemsize,
         "Z_BITS": 8 * z_rq.dtype.itemsize,
         "ROOM": private_room(rank),
-        "MAX_ACTIVE": active,
+        "WIDTH_A": active,
+        "FAST_STEPS": _FAST_STEPS,
+        "JOINING": max(1, math.isqrt(plan.different)),
         "WIDTH_R": wide_r,
         "WIDTH_J": wide_j,
     }
@@ -200,6 +223,20 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
             defines=defines,
         )
     return Shrunk(lambda_q, unmet_q=unmet_q)
+
+
+def _count_different(values_jr: NDArray[np.float64]) -> int:
+    """Return the rank of the values."""
+    thin = values_jr if len(values_jr) < values_jr.shape[1] else values_jr.T
+    with on_one_thread():
+        squares = np.linalg.eigvalsh(thin @ thin.T)
+    return int(np.count_nonzero(squares > _SAME**2 * squares[-1]))
+
+
+def _value_rounding(plan: BoundedPlan) -> float:
+    """Return the error of a value that is summed in float32, for coefficients of norm 1: eps32 / 2 for each product."""
+    longest = float(np.linalg.norm(plan.values_jr, axis=1).max())
+    return 0.5 * float(np.finfo(np.float32).eps) * (len(plan.singular_r) + 4) * longest
 
 
 def _within(lower: float | None, upper: float | None) -> str:

@@ -64,6 +64,11 @@ class PreparedFit:
     precision: str = MIXED
 
     @property
+    def arithmetic(self) -> str:
+        """The precision that the device computes all columns in; `precision` is what was asked for."""
+        return self.method.arithmetic(self.precision, self.device)
+
+    @property
     def record(self) -> FitRecord:
         """What the fit holds beside its maps."""
         stack = self.stack

@@ -27,6 +27,15 @@ from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import group_directions
 
 UPDATABLE = ("uls", "sloan", "spline")
+_LOST = {
+    "cls": "the energy of the samples where its bound does not bind (lambda 0), which the new bound needs",
+    "ceb": "the components that the bound cut off, and what the samples say of them",
+    "ceb-crossing": "the components that the bound cut off, and what the samples say of them",
+    "constrained": "what the samples say beyond the bounds that its values stop at",
+    "spectrum": "the samples' moments, from which its prior is learnt",
+    "project": "its weights, which are areas around the lights and change with new ones",
+}
+"""What a fit does not keep that adding photographs to it needs."""
 _FIT_OPTIONS = ("weights", "sampling", "precision", "holdout", "holdout_by", "lights")
 """What a fit's config holds beside the options of its method."""
 
@@ -92,9 +101,10 @@ def plan_update(record: FitRecord, new_i3: NDArray[np.float64]) -> Update:
 def _method_of(record: FitRecord) -> FitMethod:
     """Return the method of a fit with its options; InputError if its coefficients do not settle it."""
     if record.method not in UPDATABLE:
+        lost = _LOST.get(record.method, "what its photographs leave behind")
         raise InputError(
-            f"a fit by {record.method} does not keep what its photographs leave behind, so none can be added: "
-            f"{', '.join(UPDATABLE)} do"
+            f"photographs cannot be added to a fit by {record.method}, which does not keep {lost}: fit all photographs "
+            f"again, or keep a fit by one of {', '.join(UPDATABLE)}, which can grow"
         )
     config = record.config
     if "fitted_basis" in config:

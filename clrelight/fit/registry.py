@@ -98,6 +98,10 @@ class FitMethod(Configurable, ABC):
         """Whether mixed precision solves some columns again in float64; where not, it is single precision."""
         return False
 
+    def arithmetic(self, precision: str, device: Device) -> str:
+        """Return the precision that all columns are computed in where this one is asked for."""
+        return precision
+
     def note_precision(self, plan: FitPlan, precision: str) -> str | None:
         """Return what a user should know about this precision of a fit, where there is anything."""
         return None

@@ -73,8 +73,8 @@ def rows_per_tile(
     sample = stack.n_light * np.dtype(stack.images_ihwc.dtype).itemsize
     n_coeff, plan = coefficient_count(prepared.degree), prepared.plan
     # Components, the bound and its doubt; and what is handed on: coefficients, lambda or rank.
-    work = compute_dtype(prepared.precision).itemsize * (len(plan.singular_r) + 1) + 4
-    if prepared.precision == DOUBLE and plan.synthesis_kr is not None:
+    work = compute_dtype(prepared.arithmetic).itemsize * (len(plan.singular_r) + 1) + 4
+    if prepared.arithmetic == DOUBLE and plan.synthesis_kr is not None:
         work += 8 * n_coeff  # before they are rounded
     result = 4 * (n_coeff + 1)
     if memory_bytes // (width * channel * (sample + work + result + beside)) >= height:
@@ -126,7 +126,7 @@ def fit_tiles(
         If a row does not fit the budget, or samples are negative or not finite.
     """
     stack, report = prepared.stack, prepared.report
-    scaling = TileScaling(stack, prepared.plan, compute_dtype(prepared.precision))
+    scaling = TileScaling(stack, prepared.plan, compute_dtype(prepared.arithmetic))
     height, width, channel = stack.image_shape
     step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step, beside=beside)
     tiles = row_tiles(rows or (0, height), step)

@@ -56,12 +56,12 @@ class TileFit:
 
     def __init__(self, prepared: PreparedFit, curve: SampleCurve, coeffs_of: list[Buffer]) -> None:
         self._prepared, self._device = prepared, prepared.device
-        dtype = self._dtype = compute_dtype(prepared.precision)
+        dtype = self._dtype = compute_dtype(prepared.arithmetic)
         # Fresh memory costs a page fault per 4 KiB, as much time as a kernel.
         self._coeffs_of = itertools.cycle(coeffs_of)
         self._components, self._energies, self._unrounded = Buffer(), Buffer(), Buffer()
         self._one_pass_of = functools.cache(
-            lambda curve: prepared.method.one_pass(prepared.device, prepared.plan, curve, prepared.precision)
+            lambda curve: prepared.method.one_pass(prepared.device, prepared.plan, curve, prepared.arithmetic)
         )
         # Neither of the two knows this object: its memory must go with it, not when Python looks for circles.
         self._operators = functools.cache(
@@ -121,7 +121,7 @@ class TileFit:
         device.finish()
         since = prepared.report.add("project", since)
         exponent_p = None if scaled.exponent_hwc is None else scaled.exponent_hwc.ravel()
-        tile_columns = Columns(source_ip, curve, z_rq, energy_q, operators.singular_r, prepared.precision, exponent_p)
+        tile_columns = Columns(source_ip, curve, z_rq, energy_q, operators.singular_r, prepared.arithmetic, exponent_p)
         maps = prepared.method.shrink(device, prepared.plan, tile_columns)
         device.finish()
         since = prepared.report.add("shrink", since)

@@ -8,18 +8,19 @@
  *   unit_q       (Q) REAL        radiance 1 in the units of the samples
  *   singular_r   (R) REAL        sigma; 0 for what no light sees
  *   rows_js         (J, S) REAL      values at the directions of the eigenbasis, zeros beyond R
- *   across_rt         (R, T) REAL      the same, zeros beyond J
+ *   across_st         (S, T) float     the same, zeros beyond R and J
  *   low_t, high_t  (T) REAL      in units of radiance; +-1e30 for none, and beyond J
  *   scratch_wn   (work-items, SCRATCH) REAL
  *   least        REAL            what lambda is at least: it takes the least energy of what is equally near
  *   least_energy REAL            of any t that meets the bounds, in units of radiance^2
+ *   doubt        float           error of a value that is summed in float, in sqrt(E)
  *
  *   Z_BITS       32 or 64, the type of z
  *   ROOM         components that there is memory for, at least R
  *
- * A work-item takes 8 columns at a time: for those lambda is found without bounds first (fit/cls.cl), and values are
- * compared. Columns that miss a bound go through fit/active_set.clh one by one. In double what is found is the least to
- * some 1e-9 of it; bounds are met to 1e-9 sqrt(E), the energy's to 1e-10.
+ * A work-item takes 8 columns at a time, for which lambda is found roughly as if there were no bounds on values (fit/cls.cl).
+ * From there each goes through fit/active_set.clh. In double what is found is the least to some 1e-9 of it; bounds are
+ * met to 1e-9 sqrt(E), the energy's to 1e-10.
  */
 #include "fit/active_set.clh"
 
@@ -37,14 +38,10 @@ typedef z8 __attribute__((aligned(Z_BITS / 8))) z8_at;
 #error "ROOM must be defined: at least the number of rows"
 #endif
 
-#if REAL_BITS == 64
-#define SETTLED_CLS 1e-12
-#else
-#define SETTLED_CLS 4e-7f
-#endif
+#define ROUGHLY 1e-2f /* of lambda: where a column's own search begins */
 #define CLS_STEPS 60
 
-/* The lambda of eq. 25, at least `least`, by Newton from the left. */
+/* Roughly the lambda of eq. 25, at least `least`, by Newton from the left. */
 INLINE lanes search_lambda(const lanes *b, __global const REAL *singular_r, const int size_r, const lanes energy,
                            const REAL least)
 {
@@ -58,7 +55,7 @@ INLINE lanes search_lambda(const lanes *b, __global const REAL *singular_r, cons
     norm = root(norm) * inverse_root - singular_r[0] * singular_r[0];
     lambda = GREATER(norm, lambda);
     for (int k = 0; k < CLS_STEPS; k++) {
-        lanes f = 0.0f, slope = FLT_MIN;
+        lanes f = 0.0f, slope = TINY;
         for (int r = 0; r < size_r; r++) {
             const lanes inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
             const lanes t = b[r] * inverse;
@@ -67,78 +64,51 @@ INLINE lanes search_lambda(const lanes *b, __global const REAL *singular_r, cons
         }
         const lanes ahead = lambda + f / slope * (root(f) * inverse_root - 1.0f);
         const lanes next = GREATER(ahead, (lanes)least), step = next - lambda;
-        const lanes_mask moved = ABSOLUTE(step) > SETTLED_CLS * lambda;
+        const lanes_mask moved = ABSOLUTE(step) > ROUGHLY * lambda;
         lambda = moved ? next : lambda;
         if (!any_lane(moved)) break;
     }
     return lambda;
 }
 
-/* By how much each column misses its bounds at most. */
-INLINE lanes worst_miss(const lanes *t, __global const REAL *rows_js, __global const REAL *low_t,
-                        __global const REAL *high_t, const lanes unit, const int size_j, const int size_r)
-{
-    lanes worst = 0.0f;
-    for (int j = 0; j < size_j; j += 2) {
-        const int other = j + 1 < size_j ? j + 1 : j;
-        __global const REAL *row = rows_js + (long)j * WIDTH_R, *next = rows_js + (long)other * WIDTH_R;
-        lanes x = 0.0f, y = 0.0f;
-        for (int r = 0; r < size_r; r++) {
-            x = row[r] * t[r] + x;
-            y = next[r] * t[r] + y;
-        }
-        lanes miss = unit * low_t[j] - x;
-        worst = GREATER(miss, worst);
-        miss = x - unit * high_t[j];
-        worst = GREATER(miss, worst);
-        miss = unit * low_t[other] - y;
-        worst = GREATER(miss, worst);
-        miss = y - unit * high_t[other];
-        worst = GREATER(miss, worst);
-    }
-    return worst;
-}
-
 __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict lambda_q,
                              __global int *restrict unmet_q, __global const Z *restrict energy_q,
                              __global const REAL *restrict unit_q, __global const REAL *restrict singular_r,
-                             __global const REAL *restrict rows_js, __global const REAL *restrict across_rt,
+                             __global const REAL *restrict rows_js, __global const float *restrict across_st,
                              __global const REAL *restrict low_t, __global const REAL *restrict high_t,
                              __global REAL *restrict scratch_wn, const REAL least, const REAL least_energy,
+                             const float doubt,
                              const int first, const int end, const int size_j, const int size_r, const int size_q)
 {
     __global REAL *scratch = scratch_wn + (long)get_global_id(0) * SCRATCH;
-    column_state c = {scratch + GRAM_PLACE, scratch + FACTOR_PLACE, scratch + ROWS_PLACE,
-                      scratch + COLUMN_PLACE, scratch + COLUMN_PLACE + WIDTH_R, scratch + COLUMN_PLACE + 2 * WIDTH_R,
-                      scratch + COLUMN_PLACE + 3 * WIDTH_R,
-                      scratch + SMALL_PLACE, scratch + SMALL_PLACE + MAX_ACTIVE, scratch + SMALL_PLACE + 2 * MAX_ACTIVE,
-                      scratch + SMALL_PLACE + 3 * MAX_ACTIVE, scratch + SMALL_PLACE + 4 * MAX_ACTIVE,
-                      rows_js, across_rt, low_t, high_t, 1.0f, 0, size_j, size_r};
-    for (int n = 0; n < 3 * WIDTH_R + WIDTH_J; n++) scratch[COLUMN_PLACE + n] = 0.0f;
+    __global REAL *column = scratch + COLUMN_PLACE, *small = scratch + SMALL_PLACE;
+    column_state c = {scratch + GRAM_PLACE, scratch + FACTOR_PLACE, scratch + PANEL_PLACE,
+                      column, column + WIDTH_R, column + 2 * WIDTH_R, column + 3 * WIDTH_R,
+                      (__global float *)(column + 4 * WIDTH_R), (__global float *)(column + 5 * WIDTH_R),
+                      small, small + WIDTH_A, small + 2 * WIDTH_A, small + 3 * WIDTH_A, small + 4 * WIDTH_A,
+                      small + 5 * WIDTH_A, small + 6 * WIDTH_A,
+                      rows_js, across_st, low_t, high_t, 1.0f, 1.0f, doubt, 0, size_j, size_r};
+    for (int n = 0; n < 5 * WIDTH_R + WIDTH_J; n++) column[n] = 0.0f;
     for (int group = first + get_global_id(0); group < end; group += get_global_size(0)) {
         const int q = group * LANES;
-        lanes b[ROOM], t[ROOM];
+        lanes b[ROOM];
         for (int r = 0; r < size_r; r++)
             b[r] = singular_r[r] * CONVERT(AT(__global const, z8, z_rq + (long)r * size_q + q), lanes);
         const lanes given = CONVERT(AT(__global const, z8, energy_q + q), lanes);
-        const lanes energy = GREATER(given, (lanes)FLT_MIN); /* of black columns any positive bound will do */
-        const lanes unit = AT(__global const, real8, unit_q + q);
+        const lanes energy = GREATER(given, (lanes)TINY); /* of black columns any positive bound will do */
         lanes lambda = search_lambda(b, singular_r, size_r, energy, least);
-        for (int r = 0; r < size_r; r++) t[r] = b[r] / (singular_r[r] * singular_r[r] + lambda);
-        const lanes worst = worst_miss(t, rows_js, low_t, high_t, unit, size_j, size_r);
         int unmet[LANES];
         for (int lane = 0; lane < LANES; lane++) {
-            unmet[lane] = ((const REAL *)&given)[lane] < least_energy * unit_q[q + lane] * unit_q[q + lane];
-            if (unmet[lane] || !(((const REAL *)&worst)[lane] > MISSED * sqrt(((const REAL *)&energy)[lane]))) continue;
-            for (int r = 0; r < size_r; r++) c.b[r] = ((const REAL *)(b + r))[lane];
             c.unit = unit_q[q + lane];
             c.active = 0;
-            const int met =
-                solve_column(&c, singular_r, ((const REAL *)&energy)[lane], least, (REAL *)&lambda + lane);
-            for (int r = 0; r < size_r; r++) ((REAL *)(t + r))[lane] = c.t[r];
-            unmet[lane] = met ? 0 : 2;
+            for (int r = 0; r < size_r; r++) c.b[r] = ((const REAL *)(b + r))[lane];
+            unmet[lane] = ((const REAL *)&given)[lane] < least_energy * c.unit * c.unit;
+            if (!unmet[lane] &&
+                !solve_column(&c, singular_r, ((const REAL *)&energy)[lane], least, (REAL *)&lambda + lane))
+                unmet[lane] = 2;
+            for (int r = 0; r < size_r; r++) ((REAL *)(b + r))[lane] = c.t[r];
         }
-        for (int r = 0; r < size_r; r++) AT(__global, z8, z_rq + (long)r * size_q + q) = CONVERT(t[r], z8);
+        for (int r = 0; r < size_r; r++) AT(__global, z8, z_rq + (long)r * size_q + q) = CONVERT(b[r], z8);
         for (int lane = 0; lane < LANES; lane++) {
             unmet_q[q + lane] = unmet[lane];
             lambda_q[q + lane] = ((const REAL *)&lambda)[lane];
