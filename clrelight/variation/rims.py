@@ -28,6 +28,7 @@ _STRIDES = (0.02, 0.02, 0.02, 0.03)
 _IN, _OUT = 0.8, 0.2
 """Share of the sphere in a pixel from which on it tells of the inside, and below which of the outside."""
 _OUTSTANDING, _LEAST_CALM = 6.0, 5
+"""How far above the others, in spreads of these, a highlight at the outline is; photographs without one, at least."""
 _REACH = 5.0
 """Standard deviations of the blur beyond which nothing comes in."""
 _MOST_OFF, _BARELY = 0.25, 0.3

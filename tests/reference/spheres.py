@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-SAMPLES = 4
+SAMPLES = 6
 """Of a pixel's side."""
 
 
