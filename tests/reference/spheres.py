@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-SAMPLES = 6
+SAMPLES = 4
 """Of a pixel's side."""
 
 
