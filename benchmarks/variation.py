@@ -7,22 +7,25 @@ and their lights are those of CLRELIGHT_DATA.
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
+import OpenImageIO as oiio
 import scipy.io
 from numpy.typing import NDArray
 
 import clrelight as cr
 from benchmarks.lighting import Table, show_parts
+from clrelight.images import read_image
 from clrelight.threads import on_one_thread
 from clrelight.variation.factoring import lights_from_surface
 from clrelight.variation.maps import SampleReader
 from clrelight.variation.shading import lights_from_normals
 from tests.meshes import icosphere
-from tests.reference.spheres import lamps, photograph_spheres, srgb_codes
+from tests.reference.spheres import beckmann, lamps, mirrored_lamp, phong, photograph_spheres, srgb_codes
 
 DATA_VARIABLE = "CLRELIGHT_DATA"
 LIGHTS, SIZE, BALL = 16, (150, 200), (120.3, 80.6, 40.2)
@@ -31,7 +34,7 @@ HARD = {
     **{"texture": 0.5, "table": 0.4, "windows": WINDOWS, "shade": 0.25},
     **{"exposure": 0.35, "noise": 0.01, "blur": 1.0, "diffuse": 0.15},
 }
-SPHERES: dict[str, tuple[tuple[float, float, float], dict[str, Any]]] = {
+SPHERES: dict[str, tuple[Any, dict[str, Any]]] = {
     "radius 40 pixels, textured table": (BALL, {}),
     "radius 66": ((100.2, 74.3, 66.4), {}),
     "radius 30": ((60.2, 70.3, 30.4), {}),
@@ -45,6 +48,15 @@ SPHERES: dict[str, tuple[tuple[float, float, float], dict[str, Any]]] = {
     "shines less than it is matte": (BALL, {"diffuse": 0.4}),
     "mirrors the table in its rim": (BALL, {"table": 0.5}),
     "all of it: texture, windows, table, shade, noise": (BALL, HARD),
+    "Beckmann's gloss, 8°": (BALL, {"gloss": beckmann, "roughness": 0.1}),
+    "Phong's gloss, plastic": (BALL, {"gloss": phong, "roughness": 60.0, "diffuse": 0.2}),
+    "chrome, a round lamp of 6°": (BALL, {"gloss": mirrored_lamp, "roughness": 6.0, "table": 0.3}),
+    "white cloth, radius 20": ((60.2, 70.3, 20.4), {"ground": 0.8, "texture": 0.1}),
+    "dark cloth, radius 20": ((60.2, 70.3, 20.4), {"ground": 0.1, "texture": 0.08, "diffuse": 0.2}),
+    "JPEG of quality 75": (BALL, {"jpeg": 75}),
+    "JPEG of quality 75, radius 18": ((60.2, 70.3, 18.4), {"jpeg": 75}),
+    "camera near, focal length 400 pixels": ((140.3, 90.6, 35.2), {"focal": 400.0}),
+    "two spheres": ([(50.3, 70.6, 28.2), (140.4, 60.1, 24.3)], {}),
     "matte, by shading": (BALL, {"matte": True, "diffuse": 0.7, "room": 0.0}),
 }
 _PIXELS, _SURFACE_PIXELS = 8_000, 20_000
@@ -74,24 +86,45 @@ def sphere_table() -> Table:
     """Return how far lights by one sphere are off, the sphere being looked for."""
     rows = []
     for name, (sphere, how) in SPHERES.items():
+        spheres = sphere if isinstance(sphere, list) else [sphere]
         lights_i3 = lamps(LIGHTS, 1, least=0.3 if how.get("matte") else 0.1)
-        codes_ihwc = srgb_codes(photograph_spheres(lights_i3, SIZE, [sphere], seed=1, **how))
+        rendering = {key: value for key, value in how.items() if key != "jpeg"}
+        codes_ihwc = srgb_codes(photograph_spheres(lights_i3, SIZE, spheres, seed=1, **rendering))
+        if "jpeg" in how:
+            codes_ihwc = through_jpeg(codes_ihwc, how["jpeg"])
         report = cr.Report()
-        kind = "matte" if how.get("matte") else "glossy"
+        options = {"kind": "matte" if how.get("matte") else "glossy", "focal": how.get("focal"), "count": len(spheres)}
         try:
-            found = cr.find_lights(cr.LightStack(codes_ihwc, lights_i3, 255.0, "srgb"), kind=kind, report=report)
+            found = cr.find_lights(cr.LightStack(codes_ihwc, lights_i3, 255.0, "srgb"), report=report, **options)
         except cr.InputError:
-            rows.append([name, "not found", "", "", ""])
+            rows.append([name, "not found", "", "", "", ""])
             continue
         off_i = apart(found.directions_i3, lights_i3)[found.directions_i3.any(axis=1)]
-        x, y, radius = report.facts["spheres"][0]
+        x, y, radius = min(report.facts["spheres"], key=lambda each: abs(each[0] - spheres[0][0]))
+        told = [row["uncertain"] for row in report.facts["lights"] if row["uncertain"] is not None]
         rows.append(
             [
-                *(name, f"{np.hypot(x - sphere[0], y - sphere[1]):.2f}", f"{radius - sphere[2]:+.2f}"),
-                *(f"{np.median(off_i):.2f}", f"{off_i.max():.2f}"),
+                *(name, f"{np.hypot(x - spheres[0][0], y - spheres[0][1]):.2f}", f"{radius - spheres[0][2]:+.2f}"),
+                *(f"{np.median(off_i):.2f}", f"{off_i.max():.2f}", f"{np.median(told):.2f}" if told else "–"),
             ]
         )
-    return ["sphere", "centre off, pixels", "radius off, pixels", "lights off, median °", "at most °"], rows
+    headers = ["sphere", "centre off, pixels", "radius off, pixels", "lights off, median °", "at most °", "told ±°"]
+    return headers, rows
+
+
+def through_jpeg(codes_ihwc: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    """Return photographs as a camera's JPEG files of a quality hold them."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.jpg"
+        coded = []
+        for codes_hwc in codes_ihwc:
+            spec = oiio.ImageSpec(codes_hwc.shape[1], codes_hwc.shape[0], 3, "uint8")
+            spec.attribute("Compression", f"jpeg:{quality}")
+            out = oiio.ImageOutput.create(str(path))
+            if not (out.open(str(path), spec) and out.write_image(np.ascontiguousarray(codes_hwc)) and out.close()):
+                raise RuntimeError(out.geterror())
+            coded.append(read_image(path))
+    return np.stack(coded)
 
 
 def object_table(root: Path) -> Table:

@@ -142,8 +142,11 @@ def test_command_over_a_gallery(tmp_path, heads):
         radiance_ic = np.tile(rng.random((60, 1)), (1, 3))
         write_image(photographs[-1], photograph_head(heads[who], shade[who], radiance_ic))
     table = tmp_path / "t.csv"
+    (tmp_path / "people" / "empty").mkdir()
     words = ("variation", "recognise", tmp_path / "people", *photographs)
     told = succeed(*words, "--csv", table, "--spaces", "9d,cone", "--json").json
+    assert "empty holds no pictures: left out" in told["notes"]
+    (tmp_path / "people" / "empty").rmdir()
     assert [each["kind"] for each in told["subjects"]] == ["normals", "normals", "stack", "photographs"]
     best = {(each["photograph"], each["space"]): each["subject"] for each in told["photographs"]}
     for photograph, name in zip(photographs, ("anna", "ben", "carl", "dora"), strict=True):
@@ -155,12 +158,14 @@ def test_command_over_a_gallery(tmp_path, heads):
     assert "carl" in succeed(*words, "--pixels", "all").out
     before = contents(tmp_path)
     write_image(tmp_path / "small.exr", np.ones((5, 5, 3), np.float32))
+    (tmp_path / "bare" / "nobody").mkdir(parents=True)
     before = contents(tmp_path)
     for others, message in (
         ([tmp_path / "people", tmp_path / "small.exr"], "is 5×5, unlike"),
         ([tmp_path / "none", photographs[0]], "there is no folder"),
         ([tmp_path / "people" / "anna", photographs[0]], "expected two or more"),
         ([tmp_path / "people", photographs[0], "--spaces", "7d"], "spaces are 3d"),
+        ([tmp_path / "bare", photographs[0]], "0 subjects, and 1 folders without pictures"),
     ):
         ended = call("variation", "recognise", *others)
         assert (ended.code, ended.out) == (2, "")
@@ -244,3 +249,12 @@ def test_subspaces_of_photographs(tmp_path, heads):
     assert plain[2]["energy"] > 0.98
     assert painted[2]["energy"] > 0.97
     assert call("variation", "subspaces", tmp_path / "s.h5", "--albedo", tmp_path / "a.exr").code == 2
+    for count, holdout, message in (
+        (1, 5, "1 are too few"),
+        (10, 11, "10 are too few"),
+        (12, 13, "of 12, holdout must be 5 to 12, got 13"),
+        (12, 2, "of 12, holdout must be 5 to 12, got 2"),
+    ):
+        few = cr.LightStack(lit[:count], directions_i3[:count], 1.0)
+        with pytest.raises(cr.InputError, match=message):
+            cr.compare_subspaces(few, holdout=holdout, report=cr.Report())

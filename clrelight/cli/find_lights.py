@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from statistics import median
 from typing import Any
 
 import click
@@ -86,6 +87,7 @@ def find_lights(source: str, out: str, as_json: bool, **asked: Any) -> None:
         "lights": f"{', '.join(facts['files'])}, {facts['n_light']} of {facts['n_image']} photographs",
         **({"spheres": "  ".join(spheres)} if spheres else {}),
         **_outline_line(facts["outlines"]),
+        **_uncertain_line(facts["lights"]),
         **_known_line(facts),
     }
     print_report(report, as_json, lines)
@@ -94,7 +96,8 @@ def find_lights(source: str, out: str, as_json: bool, **asked: Any) -> None:
 def _table(lights: list[dict[str, Any]], by: str, kind: str) -> tuple[list[str], list[list[str]]]:
     names = {"residual": "highlight spreads °" if by == "sphere" and kind == "glossy" else "residual"}
     names |= {"degrees_a_pixel": "° a pixel", "apart": "spheres apart °", "rival": "second highlight"}
-    shown = ("confidence", "residual", "degrees_a_pixel", "rival", "apart", "intensity")
+    names |= {"uncertain": "uncertain °"}
+    shown = ("confidence", "residual", "degrees_a_pixel", "uncertain", "rival", "apart", "intensity")
     columns = [c for c in shown if any(row.get(c) is not None for row in lights)]
     rows = []
     for row in lights:
@@ -111,6 +114,13 @@ def _outline_line(outlines: list[dict[str, float]]) -> dict[str, str]:
     return {
         "outline": ", ".join(f"{each['seen']:.0%} seen, {each['off']:.2f} pixels off a circle" for each in outlines)
     }
+
+
+def _uncertain_line(lights: list[dict[str, Any]]) -> dict[str, str]:
+    known = [row["uncertain"] for row in lights if row.get("uncertain") is not None]
+    if not known:
+        return {}
+    return {"uncertain by": f"{median(known):.2f}° in the median, at most {max(known):.2f}° (one standard deviation)"}
 
 
 def _known_line(facts: dict[str, Any]) -> dict[str, str]:

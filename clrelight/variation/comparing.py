@@ -21,7 +21,7 @@ EPSTEIN = {3: 0.90, 5: 0.94}
 """Share of the variance of photographed faces that so many components hold (Epstein et al. 1995, by the chapter)."""
 LEE_DEGREES = ((0, 0), (68, -90), (74, 108), (80, 52), (85, -42), (85, -137), (85, 146), (85, -4), (51, 67))
 """Angle from the camera's axis and azimuth of nine lights that served all faces of Lee, Ho and Kriegman alike."""
-_LEAST_LIGHTS = 10
+LEAST_LIGHTS = 10
 _RELATIVE = 1e-10
 
 
@@ -180,9 +180,9 @@ def compare_spaces(products: Products, fixed: list[int] | None = None) -> list[C
     InputError
         If there are fewer than ten pictures to make subspaces of, or none to test them by.
     """
-    if len(products.made_of) < _LEAST_LIGHTS or not len(products.tested):
+    if len(products.made_of) < LEAST_LIGHTS or not len(products.tested):
         raise InputError(
-            f"subspaces are made of at least {_LEAST_LIGHTS} pictures and tested by others, got "
+            f"subspaces are made of at least {LEAST_LIGHTS} pictures and tested by others, got "
             f"{len(products.made_of)} and {len(products.tested)}"
         )
     if not products.gram_vv[products.tested, products.tested].sum() > 0.0:

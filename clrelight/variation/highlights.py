@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from clrelight.variation.circles import Circle
+from clrelight.variation.lobes import LobeFit
 from clrelight.variation.spheres import SphereView
 
 _RIM = 0.985
@@ -42,6 +43,8 @@ class Highlight:
         Light of the second brightest highlight as a share of its own.
     clipped : bool
         Whether its top is at the end of the range.
+    off : float
+        Standard deviation of its middle, in pixels; NaN where that is the mean of its pixels.
     """
 
     x: float
@@ -51,6 +54,7 @@ class Highlight:
     spread: float
     rival: float
     clipped: bool
+    off: float = np.nan
 
 
 def find_highlights(
@@ -60,6 +64,7 @@ def find_highlights(
     factor: float,
     corner_xy: tuple[int, int],
     most: float = np.inf,
+    blur: float | None = None,
 ) -> list[Highlight | None]:
     """Return the brightest highlight of each photograph on a sphere; None where there is none.
 
@@ -78,6 +83,9 @@ def find_highlights(
         Pixels of the photographs in one of the part's, and where it begins: see `Circle.scaled`.
     most : float
         Radiance from which on samples are clipped.
+    blur : float, optional
+        Standard deviation of lens and pixel in the part's pixels. With it a highlight's middle is that of a lobe that
+        looks like it (`LobeFit`), where one does; else it is the mean of its pixels' lights.
     """
     height, width = samples_ihw.shape[1:]
     y_hw, x_hw = np.mgrid[:height, :width]
@@ -88,9 +96,26 @@ def find_highlights(
     search = _Search(inside_hw, circle, sphere, factor, corner_xy)
     noise = _noise(samples_ihw[:, inside_hw] - still_hw[inside_hw])
     found = [search.run(each_hw - still_hw, each_hw, noise, most) for each_hw in samples_ihw]
-    heights = [each.height for each in found if each is not None]
+    heights = [each[0].height for each in found if each is not None]
     least = _LEAST_HEIGHT * float(np.median(heights)) if heights else 0.0
-    return [each if each is not None and each.height >= least else None for each in found]
+    kept = [each if each is not None and each[0].height >= least else None for each in found]
+    if blur is None or not any(kept):
+        return [None if each is None else each[0] for each in kept]
+    fit = LobeFit(circle, sphere, factor, corner_xy, blur, noise)
+    seen = [
+        None if each is None else (samples_hw - still_hw, samples_hw, each[1])
+        for each, samples_hw in zip(kept, samples_ihw, strict=True)
+    ]
+    lobe = fit.choose([each for each in seen if each is not None], most)
+    settled: list[Highlight | None] = []
+    for each, shown in zip(kept, seen, strict=True):
+        better = None if each is None or shown is None else fit.fit(*shown, most, lobe)
+        if each is None or better is None:
+            settled.append(None if each is None else each[0])
+            continue
+        x, y, light_3 = fit.light(better)
+        settled.append(replace(each[0], x=x, y=y, light_3=light_3, off=better.off * factor))
+    return settled
 
 
 def _noise(moved_ip: NDArray[np.floating]) -> float:
@@ -110,12 +135,12 @@ class _Search:
 
     def run(
         self, moved_hw: NDArray[np.floating], samples_hw: NDArray[np.floating], noise: float, most: float
-    ) -> Highlight | None:
-        """Return the brightest highlight of one photograph."""
+    ) -> tuple[Highlight, NDArray[np.bool_]] | None:
+        """Return the brightest highlight of one photograph, and its pixels."""
         narrow = max(0.7, 0.015 * self.circle.radius)
         bumps_hw = self._blurred(moved_hw, narrow) - self._blurred(moved_hw, 0.16 * self.circle.radius)
         bumps_hw[~self.inside_hw] = -np.inf
-        tops: list[tuple[float, float, Highlight]] = []
+        tops: list[tuple[float, float, Highlight, NDArray[np.bool_]]] = []
         for _ in range(_LOOKED_AT):
             row, column = np.unravel_index(int(bumps_hw.argmax()), bumps_hw.shape)
             top = float(bumps_hw[row, column])
@@ -128,16 +153,16 @@ class _Search:
                 blob_hw[row, column] = True
             else:
                 measured = self._measure(blob_hw, weight_hw, samples_hw, base, moved_hw, most)
-                tops.append((top, float(weight_hw.sum()), measured))
+                tops.append((top, float(weight_hw.sum()), measured, blob_hw))
             bumps_hw[ndimage.binary_dilation(blob_hw, iterations=max(2, int(0.05 * self.circle.radius)))] = -np.inf
         if not tops:
             return None
         # The sharpest bump is the lamp, not the shading; of those about as high, as clipped ones are, the largest.
         sharpest = tops[0][0]
         alike = [each for each in tops if each[0] >= _ALIKE * sharpest]
-        light, best = max((each[1:] for each in alike), key=lambda each: each[0])
+        light, best, blob_hw = max((each[1:] for each in alike), key=lambda each: each[0])
         rival = max((each[1] for each in alike if each[2] is not best), default=0.0) / light
-        return Highlight(best.x, best.y, best.light_3, best.height, best.spread, rival, best.clipped)
+        return replace(best, rival=rival), blob_hw
 
     def _blurred(self, values_hw: NDArray[np.floating], sigma: float) -> NDArray[np.float64]:
         """Return the mean over the neighbours inside the disc."""

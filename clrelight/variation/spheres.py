@@ -131,3 +131,47 @@ def view_sphere(
     if not length > 1.0:
         raise InputError(f"a sphere of radius {circle.radius:.4g} pixels is not seen at focal length {focal:g} pixels")
     return SphereView(circle, focal, middle, axis_3 * (1.0 / length), float(np.sqrt(1.0 - 1.0 / length**2)))
+
+
+@dataclass(frozen=True)
+class FlatView:
+    """A camera's picture turned until its axis meets a sphere's centre: there the outline is a circle about (0, 0).
+
+    Attributes
+    ----------
+    focal : float
+        In pixels.
+    middle_xy : (float, float)
+        Where the camera's axis meets the picture.
+    turn_33 : ndarray, shape (3, 3), float64
+        Takes the ray through the sphere's centre to (0, 0, -1).
+    radius : float
+        Of the outline, in pixels.
+    """
+
+    focal: float
+    middle_xy: tuple[float, float]
+    turn_33: NDArray[np.float64]
+    radius: float
+
+    def there(self, x_p: NDArray[np.floating], y_p: NDArray[np.floating]) -> tuple[NDArray, NDArray]:
+        """Return x and y of the turned picture at places of the picture."""
+        rays_p3 = _rays(x_p, y_p, self.focal, self.middle_xy) @ self.turn_33.T
+        scale_p = -self.focal / np.minimum(rays_p3[:, 2], -1e-6)
+        return rays_p3[:, 0] * scale_p, -rays_p3[:, 1] * scale_p
+
+    def back(self, x_p: NDArray[np.floating], y_p: NDArray[np.floating]) -> tuple[NDArray, NDArray]:
+        """Return x and y of the picture at places of the turned one."""
+        rays_p3 = _rays(x_p, y_p, self.focal, (0.0, 0.0)) @ self.turn_33
+        scale_p = -self.focal / rays_p3[:, 2]
+        return self.middle_xy[0] + rays_p3[:, 0] * scale_p, self.middle_xy[1] - rays_p3[:, 1] * scale_p
+
+
+def flat_view(sphere: SphereView) -> FlatView:
+    """Return the turned picture of a sphere that a camera of known focal length sees."""
+    if sphere.focal is None:
+        raise ValueError("a camera far away has no turned picture")
+    z_3 = -sphere.axis_3
+    x_3 = np.array([z_3[2], 0.0, -z_3[0]]) / np.hypot(z_3[0], z_3[2])
+    tangent = sphere.sine / np.sqrt(1.0 - sphere.sine**2)
+    return FlatView(sphere.focal, sphere.middle_xy, np.stack([x_3, np.cross(z_3, x_3), z_3]), sphere.focal * tangent)

@@ -43,6 +43,31 @@ def see_sphere(x_hw, y_hw, x, y, radius, focal=None, size=None):
     return points - centre, -rays, inside > 0.0
 
 
+def mirrored_lamp(normals, eyes, light, degrees, floor=0.95):
+    """Return a round lamp, so many degrees across, in a mirror: as chrome shows it."""
+    rays = 2.0 * np.sum(normals * eyes, axis=-1, keepdims=True) * normals - eyes
+    return 6.0 * floor * (rays @ light > np.cos(np.radians(0.5 * degrees)))
+
+
+def phong(normals, eyes, light, exponent):
+    """Return Phong's lobe around the mirrored ray, as plastic."""
+    rays = 2.0 * np.sum(normals * eyes, axis=-1, keepdims=True) * normals - eyes
+    return 1.5 * np.maximum(rays @ light, 0.0) ** exponent * (normals @ light > 0.0)
+
+
+def beckmann(normals, eyes, light, roughness):
+    """Return Beckmann's lobe with Cook and Torrance's shadowing and Schlick's Fresnel term."""
+    half = eyes + light
+    half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    n_h, v_h, n_v = (
+        np.clip(np.sum(a * b, axis=-1), 1e-4, 1.0) for a, b in ((normals, half), (eyes, half), (normals, eyes))
+    )
+    n_l = np.clip(normals @ light, 0.0, 1.0)
+    density = np.exp((n_h**2 - 1.0) / (roughness**2 * n_h**2)) / (np.pi * roughness**2 * n_h**4)
+    shadow = np.minimum(1.0, 2.0 * n_h * np.minimum(n_v, n_l) / v_h)
+    return density * shadow * (0.05 + 0.95 * (1.0 - v_h) ** 5) / (4.0 * n_v) * (n_l > 0.0)
+
+
 def blinn(normals, eyes, light, roughness):
     """Return a GGX lobe times Schlick's Fresnel term of glass, without shadowing."""
     half = eyes + light
@@ -72,18 +97,21 @@ def photograph_spheres(
     blur=0.7,
     noise=0.005,
     exposure=1.0,
+    gloss=blinn,
+    ground=0.35,
 ):
     """Return photographs in [0, 1], linear, (n_light, height, width), of spheres (x, y, radius) on a rough table.
 
     windows: directions of lights of the room, which stay on; table: how bright it is in the spheres' lower rim, moving
-    with the lamp; shade: share of each sphere that something darkens from the left, in all photographs.
+    with the lamp; shade: share of each sphere that something darkens from the left, in all photographs; gloss: what the
+    sphere's highlights are like, of `roughness`; ground: how bright the table is.
     """
     rng, (height, width) = np.random.default_rng(seed), size
     x_hw, y_hw = fine_grid(height, width)
     cells = rng.random((height // 7 + 2, width // 9 + 2))
     fine = ndimage.zoom(cells, (7 * SAMPLES, 9 * SAMPLES), order=1)[: height * SAMPLES, : width * SAMPLES]
     grain = ndimage.gaussian_filter(rng.standard_normal(x_hw.shape), SAMPLES)
-    ground_hw = np.clip(0.35 + texture * (2.0 * fine - 1.0) + 0.4 * texture * grain, 0.02, 1.0)
+    ground_hw = np.clip(ground + texture * (2.0 * fine - 1.0) + 0.4 * texture * grain, 0.02, 1.0)
     seen = []
     for x, y, radius in spheres:
         reach = (1.0 if focal is None else 1.5) * radius + 2.0
@@ -97,15 +125,16 @@ def photograph_spheres(
         for x, radius, part, (normals, eyes, inside_hw) in seen:
             shown_hw = room + diffuse * np.maximum(normals @ light, 0.0)
             if not matte:
-                shown_hw = shown_hw + blinn(normals, eyes, light, roughness)
+                shown_hw = shown_hw + gloss(normals, eyes, light, roughness)
                 for window in windows:
                     shown_hw = shown_hw + 0.5 * blinn(normals, eyes, np.asarray(window), roughness)
                 # The rim mirrors the table around, as bright as the lamp makes it.
                 shown_hw = shown_hw + table * max(light[2], 0.0) * np.clip(0.45 - normals[..., 2], 0.0, 1.0)
             shown_hw = np.where((x_hw[part] - x) / radius < 2.0 * shade - 1.0, 0.3 * shown_hw, shown_hw)
             picture_hw[part] = np.where(inside_hw, shown_hw, picture_hw[part])
-        coarse_hw = picture_hw.reshape(height, SAMPLES, width, SAMPLES).mean(axis=(1, 3))
-        sharp_hw = ndimage.gaussian_filter(exposure * coarse_hw, blur)
+        # The lens blurs, then a pixel takes the mean of its square.
+        blurred_hw = ndimage.gaussian_filter(exposure * picture_hw, blur * SAMPLES, truncate=4.0)
+        sharp_hw = blurred_hw.reshape(height, SAMPLES, width, SAMPLES).mean(axis=(1, 3))
         pictures.append(np.clip(sharp_hw + noise * rng.standard_normal(sharp_hw.shape), 0.0, 1.0))
     return np.array(pictures)
 

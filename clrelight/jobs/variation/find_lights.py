@@ -197,10 +197,13 @@ def _rows(told: Sequence[SphereLights], kind: str) -> tuple[NDArray[np.float64],
         seen = [each for each in marks if each is not None]
         best = max(seen, key=lambda each: each.height) if seen else None
         row: dict = {"confidence": 0.0, "degrees_a_pixel": None, "apart": None, "residual": None}
+        row["uncertain"] = None
         if light_3.any():
             row["degrees_a_pixel"] = float(np.min([each.degrees_a_pixel_i[i] for each in told]))
             row["apart"] = None if np.isnan(apart_i[i]) else float(apart_i[i])
             row["residual"] = float(np.nanmin([each.residual_i[i] for each in told]))
+            offs = [each.uncertain_i[i] for each in told if np.isfinite(each.uncertain_i[i])]
+            row["uncertain"] = float(np.min(offs)) if offs else None
             row["confidence"] = 1.0 - row["residual"] if best is None else 1.0 - best.rival
         if kind == "glossy":
             row |= {

@@ -73,6 +73,8 @@ class Subject:
 def read_gallery(folder: Path, side: int, transfer: str, green: str, report: Report) -> tuple[list[Subject], int]:
     """Return the subjects of a folder in the order of their names, and the factor that pictures were shrunk by.
 
+    Folders without pictures are left out, with a note.
+
     Raises
     ------
     InputError
@@ -84,8 +86,13 @@ def read_gallery(folder: Path, side: int, transfer: str, green: str, report: Rep
         (p for p in folder.iterdir() if not p.name.startswith(".") and (p.is_dir() or p.suffix.lower() in _STACK)),
         key=lambda p: natural_key(p.name),
     )
+    empty = [entry for entry in entries if entry.is_dir() and not _holds_pictures(entry)]
+    entries = [entry for entry in entries if entry not in empty]
     if len(entries) < 2:
-        raise InputError(f"{folder} holds {len(entries)} subjects, expected two or more folders or stacks")
+        without = f", and {len(empty)} folders without pictures" if empty else ""
+        raise InputError(f"{folder} holds {len(entries)} subjects{without}; expected two or more folders or stacks")
+    for entry in empty:
+        report.note(f"{entry.name} holds no pictures: left out")
     subjects, first = [], ""
     shape: tuple[int, int] | None = None
     factor = 1
@@ -101,6 +108,15 @@ def read_gallery(folder: Path, side: int, transfer: str, green: str, report: Rep
             )
         subjects.append(_read(entry, found, factor, transfer, green, report))
     return subjects, factor
+
+
+def _holds_pictures(entry: Path) -> bool:
+    if _normals_of(entry) is not None:
+        return True
+    try:
+        return bool(list_series(entry))
+    except InputError:
+        return False
 
 
 def _normals_of(entry: Path) -> tuple[Path, Path | None] | None:

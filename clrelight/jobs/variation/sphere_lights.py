@@ -13,6 +13,7 @@ from scipy import optimize
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.variation.light_frames import Frames
+from clrelight.jobs.variation.sphere_rims import inner_circle, rim_of, seen_by_rim, uncertainty
 from clrelight.variation.circles import Circle, refine_circle
 from clrelight.variation.highlights import Highlight, find_highlights
 from clrelight.variation.shading import ShadingLights, lights_from_normals
@@ -44,6 +45,8 @@ class SphereLights:
     residual_i : ndarray, shape (n_light,), float64
         Of a glossy sphere degrees that its highlight is wide, of a matte one what it is off the law.
     degrees_a_pixel_i : ndarray, shape (n_light,), float64
+    uncertain_i : ndarray, shape (n_light,), float64
+        Degrees, one standard deviation, that outline and highlight leave a lamp; NaN where they do not tell how much.
     """
 
     circle: Circle
@@ -51,6 +54,7 @@ class SphereLights:
     highlights: tuple[Highlight | None, ...]
     residual_i: NDArray[np.float64]
     degrees_a_pixel_i: NDArray[np.float64]
+    uncertain_i: NDArray[np.float64]
 
 
 def pictures_of(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.floating]]:
@@ -118,9 +122,7 @@ def lights_of_sphere(
         part_ihw = frames.take(window, factor, None, tell)
     since = report.add("read", since)
     corner = window[0], window[1]
-    inside = Circle(
-        (start.x - window[0] + 0.5) / factor - 0.5, (start.y - window[1] + 0.5) / factor - 0.5, start.radius / factor
-    )
+    inside = inner_circle(start, factor, corner)
     refined, outline_n2 = outlined(pictures_of(part_ihw), inside)
     away = np.hypot(refined.x - inside.x, refined.y - inside.y) + abs(refined.radius - inside.radius)
     if refined.outline < LEAST_OUTLINE or (is_given and away > 0.1 * inside.radius):
@@ -130,6 +132,10 @@ def lights_of_sphere(
     circle = refined.scaled(factor, *corner)
     outline_n2 = (outline_n2 + 0.5) * factor - 0.5 + np.array(corner)
     sphere = view_sphere(circle, (height, width), focal, outline_n2)
+    rim = None if is_matte or not len(outline_n2) else rim_of(part_ihw, refined, sphere, factor, corner)
+    if rim is not None:
+        sphere = seen_by_rim(rim, sphere, (height, width), factor, corner)
+        circle, refined = sphere.circle, inner_circle(sphere.circle, factor, corner)
     if is_matte:
         refined = _settle(part_ihw, refined)
         circle = refined.scaled(factor, *corner)
@@ -140,13 +146,16 @@ def lights_of_sphere(
         highlights: tuple[Highlight | None, ...] = ()
         residual_i = shaded.residual_i
     else:
-        found = find_highlights(part_ihw, refined, sphere, factor, corner, frames.most())
+        found = find_highlights(
+            part_ihw, refined, sphere, factor, corner, frames.most(), None if rim is None else rim.blur
+        )
         lights_i3 = np.array([np.zeros(3) if each is None else each.light_3 for each in found])
         highlights = tuple(found)
         residual_i = np.array([np.nan if each is None else each.spread for each in found])
     report.add("highlights" if not is_matte else "shading", since)
     worth_i = np.array([sphere.degrees_a_pixel(light_3) for light_3 in lights_i3])
-    return SphereLights(circle, lights_i3, highlights, residual_i, worth_i)
+    uncertain_i = uncertainty(sphere, highlights, worth_i, rim, factor)
+    return SphereLights(circle, lights_i3, highlights, residual_i, worth_i, uncertain_i)
 
 
 def shaded_lights(

@@ -25,7 +25,7 @@ from clrelight.sampling import make_pattern
 from clrelight.surface import Surface
 from clrelight.threads import on_one_thread
 from clrelight.transfer.mesh_files import read_mesh
-from clrelight.variation.comparing import Captured, Products, compare_spaces, lee_directions
+from clrelight.variation.comparing import LEAST_LIGHTS, Captured, Products, compare_spaces, lee_directions
 from clrelight.variation.maps import NormalMap, SampleReader, map_normals
 
 MADE_OF, TESTED = 162, 97
@@ -153,9 +153,24 @@ def _products_of_normals(
     return Products(gram_vv, directions_i3, np.arange(MADE_OF), tested), fixed
 
 
+def _check_holdout(n_light: int, holdout: int) -> None:
+    """Refuse what leaves too few photographs before normals are looked for."""
+    if n_light <= LEAST_LIGHTS:
+        raise InputError(
+            f"subspaces are made of at least {LEAST_LIGHTS} photographs and tested by others: {n_light} are too few"
+        )
+    sound = [each for each in range(2, n_light + 1) if n_light - n_light // each >= LEAST_LIGHTS]
+    if holdout not in sound:
+        raise InputError(
+            f"subspaces are made of at least {LEAST_LIGHTS} photographs and tested by others: of {n_light}, holdout "
+            f"must be {sound[0]} to {sound[-1]}, got {holdout}"
+        )
+
+
 def _products_of_stack(
     stack: LightStack, holdout: int, device: Device, budget: int, progress: Progress | None
 ) -> Products:
+    _check_holdout(stack.n_light, holdout)
     made_of, tested = split_lights(stack.n_light, holdout)
     lit = LightStack(
         stack.images_ihwc, stack.directions_i3, stack.peak, stack.transfer, mask_hw=stack.mask_hw, name=stack.name

@@ -1,0 +1,294 @@
+"""Balls in front of something: their outline, and the blur, by all photographs at once.
+
+Along the outline the sphere's own brightness and that of what lies behind are smooth functions of the angle, blurred
+by the lens. Texture behind goes with the lamp in one way; other ways in which pixels go with it are free of texture,
+and tell an outline that no single picture shows. So all photographs are fitted at once, each way of going with the
+lamps weighted by what it is off, inside and outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, special
+from scipy.interpolate import CubicSpline
+
+from clrelight.variation.circles import Circle
+
+_WAYS, _MOST_PIXELS = 6, 6000
+_INSIDE_ORDERS, _LEAST_ORDER, _MOST_ORDER = (5, 3, 3), 4, 12
+"""Orders of Fourier series in the angle: of 1, of the normal's z and of its square inside; outside of the level."""
+_BLURS, _LEAST_BLUR, _MOST_BLUR = (0.6, 0.9, 1.3, 1.9, 2.7), 0.3, 0.25
+"""Standard deviations in pixels that are tried first; the least of all, and the greatest as a share of the radius."""
+_ROUNDS, _TURNS, _STEPS, _NEAR_ENOUGH = 2, 3, 4, 3e-3
+_STRIDES = (0.02, 0.02, 0.02, 0.03)
+_IN, _OUT = 0.8, 0.2
+"""Share of the sphere in a pixel from which on it tells of the inside, and below which of the outside."""
+_OUTSTANDING, _LEAST_CALM = 6.0, 5
+"""How far above the others, in spreads of these, a highlight at the outline is; photographs without one, at least."""
+_REACH = 5.0
+"""Standard deviations of the blur beyond which nothing comes in."""
+_MOST_OFF, _BARELY = 0.25, 0.3
+"""Pixels of standard deviation beyond which the outline is not told; least weight of pixels that tell what is off."""
+
+Place = Callable[[NDArray[np.floating], NDArray[np.floating]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+@dataclass(frozen=True)
+class Rim:
+    """An outline.
+
+    Attributes
+    ----------
+    circle : Circle
+        In the pixels that `place` returns.
+    blur : float
+        Standard deviation of lens and pixel together, in pixels.
+    centre_off, radius_off : float
+        Standard deviations, in pixels.
+    """
+
+    circle: Circle
+    blur: float
+    centre_off: float
+    radius_off: float
+
+
+def radial_functions(radius: float, sigma: float, inner: float, outer: float) -> CubicSpline:
+    """Return what is seen of a ball and beyond it by the distance from its middle: blurred 1, z, z^2; 1, distance.
+
+    A disc's ring at distance s, blurred by a Gaussian, is ``s / sigma^2 exp(-(s^2 + d^2) / 2 sigma^2) I0(s d /
+    sigma^2)`` at distance d; rings are summed by Gauss and Legendre's rule, inside with sqrt(radius - s) as variable,
+    in which z is smooth.
+    """
+    lowest, highest = max(0.0, inner - _REACH * sigma), outer + _REACH * sigma
+    counts = [int(np.clip(5.0 * span / sigma, 48, 240)) for span in (radius - lowest, highest - radius)]
+    node_s, weight_s = np.polynomial.legendre.leggauss(counts[0])
+    root_s = 0.5 * (node_s + 1.0) * np.sqrt(radius - lowest)
+    inside_s = radius - root_s**2
+    inside_weight_s = weight_s * np.sqrt(radius - lowest) * root_s
+    z_s = np.sqrt(np.maximum(1.0 - (inside_s / radius) ** 2, 0.0))
+    node_s, weight_s = np.polynomial.legendre.leggauss(counts[1])
+    outside_s = radius + 0.5 * (node_s + 1.0) * (highest - radius)
+    grid_d = np.arange(max(inner, 0.0), outer + 0.3 * sigma, 0.3 * sigma)
+    inside_ds = _rings(grid_d, inside_s, inside_weight_s, sigma)
+    outside_ds = _rings(grid_d, outside_s, 0.5 * weight_s * (highest - radius), sigma)
+    beyond_s = (outside_s - radius) / (outer - radius)
+    columns = [
+        inside_ds.sum(axis=1),
+        inside_ds @ z_s,
+        inside_ds @ z_s**2,
+        outside_ds.sum(axis=1),
+        outside_ds @ beyond_s,
+    ]
+    return CubicSpline(grid_d, np.stack(columns, axis=1))
+
+
+def _rings(grid_d: NDArray, ring_s: NDArray, weight_s: NDArray, sigma: float) -> NDArray[np.float64]:
+    away_ds = (ring_s - grid_d[:, None]) / sigma
+    bessel_ds = special.ive(0, ring_s * grid_d[:, None] / sigma**2)
+    rings_ds: NDArray[np.float64] = bessel_ds * np.exp(-0.5 * away_ds**2) * (ring_s * weight_s / sigma**2)
+    return rings_ds
+
+
+def fit_rim(samples_ihw: NDArray[np.floating], start: Circle, place: Place | None = None) -> Rim | None:
+    """Return the outline of a ball and the blur, from where it nearly is; None where the photographs do not tell.
+
+    Parameters
+    ----------
+    samples_ihw : ndarray, shape (n_light, height, width)
+        Linear grey of the part of each photograph around the ball.
+    start : Circle
+        Right to a pixel or so, in the pixels that `place` returns.
+    place : callable, optional
+        Where pixels of the part are in a picture in which the outline is a circle; default: where they are.
+    """
+    rows_hw, columns_hw = np.mgrid[: samples_ihw.shape[1], : samples_ihw.shape[2]]
+    x_hw, y_hw = columns_hw.astype(np.float64), rows_hw.astype(np.float64)
+    if place is not None:
+        x_hw, y_hw = (each.reshape(x_hw.shape) for each in place(x_hw.ravel(), y_hw.ravel()))
+    values_4 = np.array([start.x, start.y, start.radius, 0.0])
+    for turn in range(_ROUNDS):
+        blur = max(float(np.exp(values_4[3])), 1.5 * (turn == 0))
+        band = _Band.cut(samples_ihw, x_hw, y_hw, values_4, blur)
+        if band is None:
+            return None
+        if turn == 0:
+            values_4[3] = band.first_blur(values_4)
+        try:
+            values_4, spread_4 = band.run(values_4, start)
+        except np.linalg.LinAlgError:
+            return None
+    x, y, radius = (float(each) for each in values_4[:3])
+    off = float(np.hypot(spread_4[0], spread_4[1]) / np.sqrt(2.0))
+    moved = np.hypot(x - start.x, y - start.y) + abs(radius - start.radius)
+    if not np.isfinite(off + moved) or max(off, spread_4[2]) > _MOST_OFF or moved > 1.0 + 0.03 * start.radius:
+        return None
+    return Rim(Circle(x, y, radius, start.outline, off), float(np.exp(values_4[3])), off, float(spread_4[2]))
+
+
+def _without_highlights(series_ip: NDArray[np.float64], inside_p: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the photographs in which no highlight lies just inside the outline; all, if these are few."""
+    low_i, high_i, top_i = np.quantile(series_ip[:, inside_p], (0.25, 0.75, 1.0), axis=1)
+    is_calm_i = top_i - high_i <= _OUTSTANDING * (high_i - low_i + 0.02 * high_i.max())
+    return series_ip[is_calm_i] if np.count_nonzero(is_calm_i) >= _LEAST_CALM else series_ip
+
+
+@dataclass
+class _Band:
+    """Pixels near an outline, and how they go with the lamps: their strongest components, (P, m)."""
+
+    x_p: NDArray[np.float64]
+    y_p: NDArray[np.float64]
+    samples_pm: NDArray[np.float64]
+    inner: float
+    outer: float
+    orders: tuple[int, ...]
+    robust_p: NDArray[np.float64]
+
+    @classmethod
+    def cut(
+        cls, samples_ihw: NDArray[np.floating], x_hw: NDArray, y_hw: NDArray, values_4: NDArray, blur: float
+    ) -> _Band | None:
+        """Return the band as wide as the blur asks for; None where there are too few pixels in it."""
+        x, y, radius = values_4[:3]
+        away_hw = np.hypot(x_hw - x, y_hw - y)
+        within = min(max(0.1 * radius, 3.0 * blur + 1.5), 10.0 + 3.0 * blur, 0.5 * radius)
+        beyond = min(max(0.12 * radius, 3.0 * blur + 1.5), 6.0 + 3.0 * blur)
+        pixels = np.flatnonzero((away_hw > radius - within) & (away_hw < radius + beyond))
+        pixels = pixels[:: max(1, len(pixels) // _MOST_PIXELS)]
+        most = int(np.clip(0.5 * radius, _LEAST_ORDER, _MOST_ORDER))
+        orders = (*_INSIDE_ORDERS, most, most // 2)
+        if len(pixels) < 2 * sum(2 * order + 1 for order in orders):
+            return None
+        series_ip = samples_ihw.reshape(len(samples_ihw), -1)[:, pixels].astype(np.float64)
+        series_ip = _without_highlights(series_ip, away_hw.ravel()[pixels] < radius - blur)
+        length_k, ways_kp = np.linalg.svd(series_ip, full_matrices=False)[1:]
+        held = min(_WAYS, max(1, int(np.count_nonzero(length_k > 1e-6 * length_k[0]))))
+        samples_pm = (length_k[:held, None] * ways_kp[:held]).T
+        ends = radius - within - 1.5, radius + beyond + 1.5
+        return cls(x_hw.ravel()[pixels], y_hw.ravel()[pixels], samples_pm, *ends, orders, np.ones(len(pixels)))
+
+    def design(self, values_4: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return what may be seen, (P, number of functions), and each pixel's share of the ball."""
+        x, y, radius, log_blur = values_4
+        right_p, down_p = self.x_p - x, self.y_p - y
+        radial_pf = radial_functions(radius, float(np.exp(log_blur)), self.inner, self.outer)(np.hypot(right_p, down_p))
+        most = max(self.orders)
+        turns_pk = np.arange(1, most + 1) * np.arctan2(down_p, right_p)[:, None]
+        waves = np.concatenate([np.ones((len(right_p), 1)), np.cos(turns_pk), np.sin(turns_pk)], axis=1)
+        picked = [np.r_[: 1 + order, most + 1 : most + 1 + order] for order in self.orders]
+        return np.concatenate([waves[:, at] * radial_pf[:, [f]] for f, at in enumerate(picked)], axis=1), radial_pf[
+            :, 0
+        ]
+
+    def off_law(self, values_4: NDArray, turned_mm: NDArray, weight_pm: NDArray) -> tuple[list[NDArray], NDArray]:
+        """Return covariances of what is left inside, outside and everywhere, and the share of the ball."""
+        design_pf, share_p = self.design(values_4)
+        turned_pm = self.samples_pm @ turned_mm
+        left_pm = (turned_pm - design_pf @ _Solved(design_pf, turned_pm, weight_pm).found_fm) @ np.linalg.inv(turned_mm)
+        free = max(1.0 - design_pf.shape[1] / len(left_pm), 0.05)
+        found = []
+        for where_p in (share_p > _IN, share_p < _OUT, np.ones(len(share_p), bool)):
+            kept_pm = left_pm[where_p & (self.robust_p > _BARELY)]
+            found.append(kept_pm.T @ kept_pm / max(len(kept_pm) * free, 3.0))
+        return found, share_p
+
+    def first_blur(self, values_4: NDArray[np.float64]) -> float:
+        """Return the logarithm of the blur that leaves least."""
+        held = self.samples_pm.shape[1]
+        left = {}
+        for blur in _BLURS:
+            if blur < _MOST_BLUR * values_4[2]:
+                tried_4 = np.append(values_4[:3], np.log(blur))
+                left_mm = self.off_law(tried_4, np.eye(held), np.ones_like(self.samples_pm))[0][2]
+                left[blur] = np.linalg.slogdet(left_mm + 1e-4 * np.trace(left_mm) / held * np.eye(held))[1]
+        return float(np.log(min(left, key=lambda blur: left[blur]))) if left else float(values_4[3])
+
+    def run(self, values_4: NDArray[np.float64], start: Circle) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x, y, radius and log of the blur that explain the band best, and their standard deviations."""
+        held = self.samples_pm.shape[1]
+        turned_mm, weight_pm = np.eye(held), np.ones_like(self.samples_pm)
+        trust_4 = np.append(np.full(3, (0.3 + 0.01 * start.radius) ** -2), 0.0)
+        start_4 = np.array([start.x, start.y, start.radius, 0.0])
+        for _ in range(_TURNS):
+            (inside_mm, outside_mm, _), share_p = self.off_law(values_4, turned_mm, weight_pm)
+            inside_mm = inside_mm + (1e-3 * np.trace(inside_mm) / held + 1e-15) * np.eye(held)
+            # Both diagonal at once: ways of going with the lamps that are off independently of each other.
+            texture_m, turned_mm = linalg.eigh(outside_mm, inside_mm)
+            # Texture is blurred as the outline is: about so many of its pixels say the same.
+            alike = max(1.0, np.pi * float(np.exp(2.0 * values_4[3])))
+            texture_m = np.maximum(np.where(texture_m > 1.0, 1.0 + alike * (texture_m - 1.0), texture_m), 0.3)
+            share_p1 = np.clip(share_p, 0.0, 1.0)[:, None]
+            weight_pm = 1.0 / np.sqrt(share_p1**2 + (1.0 - share_p1) ** 2 * texture_m)
+            weight_pm *= self.robust_p[:, None]
+            values_4, left_pm, hessian_44 = self._descend(values_4, start_4, trust_4, turned_mm, weight_pm)
+            size_p = np.mean((left_pm / self.robust_p[:, None]) ** 2, axis=1)
+            self.robust_p = 1.0 / np.sqrt(1.0 + size_p / (4.0 * np.median(size_p) + 1e-30))
+        variance = float(np.sum(left_pm**2)) / max(left_pm.size - held * sum(2 * each + 1 for each in self.orders), 1)
+        return values_4, np.sqrt(np.diag(np.linalg.inv(hessian_44)) * max(variance, 1.0))
+
+    def _descend(
+        self, values_4: NDArray, start_4: NDArray, trust_4: NDArray, turned_mm: NDArray, weight_pm: NDArray
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Take Levenberg and Marquardt's steps; what is linear follows each (Kaufman's variable projection)."""
+        turned_pm = self.samples_pm @ turned_mm
+
+        def left(tried_4: NDArray) -> tuple[float, _Solved]:
+            solved = _Solved(self.design(tried_4)[0], turned_pm, weight_pm)
+            return float(np.sum(solved.left_pm**2) + np.sum(trust_4 * (tried_4 - start_4) ** 2)), solved
+
+        (energy, solved), damp = left(values_4), 1e-3
+        for _ in range(_STEPS):
+            slopes = [self._slope(values_4, k, solved) for k in range(4)]
+            slopes_n4 = np.stack([each.ravel() for each in slopes], axis=1)
+            hessian_44 = slopes_n4.T @ slopes_n4 + np.diag(trust_4)
+            right_4 = -slopes_n4.T @ solved.left_pm.ravel() - trust_4 * (values_4 - start_4)
+            for _ in range(4):
+                step_4 = np.linalg.solve(hessian_44 + damp * np.diag(np.diag(hessian_44)), right_4)
+                tried_4 = values_4 + np.clip(step_4, -0.5, 0.5)
+                tried_4[3] = np.clip(tried_4[3], np.log(_LEAST_BLUR), np.log(_MOST_BLUR * tried_4[2]))
+                tried = left(tried_4)
+                if tried[0] < energy:
+                    break
+                damp *= 10.0
+            else:
+                break
+            moved = np.abs(tried_4 - values_4)[:3].max()
+            values_4, (energy, solved), damp = tried_4, tried, max(damp / 10.0, 1e-6)
+            if moved < _NEAR_ENOUGH:
+                break
+        return values_4, solved.left_pm, hessian_44
+
+    def _slope(self, values_4: NDArray[np.float64], k: int, solved: _Solved) -> NDArray[np.float64]:
+        step_4 = np.zeros(4)
+        step_4[k] = _STRIDES[k]
+        more_pf, less_pf = self.design(values_4 + step_4)[0], self.design(values_4 - step_4)[0]
+        return solved.beside((less_pf - more_pf) @ solved.found_fm / (2.0 * _STRIDES[k]))
+
+
+class _Solved:
+    """Weighted least squares of each way of going with the lamps."""
+
+    def __init__(self, design_pf: NDArray, samples_pm: NDArray, weight_pm: NDArray) -> None:
+        self.weight_pm = weight_pm
+        self.factors, found = [], []
+        for samples_p, weight_p in zip(samples_pm.T, weight_pm.T, strict=True):
+            weighted_pf = design_pf * weight_p[:, None]
+            normal_ff = weighted_pf.T @ weighted_pf
+            normal_ff[np.diag_indices_from(normal_ff)] += 1e-6 * np.trace(normal_ff) / len(normal_ff)
+            factor = linalg.cho_factor(normal_ff)
+            self.factors.append((weighted_pf, factor))
+            found.append(linalg.cho_solve(factor, weighted_pf.T @ (samples_p * weight_p)))
+        self.found_fm = np.stack(found, axis=1)
+        self.left_pm = (samples_pm - design_pf @ self.found_fm) * weight_pm
+
+    def beside(self, change_pm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what of a change no linear function follows, weighted."""
+        weighted_pm: NDArray[np.float64] = change_pm * self.weight_pm
+        for m, (weighted_pf, factor) in enumerate(self.factors):
+            weighted_pm[:, m] -= weighted_pf @ linalg.cho_solve(factor, weighted_pf.T @ weighted_pm[:, m])
+        return weighted_pm
