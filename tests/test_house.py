@@ -12,7 +12,7 @@ import clrelight
 ROOT = Path(clrelight.__file__).parent
 FLOORS = [
     {
-        *("arrays", "errors", "conventions", "configurable", "text_rows", "interrupts"),
+        *("arrays", "errors", "conventions", "configurable", "text_rows", "dome_files", "interrupts"),
         *("memory", "recycling", "search", "streaming", "statements"),
     },
     {"harmonics", "bases", "durable", "remote", "threads"},
