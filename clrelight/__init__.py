@@ -27,13 +27,14 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.export import export_textures as export_textures
     from clrelight.harmonics.rotation import rotation_matrix as rotation_matrix
     from clrelight.ingest import ingest_folder as ingest_folder
+    from clrelight.jobs.archives import import_archive as import_archive
     from clrelight.jobs.decode import decode as decode
     from clrelight.jobs.encode import encode as encode
     from clrelight.jobs.exchange import export_for_viewers as export_for_viewers
-    from clrelight.jobs.exchange import import_archive as import_archive
     from clrelight.jobs.export import export as export
     from clrelight.jobs.fit import fit as fit
     from clrelight.jobs.ingest import ingest as ingest
+    from clrelight.jobs.light_lists import export_lights as export_lights
     from clrelight.jobs.measure import measure as measure
     from clrelight.jobs.pack import pack as pack
     from clrelight.jobs.preview import preview as preview
@@ -112,9 +113,11 @@ _MODULES = {
     "export": "export_textures",
     "harmonics.rotation": "rotation_matrix",
     "ingest": "ingest_folder",
+    "jobs.archives": "import_archive",
     "jobs.decode": "decode",
     "jobs.encode": "encode",
-    "jobs.exchange": "export_for_viewers import_archive",
+    "jobs.exchange": "export_for_viewers",
+    "jobs.light_lists": "export_lights",
     "jobs.export": "export",
     "jobs.variation.find_lights": "find_lights",
     "jobs.fit": "fit",

@@ -186,10 +186,11 @@ def replacing_folder(path: str | os.PathLike) -> Iterator[Path]:
             yield folder
         except InputError as error:  # of a file that nobody will see there
             raise InputError(str(error).replace(str(folder), str(target))) from error
-        for file in folder.iterdir():
-            with open(file, "rb") as written:
-                os.fsync(written.fileno())
-        _sync_folder(folder)
+        for place, _, names in os.walk(folder):
+            for name in names:
+                with open(os.path.join(place, name), "rb") as written:
+                    os.fsync(written.fileno())
+            _sync_folder(Path(place))
         os.replace(folder, target)
     _sync_folder(target.parent)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.dome_files import ENDINGS, read_dome
 from clrelight.durable import replacing
 from clrelight.errors import InputError
 from clrelight.light_columns import find_axes, read_directions, refuse_angles
@@ -84,13 +85,16 @@ def read_light_file(path: Path) -> LightFile:
     Between fields are blanks, tabs, commas or semicolons. Read as well: decimal commas, Fortran's exponents, quotes,
     names with blanks, comments (a line from ``#``, ``%``, ``;`` or ``//`` on), a line with the number of lights, a
     heading that says which columns are x, y and z, a column that numbers the lines, and one column more in which all
-    lines are alike. Numbers of a transposed table (3×N) are one light a column.
+    lines are alike. Numbers of a transposed table (3×N) are one light a column. Also domes and projects of relight.
 
     Raises
     ------
     InputError
         Naming the line that is wrong, or what in the table has no plain meaning.
     """
+    if path.suffix.lower() in ENDINGS:
+        dome_names, vectors_i3, dome_notes = read_dome(path)
+        return LightFile(path, dome_names, vectors_i3, (), None, dome_notes)
     lines, notes = read_lines(path)
     named = path.suffix.lower() == ".lp" or _names_images(path, lines)
     rows = [_parse_line(path, number, line, named) for number, line in lines]

@@ -160,10 +160,14 @@ def _table_of_names(folder: Path, file: LightFile) -> LightTable:
     if file.announced == len(names) - 1 > 0 and not has_image(folder, names[-1]):
         # The number says that there is one image less, and so does the folder.
         names, directions_i3, lines = names[:-1], directions_i3[:-1], lines[:-1]
-    images, notes = resolve_names(folder, names, file.source, lambda light: f"light {light} (line {lines[light]})")
+    images, notes = resolve_names(folder, names, file.source, lambda light: f"light {light}{_at(lines, light)}")
     return LightTable(
         file.source, images, directions_i3, lines=lines, notes=(*file.notes, *file.count_notes(len(names)), *notes)
     )
+
+
+def _at(lines: tuple[int, ...], light: int) -> str:
+    return f" (line {lines[light]})" if lines else ""
 
 
 def _table_of_diligent(folder: Path, file: LightFile) -> LightTable:

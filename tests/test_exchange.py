@@ -9,12 +9,13 @@ import pytest
 
 import clrelight as cr
 from clrelight.exchange.ptm import read_ptm, write_ptm
-from clrelight.exchange.relight_folder import octahedral_directions
 from clrelight.exchange.relight_reading import read_relight_folder
+from clrelight.exchange.relight_table import octahedral_directions
 from clrelight.exchange.rti import read_rti, write_rti
 from clrelight.images import write_image
 from clrelight.store import write_fit
 from tests.commands import call, succeed
+from tests.reference import openlime
 from tests.reference.basis import real_harmonics
 
 LIGHTS = np.array([[0.2, 0.3, 0.93], [-0.5, 0.4, 0.7], [0.1, -0.6, 0.5], [0.0, 0.0, 1.0]])
@@ -45,34 +46,22 @@ def decibels(found, expected):
 
 
 def shown_by_openlime(folder, light):
-    """Return what ShaderRTI of OpenLIME makes of a folder: `bilinear` in `mrgb`."""
-    info = json.loads((folder / "info.json").read_text())
-    assert (info["type"], info["colorspace"], info["format"]) == ("bilinear", "mrgb", "jpg")
-    side, planes, material = info["resolution"], info["nplanes"], info["materials"][0]
-    table = np.array(info["basis"], float).reshape(planes + 1, side, side, 3)
-    table[0] /= 255
-    table[1:] = (table[1:] - 127) / np.array(material["range"])[:, None, None, None]
-    size = np.abs(light).sum()
-    x, y = ((each / size + 1) / 2 * (side - 1) for each in (light[0] + light[1], light[1] - light[0]))
-    left, top = (min(max(math.floor(each), 0), side - 2) for each in (x, y))
-    dx, dy = x - left, y - top
-    base = (1 - dx) * (1 - dy) * table[:, top, left] + dx * (1 - dy) * table[:, top, left + 1]
-    base += (1 - dx) * dy * table[:, top + 1, left] + dx * dy * table[:, top + 1, left + 1]
-    files = [oiio.ImageBuf(str(folder / f"plane_{i}.jpg")) for i in range(planes // 3)]
-    texels = np.concatenate([file.get_pixels(oiio.UINT8) for file in files], axis=2) / 255.0
-    assert texels.shape == (info["height"], info["width"], planes)
-    values = (texels - material["bias"]) * material["scale"]
-    return np.clip(base[0] + values @ base[1:], 0, 1)
+    return openlime.shown(json.loads((folder / "info.json").read_text()), openlime.whole_texels(folder), light)
 
 
 @pytest.mark.parametrize(
-    ("degree", "channels", "transfer", "planes"), [(2, 3, "linear", 27), (3, 3, "srgb", 48), (1, 1, "srgb", 12)]
+    ("degree", "channels", "transfer", "planes", "space"),
+    [
+        *((2, 3, "linear", 27, "mrgb"), (3, 3, "srgb", 48, "mrgb"), (1, 1, "srgb", 12, "mrgb")),
+        *((2, 3, "linear", 27, "mycc"), (2, 3, "srgb", 48, "mycc"), (1, 1, "srgb", 18, "mycc")),
+    ],
 )
-def test_openlime_shows_what_we_show(tmp_path, degree, channels, transfer, planes):
+def test_openlime_shows_what_we_show(tmp_path, degree, channels, transfer, planes, space):
     fit = made_fit(degree, channels=channels, transfer=transfer)
     write_fit(tmp_path / "fit.h5", fit)
     told = succeed(
-        "export", tmp_path / "fit.h5", tmp_path / "out", "--format", "relight", "--planes", planes, "--json"
+        *("export", tmp_path / "fit.h5", tmp_path / "out", "--format", "relight", "--planes", planes),
+        *("--colorspace", space, "--json"),
     ).json
     assert len(told["files"]) == planes // 3 + 1
     for light, expected in zip(LIGHTS, shown_by_ours(fit), strict=True):
@@ -213,7 +202,14 @@ def test_other_bases_of_relight(tmp_path):
 @pytest.mark.parametrize(
     "change",
     [
-        *({"type": "rbf", "colorspace": "mycc"}, {"materials": []}, {"resolution": 3}, {"resolution": "x"}),
+        *(
+            {"type": "ptm", "colorspace": "mycc"},
+            {"colorspace": "mycc"},
+            {"materials": []},
+            {"resolution": 3},
+            {"resolution": "x"},
+        ),
+        {"colorspace": "mycc", "yccplanes": [1, 2, 0]},
         *({"basis": [1, 2, 3]}, {"format": "tzi"}, {"materials": [{"scale": [1], "bias": [1, 2], "range": [1]}]}),
         {"materials": [{"scale": [1, 1, 1, 1, 1, 1, 1], "bias": [1] * 7, "range": [1] * 7}]},
     ],
@@ -323,13 +319,16 @@ def test_a_light_as_nine_coefficients(tmp_path):
         ),
         (("import", "fit.h5", "y.h5"), "files that end in .ptm or .rti can be imported"),
         (("import", "none.ptm", "y.h5"), "cannot read none.ptm"),
-        (("import", "jpeg.ptm", "y.h5"), "PTM_FORMAT_JPEG_LRGB"),
+        (("import", "jpeg.ptm", "y.h5"), "a quality and 7 lines of 9 numbers"),
+        (("import", "lut.ptm", "y.h5"), "PTM_FORMAT_PTM_LUT"),
     ],
 )
 def test_refusals(tmp_path, monkeypatch, words, line):
     monkeypatch.chdir(tmp_path)
     write_fit("fit.h5", made_fit(1, 4, 5))
-    (tmp_path / "jpeg.ptm").write_bytes(b"PTM_1.2\nPTM_FORMAT_JPEG_LRGB\n2\n2\n1 1 1 1 1 1\n0 0 0 0 0 0\n90\n")
+    for name, kind in (("jpeg", b"JPEG_LRGB"), ("lut", b"PTM_LUT")):
+        head = b"PTM_1.2\nPTM_FORMAT_" + kind + b"\n2\n2\n1 1 1 1 1 1\n0 0 0 0 0 0\n90\n"
+        (tmp_path / f"{name}.ptm").write_bytes(head)
     before = {path.name for path in tmp_path.iterdir()}
     ended = call(*words)
     assert (ended.code, ended.err.count("\n")) == (2, 1)

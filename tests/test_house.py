@@ -12,7 +12,7 @@ import clrelight
 ROOT = Path(clrelight.__file__).parent
 FLOORS = [
     {
-        *("arrays", "errors", "conventions", "configurable", "described", "text_rows", "interrupts"),
+        *("arrays", "errors", "conventions", "configurable", "described", "text_rows", "dome_files", "interrupts"),
         *("memory", "recycling", "search", "streaming", "statements", "tiles"),
     },
     {"harmonics", "bases", "durable", "remote", "threads"},

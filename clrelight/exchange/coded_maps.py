@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap
 from clrelight.exchange.codes import check_picture, display_values, row_pieces
-from clrelight.harmonics.basis import evaluate_basis
+from clrelight.exchange.rows import Rows
 from clrelight.sampling import make_pattern
 
 Terms = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -28,14 +28,14 @@ class CodedMap:
 
     Attributes
     ----------
-    codes_hwp : ndarray, shape (height, width, 3 · term), or (height, width, term + 3), uint8
+    codes_hwp : Rows, shape (height, width, 3 · term), or (height, width, term + 3), uint8
         The first row on top: all terms of each channel; or those of luminance, then a colour it is multiplied with.
     scale_t, bias_t : ndarray, shape (term,), float64
     terms : callable
         The functions f_t.
     """
 
-    codes_hwp: NDArray[np.uint8]
+    codes_hwp: Rows
     scale_t: NDArray[np.float64]
     bias_t: NDArray[np.float64]
     terms: Terms
@@ -78,7 +78,7 @@ class Refit:
         check_picture(self.coefficients, "such a file")
         directions_i3 = make_pattern("uniform", _LIGHTS)
         self._directions_i3 = directions_i3[directions_i3[:, 2] >= _LEAST_HEIGHT]
-        self._basis_ik = evaluate_basis(self._directions_i3, self.coefficients.degree)
+        self._basis_ik = self.coefficients.functions_at(self._directions_i3)
         self._solver_ti = np.linalg.pinv(self.terms(self._directions_i3)).astype(np.float32)
         self._squared, self._count = 0.0, 0
 
@@ -102,13 +102,19 @@ class Refit:
         return np.maximum(np.maximum(below_t, above_t), 1e-8), bias_t
 
     def pieces(
-        self, scale_t: NDArray, bias_t: NDArray, progress: Callable[[int, int], None] | None
+        self,
+        scale_t: NDArray,
+        bias_t: NDArray,
+        progress: Callable[[int, int], None] | None,
+        *,
+        from_bottom: bool = False,
     ) -> Iterator[tuple[int, int, NDArray[np.uint8]]]:
         """Yield rows and their codes (row, column, 3 · term), and keep what is lost."""
         height, width, _ = self.coefficients.image_shape
-        for first, end in row_pieces(self.coefficients, len(self._directions_i3)):
+        rows = list(row_pieces(self.coefficients, len(self._directions_i3)))
+        for first, end in reversed(rows) if from_bottom else rows:
             if progress is not None:
-                progress(height + first, 2 * height)
+                progress(height + (height - end if from_bottom else first), 2 * height)
             found_tpc, shown_ipc = self._solved(first, end)
             scaled_tpc = found_tpc / scale_t[:, None, None].astype(np.float32)
             codes_tpc = np.rint(np.clip(scaled_tpc + bias_t[:, None, None].astype(np.float32), 0.0, 255.0))
@@ -123,6 +129,16 @@ class Refit:
     def decibels(self) -> float:
         """What is left of the fit in the pieces so far, a PSNR of display values, peak 1."""
         return float(-10.0 * np.log10(self._squared / self._count)) if self._squared else float("inf")
+
+    def measure(self, made: CodedMap) -> float:
+        """Return what is left of the fit in a file that was written, a PSNR of display values, peak 1."""
+        self._squared, self._count = 0.0, 0
+        for first, end in row_pieces(self.coefficients, len(self._directions_i3)):
+            shown_ipc = display_values(self.coefficients, self._basis_ik, first, end)
+            back = made.display_values(self._directions_i3, first, end).reshape(shown_ipc.shape)
+            self._squared += float(np.sum((back - shown_ipc) ** 2, dtype=np.float64))
+            self._count += shown_ipc.size
+        return self.decibels
 
     def _solved(self, first: int, end: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         shown_ipc = display_values(self.coefficients, self._basis_ik, first, end)

@@ -45,9 +45,17 @@ def display_values(
     """
     n_coeff, (_, width, channel) = coefficients.n_coeff, coefficients.image_shape
     coeffs_khwc = coefficients.read_rows(first, end, np.empty((n_coeff, end - first, width, channel), np.float32))
-    radiance_ip = basis_ik.astype(np.float32) @ coeffs_khwc.reshape(n_coeff, -1)
+    return shown_of(coeffs_khwc.reshape(n_coeff, -1, channel), coefficients.transfer, basis_ik, span)
+
+
+def shown_of(
+    coeffs_kpc: NDArray[np.float32], transfer: str, basis_ik: NDArray[np.float64], span: tuple[float, float]
+) -> NDArray[np.float32]:
+    """Return display values of some pixels as `display_values` does, (n_light, pixel, 3)."""
+    n_coeff, _, channel = coeffs_kpc.shape
+    radiance_ip = basis_ik.astype(np.float32) @ coeffs_kpc.reshape(n_coeff, -1)
     clipped_ipc = np.clip(radiance_ip, *span).reshape(len(basis_ik), -1, channel)
-    shown = clipped_ipc if coefficients.transfer == "linear" else linear_to_srgb(clipped_ipc, np.float32)
+    shown = clipped_ipc if transfer == "linear" else linear_to_srgb(clipped_ipc, np.float32)
     return np.repeat(shown, 3, axis=2) if channel == 1 else shown
 
 

@@ -18,3 +18,13 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
         return name.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {name}: {error.strerror or error}") from None
+
+
+def read_start(path: str | os.PathLike[str], count: int) -> tuple[bytes, int]:
+    """Return the first bytes of a file, and how many it has; InputError where it cannot be read."""
+    name = Path(os.fsdecode(path))
+    try:
+        with open(name, "rb") as file:
+            return file.read(count), os.fstat(file.fileno()).st_size
+    except OSError as error:
+        raise InputError(f"cannot read {name}: {error.strerror or error}") from None

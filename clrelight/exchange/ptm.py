@@ -1,4 +1,4 @@
-"""Polynomial texture maps, ``.ptm`` 1.2 (Malzbender, Gelb, Wolters 2001): written as RGB, read as RGB or LRGB.
+"""Polynomial texture maps, ``.ptm`` 1.2 (Malzbender, Gelb, Wolters 2001): RGB or LRGB, as bytes or compressed by JPEG.
 
 A code value is ``a_0 u² + a_1 v² + a_2 u v + a_3 u + a_4 v + a_5``, (u, v) being x and y of the light; rows go from
 the bottom up, and a coefficient is ``(byte - bias) · scale``.
@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +19,18 @@ from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.exchange.coded_maps import CodedMap, Refit
-from clrelight.exchange.files import MOST_NUMBER, read_bytes
+from clrelight.exchange.files import MOST_NUMBER, read_start
+from clrelight.exchange.ptm_planes import TERMS, JpegPlanes, StoredRows, map_planes, read_jpeg_planes
+from clrelight.images import MAX_PIXELS
 
-TERMS = 6
 _HEADER = re.compile(
     rb"(PTM_1\.2)\s+(PTM_FORMAT_\w+)\s+(\d{1,7})\s+(\d{1,7})((?:\s+[-+.\deE]+){6})((?:\s+[-+.\d]+){6})[ \t]*\r?\n"
 )
-_MOST_HEADER = 1024
-_FORMATS = {"PTM_FORMAT_RGB": 3 * TERMS, "PTM_FORMAT_LRGB": TERMS + 3}
-"""Formats, and the bytes of a pixel in each."""
+_MOST_HEADER = 1 << 14
+_BLOCKS = {"PTM_FORMAT_RGB": (TERMS, TERMS, TERMS), "PTM_FORMAT_LRGB": (TERMS, 3)}
+"""Formats, and the planes that lie beside each other in each block of their files."""
+_COMPRESSED = {"PTM_FORMAT_JPEG_RGB": 3 * TERMS, "PTM_FORMAT_JPEG_LRGB": TERMS + 3}
+"""Formats of a JPEG for each plane, and how many."""
 
 
 def polynomial_terms(directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -38,16 +43,35 @@ def write_ptm(
     coefficients: CoefficientMap,
     out: str | os.PathLike[str],
     *,
+    quality: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> float:
-    """Write a fit as a polynomial texture map in RGB; return what is left of it, a PSNR in decibel (see `Refit`)."""
+    """Write a fit as a polynomial texture map in RGB.
+
+    Parameters
+    ----------
+    coefficients : CoefficientMap
+    out : path
+    quality : int, optional
+        1 to 100: compress its planes by JPEG. Without, they are bytes.
+    progress : callable, optional
+
+    Returns
+    -------
+    float
+        What is left of the fit, a PSNR in decibel (see `Refit`), what JPEG costs included.
+    """
     refit = Refit(coefficients, polynomial_terms, whole_bias=True)
     height, width, _ = coefficients.image_shape
     scale_t, bias_t = refit.quantiser(progress)
     words = [f"{255.0 * each:.9g}" for each in scale_t]
     scale_t = np.array([float(word) for word in words]) / 255.0  # as the header says them
+    kind = "PTM_FORMAT_RGB" if quality is None else "PTM_FORMAT_JPEG_RGB"
     biases = " ".join(f"{each:.0f}" for each in bias_t)
-    head = f"PTM_1.2\nPTM_FORMAT_RGB\n{width}\n{height}\n{' '.join(words)}\n{biases}\n".encode("ascii")
+    head = f"PTM_1.2\n{kind}\n{width}\n{height}\n{' '.join(words)}\n{biases}\n".encode("ascii")
+    if quality is not None:
+        _write_compressed(refit, out, head, (scale_t, bias_t), quality, progress)
+        return refit.measure(read_ptm(out))
     with replacing(out) as part, naming(out):
         part.write(head)
         for _, end, codes_hwp in refit.pieces(scale_t, bias_t, progress):
@@ -58,6 +82,23 @@ def write_ptm(
     return refit.decibels
 
 
+def _write_compressed(
+    refit: Refit,
+    out: str | os.PathLike[str],
+    head: bytes,
+    quantiser: tuple[NDArray, NDArray],
+    quality: int,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    height, width, _ = refit.coefficients.image_shape
+    with replacing(out) as part, naming(out), closing(JpegPlanes(height, width, 3 * TERMS, quality)) as planes:
+        for _, _, codes_hwp in refit.pieces(*quantiser, progress, from_bottom=True):
+            planes.add(codes_hwp[::-1])
+        part.write(head)
+        for piece in planes.pieces():
+            part.write(piece)
+
+
 def _put(descriptor: int, content: bytes, place: int) -> None:
     view = memoryview(content)
     while view:
@@ -66,28 +107,34 @@ def _put(descriptor: int, content: bytes, place: int) -> None:
 
 
 def read_ptm(path: str | os.PathLike[str]) -> CodedMap:
-    """Read a polynomial texture map; InputError where it is none, is cut short, or is compressed by JPEG."""
-    name, content = os.fsdecode(path), read_bytes(path)
-    match = _HEADER.match(content[:_MOST_HEADER])
+    """Read a polynomial texture map; InputError where it is none, is cut short, or predicts planes by motion.
+
+    Bytes stay in the file until rows are asked for; planes of a compressed one are held, 18 or 9 bytes a pixel.
+    """
+    name, content, length = Path(os.fsdecode(path)), *read_start(path, _MOST_HEADER)
+    match = _HEADER.match(content)
     if match is None:
         raise InputError(f"{name} is no polynomial texture map of version 1.2: it starts with {content[:7]!r}")
     kind, width, height = match[2].decode("ascii"), int(match[3]), int(match[4])
-    if kind not in _FORMATS:
-        raise InputError(f"{name} is {kind}: {' and '.join(_FORMATS)} can be read, compressed ones cannot")
-    size, there = _FORMATS[kind] * width * height, len(content) - match.end()
-    if not 0 < size <= there:
-        raise InputError(f"{name}: {width} × {height} pixels take {size} bytes, {there} are there")
+    if kind not in _BLOCKS and kind not in _COMPRESSED:
+        raise InputError(f"{name} is {kind}: {', '.join([*_BLOCKS, *_COMPRESSED])} can be read")
     try:
         scale_t, bias_t = (np.array([float(word) for word in match[group].split()]) for group in (5, 6))
     except ValueError:
         raise InputError(f"{name}: its scales and biases are no numbers") from None
     if not (np.abs([scale_t, bias_t]) <= MOST_NUMBER).all():
         raise InputError(f"{name}: its scales and biases are not finite, or beyond {MOST_NUMBER:g}")
-    codes = np.frombuffer(content, np.uint8, size, match.end())
-    if kind == "PTM_FORMAT_RGB":
-        whole_hwp = np.concatenate(list(codes.reshape(3, height, width, TERMS)), axis=2)
-    else:
-        split = TERMS * width * height
-        parts = [codes[:split].reshape(height, width, TERMS), codes[split:].reshape(height, width, 3)]
-        whole_hwp = np.concatenate(parts, axis=2)
-    return CodedMap(np.ascontiguousarray(whole_hwp[::-1]), scale_t / 255.0, bias_t, polynomial_terms)
+    rows = _rows(name, kind, (height, width), content, match.end(), length)
+    return CodedMap(rows, scale_t / 255.0, bias_t, polynomial_terms)
+
+
+def _rows(name: Path, kind: str, size: tuple[int, int], content: bytes, at: int, length: int) -> StoredRows:
+    height, width = size
+    if not 0 < height * width <= MAX_PIXELS:
+        raise InputError(f"{name}: {width} × {height} pixels are no picture, or too many")
+    if kind in _COMPRESSED:
+        return read_jpeg_planes(name, content, at, height, width, _COMPRESSED[kind])
+    wanted = sum(_BLOCKS[kind]) * width * height
+    if wanted > length - at:
+        raise InputError(f"{name}: {width} × {height} pixels take {wanted} bytes, {length - at} are there")
+    return map_planes(name, at, [(height, width, count) for count in _BLOCKS[kind]])

@@ -1,4 +1,4 @@
-"""Reads folders of relight: `info.json` and planes, of the bases that OpenLIME shows but `mycc`."""
+"""Reads folders of relight: `info.json` and planes, whole or in tiles, of the bases that OpenLIME shows."""
 
 from __future__ import annotations
 
@@ -15,13 +15,17 @@ from clrelight.errors import InputError
 from clrelight.exchange.files import MOST_NUMBER, read_bytes
 from clrelight.exchange.ptm import polynomial_terms
 from clrelight.exchange.relight_folder import INFO, MOST_PLANES
+from clrelight.exchange.relight_table import COLOUR_SPACES, to_rgb
+from clrelight.exchange.rows import Rows
 from clrelight.exchange.rti import hemispherical_terms
-from clrelight.images import read_image
+from clrelight.exchange.tile_finding import find_planes
+from clrelight.harmonics.basis import evaluate_basis
 
 _MOST_RESOLUTION = 256
 _LEAST_SIGMA = 1e-4
 _LEAST_WEIGHT = 1e-3
 """Of a light, below which OpenLIME leaves it out of radial bases."""
+_TABLES, _TERMS = ("bilinear", "rbf"), ("ptm", "hsh", "sh")
 # relight has 1, u, v, u², u v, v²; ours are u², v², u v, u, v, 1.
 _POLYNOMIAL_ORDER = [5, 3, 4, 0, 2, 1]
 
@@ -32,13 +36,13 @@ class RelightFolder:
 
     Attributes
     ----------
-    texels_hwp : ndarray, shape (height, width, plane), uint8
+    texels_hwp : Rows, shape (height, width, plane), uint8
     scale_p, bias_p : ndarray, shape (plane,), float64
     info : dict
         What the folder says of its basis.
     """
 
-    texels_hwp: NDArray[np.uint8]
+    texels_hwp: Rows
     scale_p: NDArray[np.float64]
     bias_p: NDArray[np.float64]
     info: dict[str, Any]
@@ -51,11 +55,12 @@ class RelightFolder:
     def display_values(self, directions_i3: NDArray[np.float64], first: int, end: int) -> NDArray[np.float32]:
         """Return display values of rows, (n_light, rows, width, 3), float32 in 0 .. 1."""
         scale_p, bias_p = self.scale_p.astype(np.float32), self.bias_p.astype(np.float32)
-        values_hwp = (self.texels_hwp[first:end].astype(np.float32) / np.float32(255.0) - bias_p) * scale_p
-        if self.info["colorspace"] == "mrgb":
+        texels_hwp = self.texels_hwp[first:end][..., : len(scale_p)]
+        values_hwp = (texels_hwp.astype(np.float32) / np.float32(255.0) - bias_p) * scale_p
+        if self.info["type"] in _TABLES:
             base_ipc = self._table_weights(directions_i3).astype(np.float32)
             shown = np.einsum("hwp,ipc->ihwc", values_hwp, base_ipc[:, 1:], optimize=True) + base_ipc[:, None, None, 0]
-            return np.clip(shown, 0.0, 1.0)
+            return np.clip(to_rgb(shown) if self.info["colorspace"] == "mycc" else shown, 0.0, 1.0)
         terms_it = _terms(self.info["type"], directions_i3).astype(np.float32)
         if self.info["colorspace"] == "lrgb":
             count = min(terms_it.shape[1], values_hwp.shape[2] - 3)
@@ -76,12 +81,25 @@ class RelightFolder:
             weight_in = _radial_weights(self.info, directions_i3)
         else:
             weight_in = _bilinear_weights(int(self.info["resolution"]), directions_i3)
+        if self.info["colorspace"] == "mycc":  # relight leaves in a plane's base what belongs to other components
+            table_pnc[1:] *= _components([int(each) for each in self.info["yccplanes"]])[:, None]
         return np.einsum("in,pnc->ipc", weight_in, table_pnc, optimize=True)
+
+
+def _components(counts: list[int]) -> NDArray[np.float64]:
+    """Return which component each plane is of, (plane, 3), ones and zeros.
+
+    Luminance and both differences take turns while there are differences; what luminance has more stands behind them.
+    """
+    turns = np.tile(np.eye(3), (counts[1], 1))
+    return np.concatenate([turns, np.tile(np.eye(3)[:1], (counts[0] - counts[1], 1))])
 
 
 def _terms(kind: str, directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
     if kind == "hsh":
         return hemispherical_terms(directions_i3)
+    if kind == "sh":
+        return evaluate_basis(directions_i3, 2)
     return polynomial_terms(directions_i3)[:, _POLYNOMIAL_ORDER]
 
 
@@ -115,8 +133,8 @@ def _radial_weights(info: dict[str, Any], directions_i3: NDArray[np.float64]) ->
 def read_relight_folder(path: str | os.PathLike[str]) -> RelightFolder:
     """Read a folder, or the `info.json` in it; InputError where something is missing or makes no sense.
 
-    Bases: `bilinear` and `rbf` in `mrgb`; `ptm` and `hsh` in `rgb` and `lrgb`. Planes are JPEGs or PNGs of the whole
-    image, not tiles.
+    Bases: `bilinear` and `rbf` in `mrgb` and `mycc`; `ptm`, `hsh` and `sh` in `rgb` and `lrgb`. Planes are whole
+    images, JPEG or PNG, or tiles in any layout of `LAYOUTS`; they are read when rows are asked for.
     """
     given = Path(os.fsdecode(path))
     folder = given.parent if given.name == INFO else given
@@ -128,23 +146,22 @@ def read_relight_folder(path: str | os.PathLike[str]) -> RelightFolder:
         kind, space, planes = str(info["type"]), str(info["colorspace"]), len(scale_p)
         _check(info, kind, space, planes, len(bias_p))
         ending = str(info.get("format", "jpg"))
+        size = (int(info["height"]), int(info["width"])) if "height" in info and "width" in info else None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError):
         raise InputError(f"{folder / INFO} is no JSON") from None
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{folder / INFO} does not say what a relight folder says: {error!r}") from None
-    if ending not in ("jpg", "jpeg", "png"):
-        raise InputError(f"{folder / INFO}: planes of format {ending!r}; those in jpg and png can be read")
-    images = [read_image(folder / f"plane_{number}.{ending}") for number in range(-(-planes // 3))]
-    if any(image.dtype != np.uint8 or image.shape != images[0].shape or image.shape[2] != 3 for image in images):
-        raise InputError(f"{folder}: planes must be colour images of 8 bits and one size")
-    return RelightFolder(np.concatenate(images, axis=2)[..., :planes], scale_p, bias_p, info)
+    images = [f"plane_{number}" for number in range(-(-planes // 3))]
+    return RelightFolder(find_planes(folder, images, ending, size), scale_p, bias_p, info)
 
 
 def _check(info: dict[str, Any], kind: str, space: str, planes: int, biases: int) -> None:
     """Raise ValueError unless a folder's numbers belong together."""
-    known = {("bilinear", "mrgb"), ("rbf", "mrgb"), *((k, c) for k in ("ptm", "hsh") for c in ("rgb", "lrgb"))}
+    known = {
+        (k, c) for kinds, spaces in ((_TABLES, COLOUR_SPACES), (_TERMS, ("rgb", "lrgb"))) for k in kinds for c in spaces
+    }
     if (kind, space) not in known:
         raise InputError(f"basis {kind!r} in {space!r} cannot be read; known are {sorted(known)}")
     if not 0 < planes <= 2 * MOST_PLANES or biases != planes:
@@ -152,8 +169,12 @@ def _check(info: dict[str, Any], kind: str, space: str, planes: int, biases: int
     material = info["materials"][0]
     for name in ("scale", "bias"):
         _check_numbers(name, material[name])
-    if space != "mrgb":
+    if space not in COLOUR_SPACES:
         return
+    if space == "mycc":
+        counts = [int(each) for each in info["yccplanes"]]
+        if len(counts) != 3 or sum(counts) != planes or not 0 <= counts[1] == counts[2] <= counts[0]:
+            raise ValueError(f"yccplanes {counts} of {planes} planes")
     _check_numbers("basis", info["basis"])
     if not (_check_numbers("range", material["range"]) != 0.0).all():
         raise ValueError("a range is 0")

@@ -17,7 +17,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.exchange.coded_maps import CodedMap, Refit
-from clrelight.exchange.files import MOST_NUMBER, read_bytes
+from clrelight.exchange.files import MOST_NUMBER, read_start
 
 TERMS = 9
 _HEADER = re.compile(rb"(?:#[^\n]{0,200}\n)+(\d)\s+(\d{1,7}) (\d{1,7}) (\d)\s*?\n(\d{1,2}) (\d) (\d)\s*?\n")
@@ -75,20 +75,19 @@ def _numbers(stored_2t: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArr
 
 def read_rti(path: str | os.PathLike[str]) -> CodedMap:
     """Read a file of hemispherical harmonics of order 1 or 2; InputError where it is none, or is cut short."""
-    name, content = os.fsdecode(path), read_bytes(path)
-    match = _HEADER.match(content[:_MOST_HEADER])
+    name, content, length = os.fsdecode(path), *read_start(path, _MOST_HEADER)
+    match = _HEADER.match(content)
     if match is None or not content.startswith(b"#HSH"):
         raise InputError(f"{name} is no .rti file of hemispherical harmonics: it starts with {content[:8]!r}")
     kind, width, height, channels, terms, _, size = (int(each) for each in match.groups())
     if (kind, channels, size) != (3, 3, 1) or terms not in _READ_TERMS:
         raise InputError(f"{name}: 3 channels of 4 or 9 harmonics in bytes can be read, it has {channels} of {terms}")
-    wanted, there = 8 * terms + 3 * terms * width * height, len(content) - match.end()
+    wanted, there = 8 * terms + 3 * terms * width * height, length - match.end()
     if not width or not height or there < wanted:
         raise InputError(f"{name}: {width} × {height} pixels take {wanted} bytes, {there} are there")
     stored_2t = np.frombuffer(content, "<f4", 2 * terms, match.end()).reshape(2, terms)
     if not (np.abs(stored_2t) <= MOST_NUMBER).all():
         raise InputError(f"{name}: its scales and biases are not finite, or beyond {MOST_NUMBER:g}")
-    codes = np.frombuffer(content, np.uint8, 3 * terms * width * height, match.end() + 8 * terms)
     scale_t, bias_t = _numbers(stored_2t)
-    codes_hwp = codes.reshape(height, width, 3 * terms)
+    codes_hwp = np.memmap(path, np.uint8, "r", match.end() + 8 * terms, (height, width, 3 * terms))
     return CodedMap(codes_hwp, scale_t, bias_t, lambda directions_i3: hemispherical_terms(directions_i3)[:, :terms])

@@ -18,7 +18,7 @@ from clrelight.errors import InputError, RemoteError, StoreFormatError
 from clrelight.store.attributes import read_bytes, read_scalar
 from clrelight.store.blocks import SUM_DTYPE, Blocks
 from clrelight.store.places import Place, placed
-from clrelight.store.schemas import OTHERS, SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, STACK, Field, Schema
+from clrelight.store.schemas import FIT, OTHERS, SCALE_DTYPE, SCHEMA_ATTRIBUTE, SCHEMAS, STACK, Field, Schema
 from clrelight.store.seal import SEAL_ATTRIBUTE, TABLE, parse_sums, seal_of, type_text
 from clrelight.store.stored import StoredArray
 from clrelight.store.walk import walk
@@ -39,6 +39,8 @@ _MADE_BY = {
 """What makes a file of a kind, for those who gave another."""
 
 MAX_ATTRIBUTES = 256
+_FIRST = {STACK.kind: ": clrelight fit makes one of it"}
+"""What to do first with a file of another kind, where a fit is wanted."""
 
 
 class Opened:
@@ -168,7 +170,8 @@ class Opened:
         if kinds and schema.kind not in kinds:
             article = "an" if text[0] in "aeiou" else "a"
             made = f" ({_MADE_BY[kinds[0]]} makes one)" if kinds[0] in _MADE_BY else ""
-            raise StoreFormatError(f"it is {article} {text} file, expected {wanted}{made}")
+            first = _FIRST.get(schema.kind, "") if FIT.kind in kinds else ""
+            raise StoreFormatError(f"it is {article} {text} file, expected {wanted}{first or made}")
         newest = max((each for each in (schema, *OTHERS.values()) if each.kind == schema.kind), key=lambda s: s.version)
         if int(match[2]) > newest.version:
             raise StoreFormatError(f"{text} is newer than this program reads ({newest.name}): upgrade clrelight")
