@@ -149,6 +149,8 @@ def poison(place, count, engine="local"):
     words = place.words("--keep-going", "--json", "--jobs", 2, engine=engine)
     code, told, _ = finish_batch(*words, faults={"s2": "kill"})
     seconds = time.monotonic() - since
+    tries = {row["stack"]: row["tries"] for row in json.loads(told)["rows"]}
+    assert tries["s2"] == 2, tries  # and so many workers have ended
     rows = {row["stack"]: row["state"] for row in json.loads(told)["rows"]}
     assert (code, rows) == (2, {name: "failed" if name == "s2" else "done" for name in NAMES}), rows
     assert strays_in(place.out) == []

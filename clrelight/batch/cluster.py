@@ -228,21 +228,23 @@ class DaskEngine:
         with suppress(Exception):
             if self._flying:
                 self._client.cancel([parcel.future for parcel in self._flying.values()], force=True)
-            if self._flying or self._died:  # and some are being started anew
-                self._kill()
+            self._kill()
         for each in (self._client, self._cluster):
             with suppress(Exception):
                 if each is not None:
                     each.close(timeout=3)
+        with suppress(Exception):
+            self._kill()  # what was started anew meanwhile
+            self._cluster.shutdown_on_close = False  # for which Dask waits again when Python ends
         # Semaphores of processes that have ended go with their owners; who ends without Python's exit leaves them.
         self._client = self._cluster = None
         gc.collect()
 
     def _kill(self) -> None:
-        """End workers of this machine that are at work, for which Dask would wait."""
+        """End workers of this machine: Dask would wait for what they do, their end, and those that it starts anew."""
         for nanny in list(self._cluster.workers.values()) if self._cluster is not None else ():
             nanny.auto_restart = False
-            if nanny.pid:
+            with suppress(OSError, TypeError):  # one that has just died, or has no process yet
                 os.kill(nanny.pid, signal.SIGKILL)
 
 
