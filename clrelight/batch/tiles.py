@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from clrelight.batch.farmed import run_farmed, shards_of
 from clrelight.batch.run import JOURNAL, Batch, run_batch
 from clrelight.batch.summary import write_summary
 from clrelight.batch.task import Task
@@ -19,8 +20,8 @@ from clrelight.store import open_stack
 from clrelight.store.shards import MOST_SHARDS, shard_name
 from clrelight.store.writing import IN_MEMORY_BYTES
 
-FOLDER = ".shards"
-"""Behind the name of a stack: where its shards lie."""
+FARMED = ("pack",)
+"""Jobs that decide as they go, and have parts done."""
 _NOT_OF_ROWS = ("store", "confidence", "basis", "measure")
 _AUTO_DEGREE = 9
 """Degree that shards are sized for where a fit chooses its own."""
@@ -35,15 +36,16 @@ def run_tiles(
     report: Report | None = None,
     **given: Any,
 ) -> Batch:
-    """Fit stacks in tiles, so that several workers share one stack; else as `run.run_batch`.
+    """Do a job in tiles, so that several workers share one stack; else as `run.run_batch`.
 
     A stack's shards lie in ``NAME.shards`` beside its result, which is the file that a fit of the whole stack writes.
-    They are removed when it stands, unless it is `virtual`: then it only points to them (``tiles/1``).
+    They are removed when it stands, unless it is `virtual`: then it only points to them (``tiles/1``). Jobs of `FARMED`
+    are done one stack after the other, as `farmed.run_farmed` says.
 
     Parameters
     ----------
     tasks : sequence of Task
-        Of the job ``fit``.
+        Of the job ``fit``, or one of `FARMED`.
     out : path
     rows : int, optional
         Of a tile; default: as many as a shard that is built in memory holds.
@@ -58,10 +60,14 @@ def run_tiles(
         As of `run.run_batch`; or if the job is another one, or an option is not for tiles.
     """
     told = report_for(report)
+    if tasks and tasks[0].job in FARMED:
+        if rows or virtual:
+            raise InputError(f"rows of tiles, and leaving them, are for the job fit, not for {tasks[0].job}")
+        return run_farmed(tasks, out, report=told, **given)
     joins, unreadable = [], []
     for task in tasks:
         if task.job != "fit":
-            raise InputError(f"tiles are for the job fit, not for {task.job}")
+            raise InputError(f"tiles are for the jobs fit, {', '.join(FARMED)}, not for {task.job}")
         if other := [name for name in _NOT_OF_ROWS[:3] if name in task.options]:
             raise InputError(f"{other[0]} is no option of fits in tiles")
         try:
@@ -80,7 +86,7 @@ def run_tiles(
     done = run_batch(last, out, report=told, **given) if last else Batch(())
     for join in last:
         if not virtual and any(each.name == join.name and each.is_done for each in done.outcomes):
-            shutil.rmtree(_shards(join), ignore_errors=True)
+            shutil.rmtree(shards_of(join), ignore_errors=True)
     outcomes = (*fitted.failed, *done.outcomes)
     left = (*(join.name for join in pending if join not in ready), *done.left)
     files = write_summary(Path(os.path.abspath(out)), outcomes, done.kept, len(left))
@@ -96,12 +102,8 @@ def _join_of(task: Task, rows: int | None, virtual: bool) -> Task:
     ends = [*range(step, height, step), height]
     fit = {name: value for name, value in task.options.items() if name not in _NOT_OF_ROWS}
     measured = task.options.get("measure", True) is not False
-    options = {"shards": _shards(task), "ends": ends, "virtual": virtual, "measured": measured, "fit": fit}
+    options = {"shards": shards_of(task), "ends": ends, "virtual": virtual, "measured": measured, "fit": fit}
     return replace(task, job="fit-join", options=options)
-
-
-def _shards(task: Task) -> str:
-    return os.path.splitext(task.out)[0] + FOLDER
 
 
 def _tiles_of(join: Task) -> list[Task]:
@@ -111,7 +113,7 @@ def _tiles_of(join: Task) -> list[Task]:
             f"{join.name}@{first:06d}",
             "fit-rows",
             join.source,
-            os.path.join(_shards(join), shard_name(first, end)),
+            os.path.join(shards_of(join), shard_name(first, end)),
             {**join.options["fit"], "rows": [first, end]},
             join.inputs,
         )

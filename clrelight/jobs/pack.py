@@ -22,11 +22,13 @@ from clrelight.fit.prepare import check_lights
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
 from clrelight.ingest import read_folder
+from clrelight.jobs.farm import Chore, Farm
 from clrelight.jobs.ingest import given_options, ingest, lend_photographs
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.memory import peak_memory
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.packing import Pack, Size
+from clrelight.jobs.packing_farm import PackingFarm
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import IMAGE_MEMORY
@@ -61,6 +63,7 @@ def pack(
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
+    farm: Farm | None = None,
     **options: Any,
 ) -> Report:
     """Turn photographs under known lights into one encoded file (codec ``klt``) that can be relit.
@@ -101,6 +104,9 @@ def pack(
         Bytes for photographs that are being read and for planes that are being coded.
     device, progress, report
         As of `clrelight.jobs.fit.fit`.
+    farm : Farm, optional
+        Other processes that do parts of the work, with the same result; photographs become a stack file that all of
+        them read, where `keep_stack` says or in the farm's folder.
     **options
         Of reading a folder: ``lights``, ``transfer``, ``peak``, ``crop``, ``mask``, ``subset``, ...
 
@@ -125,14 +131,11 @@ def pack(
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     look = _looking(size, rule, metric, perceptual, (method, wanted, basis))
-    for path in paths_among(source):
-        name = os.fsdecode(path)
-        if not is_remote(name) and "\0" not in name and not os.path.lexists(name):
-            raise InputError(f"there is no file or folder {name}")  # before drivers are tested, which takes a minute
+    _check_there(source)
     with (
         claimed([out, keep_stack], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
-        _photographs(source, out, keep_stack, budget, options, look, kept, progress) as stack,
+        _photographs(source, out, keep_stack, budget, options, look, kept, progress, farm) as (stack, stored),
         scratch_workspace(Path(os.fsdecode(out)).parent, budget) as workspace,
     ):
         split = rule.split(stack.directions_i3)
@@ -141,7 +144,8 @@ def pack(
         with stage(progress, "choosing a model"):
             prepared = prepare_fit(chosen, method, wanted, basis=basis, within=within, device=opened, unseen_t3=unseen)
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
-        job = Pack(stack, split, prepared, size, metric, workspace, kept, progress)
+        elsewhere = None if farm is None else PackingFarm.of(farm, stored, prepared, split[0], budget)
+        job = Pack(stack, split, prepared, size, metric, workspace, kept, progress, elsewhere)
         job.tell_facts()
         encoded = job.encode(measure, perceptual)
         since = time.perf_counter()
@@ -150,6 +154,14 @@ def pack(
     kept.facts = {"file": os.fsdecode(out), **kept.facts, "bytes_on_disk": os.stat(out).st_size}
     kept.facts["peak_memory"] = peak_memory()
     return kept
+
+
+def _check_there(source: StackLike) -> None:
+    """Raise InputError where there is no such file: before drivers are tested, which takes a minute."""
+    for path in paths_among(source):
+        name = os.fsdecode(path)
+        if not is_remote(name) and "\0" not in name and not os.path.lexists(name):
+            raise InputError(f"there is no file or folder {name}")
 
 
 def _looking(
@@ -178,27 +190,48 @@ def _photographs(
     look: Callable[[LightStack], object],
     report: Report,
     progress: Progress | None,
-) -> Iterator[LightStack]:
-    """Lend the stack, which is read from a folder first where it is one."""
+    farm: Farm | None,
+) -> Iterator[tuple[LightStack, str]]:
+    """Lend the stack, which is read from a folder first where it is one, and the name of its file, if it has one."""
     if isinstance(source, LightStack) or not os.path.isdir(source):
         given = [name for name, value in options.items() if value not in (None, False)]
         if given or keep_stack is not None:
             named = ", ".join([*given, *(["keep_stack"] if keep_stack is not None else [])])
             raise InputError(f"{named}: for a folder of photographs, not for a stack")
+        if farm is not None and (isinstance(source, LightStack) or is_remote(os.fsdecode(source))):
+            raise InputError("other processes read the stack too: give the path of its file")
         with lend_stack(source, report) as stack:
             look(stack)
-            yield stack
+            yield stack, "" if isinstance(source, LightStack) else os.path.abspath(os.fsdecode(source))
         return
-    if keep_stack is None:
+    if keep_stack is None and farm is None:
         folder = Path(os.fsdecode(out)).parent
         with lend_photographs(source, folder, memory, report, progress, options, out, look) as stack:
-            yield stack
+            yield stack, ""
         return
-    reading = Report(tell=report.note)
     found = read_folder(source, memory_bytes=memory, **given_options(source, options))
     check_output(out, found.inputs)
     look(found.stack)
-    ingest(source, keep_stack, memory=memory, progress=progress, report=reading, **options)
-    report.seconds |= reading.seconds
-    with lend_stack(keep_stack, report) as stack:
-        yield stack
+    if farm is not None:
+        kept_at = os.path.abspath(os.fsdecode(keep_stack) if keep_stack else os.path.join(farm.folder, "stack.h5"))
+        since = time.perf_counter()
+        report.note(*farm.make(_ingesting(source, memory, options), kept_at, "reading images"))
+        report.add("ingest", since)
+    else:
+        kept_at = os.fsdecode(keep_stack)  # type: ignore[arg-type]
+        reading = Report(tell=report.note)
+        ingest(source, kept_at, memory=memory, progress=progress, report=reading, **options)
+        report.seconds |= reading.seconds
+    with lend_stack(kept_at, report) as stack:
+        yield stack, kept_at
+
+
+def _ingesting(folder: str | os.PathLike[str], memory: int, options: dict[str, Any]) -> Chore:
+    """Return the reading of a folder as a chore."""
+    given = {name: list(each) if isinstance(each, tuple) else each for name, each in options.items()}
+    given = {name: each for name, each in given.items() if each is not None}
+    for name in ("lights", "mask"):
+        if name in given:
+            given[name] = os.path.abspath(os.fsdecode(str(given[name])))
+    reads = tuple(str(given[name]) for name in ("lights", "mask") if name in given)
+    return Chore("ingest", os.path.abspath(os.fsdecode(folder)), {**given, "memory": memory}, reads)

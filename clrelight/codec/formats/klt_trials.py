@@ -37,15 +37,12 @@ class Part:
     ----------
     values : DeviceArray, shape (n_plane, height, pitch), float32
     layout : Layout
-    row : int
-        Its middle.
     height, width : int
         Of the part; rows of the planes may be longer.
     """
 
     values: DeviceArray
     layout: Layout
-    row: int
     height: int
     width: int
 

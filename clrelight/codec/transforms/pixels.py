@@ -39,7 +39,7 @@ class Pixels:
 
     def __init__(self, source: Source, transfer: str = "linear") -> None:
         self.shape, self.device, self.transfer, self.basis = source.shape, source.device, transfer, source.basis
-        self._source = source
+        self._source, self.elsewhere = source, source.elsewhere
         self._buffers: dict[str, Buffer] = defaultdict(Buffer)
 
     def coefficients(self, rows: Span, columns: Span) -> NDArray[np.float32]:
