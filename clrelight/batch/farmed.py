@@ -10,7 +10,7 @@ from dataclasses import replace
 from clrelight.batch.driver import Driver
 from clrelight.batch.engine import Engine
 from clrelight.batch.farm import TaskFarm, Workers
-from clrelight.batch.fingerprint import code_digest
+from clrelight.batch.fingerprint import code_digest, take_seal
 from clrelight.batch.leftovers import sweep
 from clrelight.batch.perform import outputs_of, perform
 from clrelight.batch.run import Batch, open_engine, opened_folder
@@ -38,6 +38,8 @@ def run_farmed(
     progress: Progress | None = None,
     report: Report | None = None,
     reports: dict[str, Report] | None = None,
+    shards: Callable[[Task], str] | None = None,
+    redo: bool = False,
 ) -> Batch:
     """Do jobs whose parts are tasks: this process decides and writes, the workers do what takes long.
 
@@ -51,7 +53,11 @@ def run_farmed(
     out, engine, workers, device, keep_going, retries, timeout, memory_limit, verify, anew, progress, report
         As of `run.run_batch`.
     reports : dict, optional
-        Gets the report of each task that was done, by its name.
+        Has, or gets, the report of each task that was done, by its name.
+    shards : callable, optional
+        Returns the folder of a task's shards; default: ``NAME.shards`` beside its result.
+    redo : bool
+        Do the jobs themselves again also where an earlier run has done them, but not their parts.
 
     Raises
     ------
@@ -64,7 +70,9 @@ def run_farmed(
             *(journal, folder, device, keep_going, retries),
         )
         try:
-            return _run(tasks, hands, verify, progress, told, {} if reports is None else reports)
+            return _run(
+                tasks, hands, verify, progress, told, {} if reports is None else reports, shards or shards_of, redo
+            )
         finally:
             hands.close()
 
@@ -76,13 +84,16 @@ def _run(
     progress: Progress | None,
     report: Report,
     reports: dict[str, Report],
+    shards: Callable[[Task], str],
+    redo: bool,
 ) -> Batch:
     journal = workers.journal
     driver = Driver(
         tasks, workers.root, journal, workers.device, workers.keep_going, workers.retries, verify, progress, report
     )
     sweep(path for task in tasks for path in outputs_of(task))
-    kept, left = driver.find_kept(), []
+    kept: frozenset[str] = frozenset() if redo else driver.find_kept()
+    left: list[str] = []
     waiting = [task for task in tasks if task.name not in kept]
     if waiting:
         journal.begin_run({"job": waiting[0].job, "stacks": len(waiting), "tiles": True})
@@ -92,7 +103,7 @@ def _run(
             if failures and not workers.keep_going:
                 left = [each.name for each in waiting[number:]]
                 break
-            outcome = _do(task, driver.key_of(task), workers, progress, report, reports)
+            outcome = _do(task, driver.key_of(task), workers, progress, report, reports, shards(task))
             journal.add(outcome)
             if not outcome.is_done:
                 failures += 1
@@ -103,13 +114,19 @@ def _run(
 
 
 def _do(
-    task: Task, key: str, workers: Workers, progress: Progress | None, report: Report, reports: dict[str, Report]
+    task: Task,
+    key: str,
+    workers: Workers,
+    progress: Progress | None,
+    report: Report,
+    reports: dict[str, Report],
+    shards: str,
 ) -> Outcome:
-    shards = shards_of(task)
-    filled = reports[task.name] = Report(tell=report.note)
+    filled = reports.setdefault(task.name, Report(tell=report.note))
     farm = TaskFarm(task.name, shards, workers, progress, report)
-    told = perform(task.to_json(), key, code_digest(), workers.device, progress, farm, filled)
-    outcome = replace(Outcome.from_json(told), tries=1)
+    known = {path: take_seal(path) for path in task.inputs if os.path.isfile(path)}
+    told = perform(replace(task, known=known).to_json(), key, code_digest(), workers.device, progress, farm, filled)
+    outcome = Outcome.from_json(told)
     if outcome.is_done:
         shutil.rmtree(shards, ignore_errors=True)
     return outcome

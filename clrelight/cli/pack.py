@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.files import reading_options
 from clrelight.cli.options import (
     ByteCount,
@@ -71,6 +72,7 @@ from clrelight.cli.psnr import psnr_lines
     help="Keep the photographs there as a stack, which pack takes as well; default: gone when it ends.",
 )
 @memory_option("1GiB", "photographs being read and planes being coded")
+@engine_options
 @device_option
 @json_option
 def pack(
@@ -78,6 +80,8 @@ def pack(
     out: str,
     byte_count: int | None,
     holdout_by: str | None,
+    engine: str | None,
+    jobs: int | None,
     device: str | None,
     as_json: bool,
     **asked: Any,
@@ -92,22 +96,18 @@ def pack(
       clrelight pack photos/ view.h5 --lights photos/dome.lp --transfer srgb --holdout 5
       clrelight pack photos/ view.h5 --transfer srgb --bytes 20M
       clrelight pack stack.h5 view.h5 --target-psnr 38
+      clrelight pack large.h5 view.h5 --engine dask --jobs 4
       clrelight relight view.h5 relit.png --light 0.3,0.1,2
     """
     from clrelight.jobs.pack import pack as run_pack
 
     report = make_report(as_json)
     with progress_bar("preparing") as bar:
-        run_pack(
-            photographs,
-            out,
-            bytes=byte_count,
-            holdout_by=holdout_by or "index",
-            device=device,
-            progress=bar,
-            report=report,
-            **asked,
-        )
+        asked |= {"bytes": byte_count, "holdout_by": holdout_by or "index"}
+        if is_shared(engine, jobs):
+            run_shared("pack", photographs, out, asked, engine, jobs, device, bar, report)
+        else:
+            run_pack(photographs, out, device=device, progress=bar, report=report, **asked)
     facts = report.facts
     height, width, channel = facts["image_shape"]
     lines: dict[str, Any] = {

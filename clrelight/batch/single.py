@@ -1,0 +1,114 @@
+"""One job on one stack by the workers of an engine: what ``--engine`` of a command does."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from clrelight.batch.engine import Engine
+from clrelight.batch.farmed import FOLDER, run_farmed
+from clrelight.batch.run import JOURNAL
+from clrelight.batch.task import Task
+from clrelight.batch.verbs import find_verb
+from clrelight.durable import check_output
+from clrelight.errors import InputError
+from clrelight.jobs.farm import ChoreError
+from clrelight.jobs.inputs import path_text
+from clrelight.jobs.report import Progress, Report, report_for
+
+_LEFT = (JOURNAL, "summary.csv", "summary.json")
+
+
+def run_single(
+    job: str,
+    source: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    options: Mapping[str, Any] | None = None,
+    engine: str | Callable[[int], Engine] = "local",
+    workers: int | None = None,
+    device: str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+) -> Report:
+    """Do a job on one stack, with parts done by an engine's workers: the file that the job alone would write.
+
+    What is done stands in the folder ``NAME.shards`` beside `out` until all is: after a kill, the same call goes on.
+
+    Parameters
+    ----------
+    job : str
+        One of `clrelight.batch.tiles.FARMED`.
+    source, out : path
+    options : mapping, optional
+        Of the job, as it takes them in Python.
+    engine, workers, device
+        As of `clrelight.batch.run.run_batch`.
+    progress, report
+        As of `clrelight.jobs.fit.fit`.
+
+    Returns
+    -------
+    Report
+        As of the job.
+
+    Raises
+    ------
+    InputError
+        As of the job; or if a part fails, a worker's end among them, or the engine cannot be had.
+    """
+    kept = report_for(report)
+    verb, given = find_verb(job), {name: _plain(value) for name, value in (options or {}).items()}
+    given = {name: value for name, value in given.items() if value not in (None, False)}
+    for name in (*verb.reads, *verb.writes):
+        if isinstance(given.get(name), str):
+            given[name] = os.path.abspath(given[name])
+    verb.check(given)
+    place, target = path_text(source, "a file or folder"), os.path.abspath(path_text(out, "a file to write"))
+    check_output(target, [] if os.path.isdir(place) else [place])
+    inputs = (os.path.abspath(place), *(given[name] for name in verb.reads if name in given))
+    for path in inputs:
+        if not os.path.exists(path):
+            raise InputError(f"there is no file or folder {path}")
+    folder = Path(os.path.splitext(target)[0] + FOLDER)
+    name = os.path.splitext(os.path.basename(target))[0]
+    task = Task(name, job, inputs[0], target, given, inputs)
+    made = run_farmed(
+        [task],
+        folder,
+        engine=engine,
+        workers=workers,
+        device=device,
+        keep_going=True,
+        progress=progress,
+        report=Report(),  # of a part that fails the error tells
+        reports={name: kept},
+        shards=lambda _: str(folder / "parts"),
+        redo=True,
+    )
+    for each in made.failed:
+        if each.kind == "bug":
+            raise RuntimeError(f"{each.error}\n{each.trace}")
+        raise ChoreError(each.error, each.kind)
+    _remove(folder)
+    return kept
+
+
+def _plain(value: Any) -> Any:
+    """Return an option as JSON has it."""
+    if isinstance(value, os.PathLike):
+        return os.fsdecode(value)
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _remove(folder: Path) -> None:
+    """Remove what lies in the folder of ours, and the folder where nothing else does."""
+    shutil.rmtree(folder / "parts", ignore_errors=True)
+    with suppress(OSError):
+        for name in _LEFT:
+            (folder / name).unlink(missing_ok=True)
+        folder.rmdir()
