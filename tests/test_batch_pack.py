@@ -92,7 +92,7 @@ def test_tiles_give_the_bytes_of_one_process(stacks, alone, tmp_path):
     assert (tmp_path / "out" / "a.h5").read_bytes() == alone[0]
     (outcome,) = batch.outcomes
     assert dict(outcome.psnr) == alone[1].psnr
-    assert all(chores(engine, kind) for kind in ("pack-tile", "pack-try", "pack-measure"))
+    assert all(chores(engine, kind) for kind in ("pack-tile", "pack-try", "measure-windows"))
     assert not (tmp_path / "out" / "a.shards").exists()
     assert strays_in(tmp_path / "out") == []
     # What stands is kept, by a batch without tiles as well.
@@ -199,7 +199,7 @@ def test_what_is_not_for_workers(stacks, tmp_path):
     refuse("no file or folder", tmp_path / "none.h5")
     refuse("pack has no option 'colour'", stacks / "a.h5", colour=1)
     refuse("there is no folder", stacks / "a.h5", "none/x.h5")
-    with pytest.raises(InputError, match="for the job fit, not for pack"):
+    with pytest.raises(InputError, match="for the jobs fit and decode, not for pack"):
         pack_in_tiles(stacks, tmp_path / "out", Here(), rows=5)
 
 
@@ -232,7 +232,7 @@ def test_a_driver_that_is_ended(stacks, alone, tmp_path, name):
 def test_workers_that_are_killed(stacks, alone, tmp_path):
     out = tmp_path / "out"
     code, told, complaint = finish_batch(
-        stacks, out, *WORDS, "--jobs", 2, "--json", faults={"*@pack-measure-*": "once"}
+        stacks, out, *WORDS, "--jobs", 2, "--json", faults={"*@measure-windows-*": "once"}
     )
     assert code == 0, complaint
     assert json.loads(told)["done"] == 1

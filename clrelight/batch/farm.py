@@ -91,11 +91,11 @@ class TaskFarm:
         self._run(tasks, what)
         return (unpack_arrays(self._content(task)) for task in tasks)
 
-    def make(self, chore: Chore, out: str, what: str) -> list[str]:
+    def write(self, chores: Sequence[tuple[Chore, str]], what: str) -> list[str]:
         """See `Farm`."""
-        task = self._task(chore, out)
-        self._run([task], what)
-        return list(self.workers.journal.outcomes[task.name].notes)
+        tasks = [self._task(chore, out) for chore, out in chores]
+        self._run(tasks, what)
+        return [note for task in tasks for note in self._outcome(task).notes]
 
     def share(self, name: str, arrays: Arrays) -> str:
         """See `Farm`."""

@@ -103,7 +103,8 @@ def _run(
             if failures and not workers.keep_going:
                 left = [each.name for each in waiting[number:]]
                 break
-            outcome = _do(task, driver.key_of(task), workers, progress, report, reports, shards(task))
+            place = shards(task) if task.out else str(workers.root / f"{task.name}{FOLDER}")  # a job that only measures
+            outcome = _do(task, driver.key_of(task), workers, progress, report, reports, place)
             journal.add(outcome)
             if not outcome.is_done:
                 failures += 1

@@ -13,6 +13,7 @@ from clrelight.batch.engine import Engine
 from clrelight.batch.farmed import FOLDER, run_farmed
 from clrelight.batch.run import JOURNAL
 from clrelight.batch.task import Task
+from clrelight.batch.tiles import FARMED, run_tiles
 from clrelight.batch.verbs import find_verb
 from clrelight.durable import check_output
 from clrelight.errors import InputError
@@ -20,13 +21,14 @@ from clrelight.jobs.farm import ChoreError
 from clrelight.jobs.inputs import path_text
 from clrelight.jobs.report import Progress, Report, report_for
 
+_PARTS = "parts"
 _LEFT = (JOURNAL, "summary.csv", "summary.json")
 
 
 def run_single(
     job: str,
     source: str | os.PathLike[str],
-    out: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None,
     *,
     options: Mapping[str, Any] | None = None,
     engine: str | Callable[[int], Engine] = "local",
@@ -38,12 +40,15 @@ def run_single(
     """Do a job on one stack, with parts done by an engine's workers: the file that the job alone would write.
 
     What is done stands in the folder ``NAME.shards`` beside `out` until all is: after a kill, the same call goes on.
+    Of a job that only measures it lies beside `source`.
 
     Parameters
     ----------
     job : str
-        One of `clrelight.batch.tiles.FARMED`.
-    source, out : path
+        One of `clrelight.batch.tiles.FARMED`, or ``"decode"``.
+    source : path
+    out : path or None
+        None for a job that only measures.
     options : mapping, optional
         Of the job, as it takes them in Python.
     engine, workers, device
@@ -68,28 +73,30 @@ def run_single(
         if isinstance(given.get(name), str):
             given[name] = os.path.abspath(given[name])
     verb.check(given)
-    place, target = path_text(source, "a file or folder"), os.path.abspath(path_text(out, "a file to write"))
-    check_output(target, [] if os.path.isdir(place) else [place])
+    place = path_text(source, "a file or folder")
+    target = "" if out is None else os.path.abspath(path_text(out, "a file to write"))
+    if target and verb.ending:
+        check_output(target, [] if os.path.isdir(place) else [place])
     inputs = (os.path.abspath(place), *(given[name] for name in verb.reads if name in given))
     for path in inputs:
         if not os.path.exists(path):
             raise InputError(f"there is no file or folder {path}")
-    folder = Path(os.path.splitext(target)[0] + FOLDER)
-    name = os.path.splitext(os.path.basename(target))[0]
-    task = Task(name, job, inputs[0], target, given, inputs)
-    made = run_farmed(
-        [task],
-        folder,
-        engine=engine,
-        workers=workers,
-        device=device,
-        keep_going=True,
-        progress=progress,
-        report=Report(),  # of a part that fails the error tells
-        reports={name: kept},
-        shards=lambda _: str(folder / "parts"),
-        redo=True,
-    )
+    beside = os.path.splitext(target or inputs[0])[0]
+    folder, task = Path(beside + FOLDER), Task(os.path.basename(beside), job, inputs[0], target, given, inputs)
+    settings: dict[str, Any] = {
+        "engine": engine,
+        "workers": workers,
+        "device": device,
+        "keep_going": True,
+        "progress": progress,
+        "report": Report(),  # of a part that fails the error tells
+        "shards": lambda _: str(folder / _PARTS),
+    }
+    if job in FARMED:
+        made = run_farmed([task], folder, reports={task.name: kept}, redo=True, **settings)
+    else:
+        made = run_tiles([task], folder, **settings)
+        kept.facts["file"] = target
     for each in made.failed:
         if each.kind == "bug":
             raise RuntimeError(f"{each.error}\n{each.trace}")
@@ -107,7 +114,7 @@ def _plain(value: Any) -> Any:
 
 def _remove(folder: Path) -> None:
     """Remove what lies in the folder of ours, and the folder where nothing else does."""
-    shutil.rmtree(folder / "parts", ignore_errors=True)
+    shutil.rmtree(folder / _PARTS, ignore_errors=True)
     with suppress(OSError):
         for name in _LEFT:
             (folder / name).unlink(missing_ok=True)

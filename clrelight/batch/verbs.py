@@ -247,9 +247,13 @@ _EVERY = (
 _OF_TILES = (
     Verb("fit-rows", "clrelight.jobs.shards:fit_rows", "rows of a fit", ".h5", ("stack",), more=_of_methods),
     Verb("fit-join", "clrelight.jobs.shards:join_rows", "a fit of its rows", ".h5", ("stack",)),
+    Verb("decode-rows", "clrelight.jobs.decoding_rows:decode_rows", "rows of a decoded fit", ".h5", ("encoded",)),
+    Verb("decode-join", "clrelight.jobs.shards:join_rows", "a decoded fit of its rows", ".h5", ("encoded",)),
+    Verb("unpack-part", "clrelight.jobs.unpacking_chores:relight_part", "a part under lights", ".npz", ("encoded",)),
+    Verb("unpack-light", "clrelight.jobs.unpacking_chores:write_light", "a photograph", "", ("encoded",)),
     Verb("pack-tile", "clrelight.jobs.packing_chores:code_tile", "streams of a tile", ".npz", ("stack",)),
     Verb("pack-try", "clrelight.jobs.packing_chores:try_pieces", "bytes of pieces", ".npz", ("stack",)),
-    Verb("pack-measure", "clrelight.jobs.packing_chores:measure_coded", "errors of windows", ".npz", ("stack",)),
+    Verb("measure-windows", "clrelight.jobs.packing_chores:measure_coded", "errors of windows", ".npz", ("stack",)),
 )
 """Parts of the jobs that are done in tiles."""
 VERBS = {each.id: each for each in _EVERY}

@@ -36,7 +36,7 @@ def is_shared(engine: str | None, jobs: int | None) -> bool:
 def run_shared(
     job: str,
     source: str,
-    out: str,
+    out: str | None,
     options: dict[str, Any],
     engine: str | None,
     jobs: int | None,

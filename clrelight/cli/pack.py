@@ -138,9 +138,12 @@ def pack(
 @click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
 @salvage_option
 @memory_option("1GiB", "images and planes")
+@engine_options
 @device_option
 @json_option
-def unpack(packed: str, out: str, as_json: bool, **asked: Any) -> None:
+def unpack(
+    packed: str, out: str, engine: str | None, jobs: int | None, device: str | None, as_json: bool, **asked: Any
+) -> None:
     """Write the photographs of a packed view, under the lights it was made of or any others.
 
     The folder gets a lights.lp beside them, so that it can be packed or ingested again.
@@ -149,12 +152,16 @@ def unpack(packed: str, out: str, as_json: bool, **asked: Any) -> None:
     Example:
       clrelight unpack view.h5 photos_again/
       clrelight unpack view.h5 dome/ --lights dome.lp --format exr
+      clrelight unpack large.h5 photos_again/ --jobs 2
     """
     from clrelight.jobs.unpack import unpack as run_unpack
 
     report = make_report(as_json)
     with progress_bar("preparing") as bar:
-        run_unpack(packed, out, progress=bar, report=report, **asked)
+        if is_shared(engine, jobs):
+            run_shared("unpack", packed, out, asked, engine, jobs, device, bar, report)
+        else:
+            run_unpack(packed, out, device=device, progress=bar, report=report, **asked)
     print_report(report, as_json, {"folder": out, "images": len(report.facts["files"]) - 1})
 
 

@@ -62,8 +62,8 @@ class Farm(Protocol):
         is. `ChoreError` if one fails; those that could be done are kept.
         """
 
-    def make(self, chore: Chore, out: str, what: str) -> list[str]:
-        """Do a chore that writes a file of its own; return the notes on it."""
+    def write(self, chores: Sequence[tuple[Chore, str]], what: str) -> list[str]:
+        """Do chores that each write a file of its own; return the notes on them."""
 
     def share(self, name: str, arrays: Arrays) -> str:
         """Write arrays for all processes to read; return the path, which hangs on what they hold."""
@@ -108,4 +108,13 @@ def read_arrays(path: str | os.PathLike[str]) -> Arrays:
         with open(path, "rb") as file:
             return unpack_arrays(file.read())
     except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {os.fsdecode(path)}: {error}") from error
+
+
+def read_one_array(path: str | os.PathLike[str], name: str) -> NDArray:
+    """Return one of the arrays that `write_arrays` wrote, without reading the others; InputError if it cannot be."""
+    try:
+        with np.load(path, allow_pickle=False) as held:
+            return held[name]
+    except (OSError, ValueError, KeyError) as error:
         raise InputError(f"cannot read {os.fsdecode(path)}: {error}") from error

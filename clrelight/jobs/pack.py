@@ -215,7 +215,7 @@ def _photographs(
     if farm is not None:
         kept_at = os.path.abspath(os.fsdecode(keep_stack) if keep_stack else os.path.join(farm.folder, "stack.h5"))
         since = time.perf_counter()
-        report.note(*farm.make(_ingesting(source, memory, options), kept_at, "reading images"))
+        report.note(*farm.write([(_ingesting(source, memory, options), kept_at)], "reading images"))
         report.add("ingest", since)
     else:
         kept_at = os.fsdecode(keep_stack)  # type: ignore[arg-type]

@@ -135,20 +135,29 @@ def measure_coded(
     source: str | os.PathLike[str],
     *,
     out: str | os.PathLike[str],
-    plan: str,
     coded: str,
     windows: Sequence[Sequence[int]],
-    memory: int,
     device: Device | str | None = None,
     report: Report | None = None,
 ) -> Report:
-    """Measure windows of what was coded beside the photographs; else as `code_tile`.
+    """Measure windows of what was coded beside the photographs.
 
     Parameters
     ----------
+    source : path
+        The stack.
+    out : path
+        Gets ``sums_wi`` and ``counts_w`` of `clrelight.jobs.measure_parts.measure_windows`.
     coded : path
         The encoded file.
     windows : sequence of (top, left, bottom, right)
+    device, report
+        As of `clrelight.jobs.fit.fit`.
+
+    Raises
+    ------
+    InputError
+        If a file is not what it should be.
     """
     kept = report_for(report)
     with (

@@ -19,11 +19,12 @@ from clrelight.codec.views import Region
 from clrelight.dataset import LightStack
 from clrelight.fit import PreparedFit
 from clrelight.jobs.farm import Arrays, Chore, Farm
+from clrelight.jobs.measure_parts import Sums
 from clrelight.store import write_encoded
 
 _TRIED_TOGETHER = 6
 _MEASURED_TOGETHER = 4
-CODE_TILE, TRY_PIECES, MEASURE_WINDOWS = "pack-tile", "pack-try", "pack-measure"
+CODE_TILE, TRY_PIECES, MEASURE_WINDOWS = "pack-tile", "pack-try", "measure-windows"
 
 
 @dataclass(frozen=True)
@@ -98,21 +99,26 @@ class PackingFarm:
             )
         ]
 
-    def measure(self, encoded: Encoded, windows: Sequence[Region]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def measure(self, encoded: Encoded, windows: Sequence[Region]) -> Sums:
         """Return what `clrelight.jobs.measure_parts.measure_windows` does of an encoding."""
         path = os.path.join(self.farm.folder, "coded.h5")
         write_encoded(path, encoded)
-        places = [[each.top, each.left, each.bottom, each.right] for each in windows]
-        groups = [places[at : at + _MEASURED_TOGETHER] for at in range(0, len(places), _MEASURED_TOGETHER)]
-        chores = [self._chore(MEASURE_WINDOWS, {"coded": path, "windows": group}, path) for group in groups]
-        found = list(self.farm.do(chores, "measuring"))
-        return np.concatenate([each["sums_wi"] for each in found]), np.concatenate([each["counts_w"] for each in found])
+        return measure_elsewhere(self.farm, self.source, path, windows)
 
     def _axes(self, planes: Planes) -> str:
         return self.farm.share("axes", {"operator_jq": planes[0], "offset_j": planes[1]})
 
     def _chore(self, job: str, options: dict[str, Any], *reads: str) -> Chore:
         return Chore(job, self.source, {"plan": self.plan, "memory": self.memory, **options}, (self.plan, *reads))
+
+
+def measure_elsewhere(farm: Farm, stack: str, coded: str, windows: Sequence[Region]) -> Sums:
+    """Return what `clrelight.jobs.measure_parts.measure_windows` does of an encoded file beside a stack file."""
+    places = [[each.top, each.left, each.bottom, each.right] for each in windows]
+    groups = [places[at : at + _MEASURED_TOGETHER] for at in range(0, len(places), _MEASURED_TOGETHER)]
+    chores = [Chore(MEASURE_WINDOWS, stack, {"coded": coded, "windows": group}, (coded,)) for group in groups]
+    found = list(farm.do(chores, "measuring"))
+    return np.concatenate([each["sums_wi"] for each in found]), np.concatenate([each["counts_w"] for each in found])
 
 
 def facts_of(arrays: Arrays) -> dict[str, Any]:
