@@ -35,8 +35,9 @@ class Counting(Encoder):
 
     _counts = True
 
-    def _encode_part(self, *arguments: object, **options: object) -> Coded:  # type: ignore[override]
-        self.coded = super()._encode_part(*arguments, **options)  # type: ignore[arg-type]
+    def encode_part(self, *arguments: object, **options: object) -> Coded:  # type: ignore[override]
+        """Code a part, and keep what was counted."""
+        self.coded = super().encode_part(*arguments, **options)  # type: ignore[arg-type]
         return self.coded
 
 

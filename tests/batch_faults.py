@@ -38,6 +38,7 @@ from tests.batches import (
 )
 from tests.campaign import Tally
 from tests.commands import ROOT, environment
+from tests.test_batch_pack import WORDS, write
 
 NAMES = [f"s{i}" for i in range(6)]
 DASK = str(Path(sys.executable).with_name("dask"))
@@ -49,9 +50,11 @@ _CHAIN = 4
 class Place:
     """Stacks, what one process makes of them, and a folder for results."""
 
+    names, job = NAMES, FIT
+
     def __init__(self, folder, seed):
         self.folder, self.random = folder, random.Random(seed)
-        self.stacks = make_stacks(folder / "in", NAMES, shape=(40, 30, 3))
+        self.stacks = self.make(folder / "in")
         self.out = folder / "out"
         self.seconds = 0.0
         for _ in range(2):  # the first may build kernels
@@ -60,10 +63,13 @@ class Place:
             self.finish()
             self.seconds = time.monotonic() - since
         self.made = results_in(self.out)
-        assert len(self.made) == len(NAMES)
+        assert len(self.made) == len(self.names)
+
+    def make(self, folder):
+        return make_stacks(folder, self.names, shape=(40, 30, 3))
 
     def words(self, *more, engine="local"):
-        return (self.stacks, self.out, *FIT, "--engine", engine, *more)
+        return (self.stacks, self.out, *self.job, "--engine", engine, *more)
 
     def fresh(self):
         shutil.rmtree(self.out, ignore_errors=True)
@@ -81,6 +87,56 @@ class Place:
 
     def wait(self):
         time.sleep(self.random.random() * self.seconds)
+
+
+class PackPlace(Place):
+    """One stack that is packed in tiles."""
+
+    names, job = ["a"], WORDS
+
+    def make(self, folder):
+        folder.mkdir()
+        write(folder / "a.h5")
+        return folder
+
+
+def poison_tile(place, count):
+    """A tile that ends every worker fails; the other parts are kept, and the same command does what is missing."""
+    place.fresh()
+    words = place.words("--keep-going", "--json", "--jobs", 2)
+    since = time.monotonic()
+    code, told, _ = finish_batch(*words, faults={"a@measure-windows-*": "kill"})
+    seconds = time.monotonic() - since
+    (row,) = json.loads(told)["rows"]
+    assert (code, row["state"]) == (2, "failed"), row
+    assert row["error"].startswith("a@measure-windows-"), row
+    assert results_in(place.out) == {}
+    before = {path.name: path.stat().st_mtime_ns for path in (place.out / "a.shards").glob("pack-*.npz")}
+    assert before
+    assert strays_in(place.out / "a.shards") == []
+    place.finish()
+    place.check()
+    assert not (place.out / "a.shards").exists()
+    return ["failed alone"], seconds
+
+
+def fill_disk_of_shards(place, count):
+    """A file system without room for the shards: one line, nothing unfinished; with room the same command completes."""
+    before, place.out = place.out, place.folder / "small" / "out"
+    try:
+        with small_disk(place.folder / "small", len(place.made["a.h5"])):
+            code, _, complaint = finish_batch(*place.words())
+            assert code == 2, complaint
+            assert "the disk is full" in complaint or "MB are free" in complaint, complaint
+            assert results_in(place.out) == {}
+            assert strays_in(place.out) == []
+            subprocess.run(["mount", "-o", "remount,size=64M", place.out.parent], check=True)
+            place.finish()
+            place.check()
+    finally:
+        (place.folder / "small").rmdir()
+        place.out = before
+    return ["refused"]
 
 
 def kill_drivers(place, count, engine="local"):
@@ -360,6 +416,14 @@ def two_hosts(place, count):
     return ["done on both"]
 
 
+PACKED = {
+    "pack-driver": (kill_drivers, "killed"),
+    "pack-driver-dask": (lambda place, count: kill_drivers(place, count, "dask"), "killed"),
+    "pack-worker": (kill_workers, "killed"),
+    "pack-interrupt": (interrupt, "ended"),
+    "pack-poison": (poison_tile, "failed alone"),
+    "pack-full-disk": (fill_disk_of_shards, "refused"),
+}
 KINDS = {
     "driver": (kill_drivers, "killed"),
     "driver-dask": (lambda place, count: kill_drivers(place, count, "dask"), "killed"),
@@ -379,11 +443,16 @@ WAYS = ("cases", "killed", "ended", "failed alone", "refused", "in turn", "found
 
 def rounds_of(kind, kills, flips):
     """Return how often a kind is done, and how many harms each time."""
-    if kind == "driver":
+    if kind in ("driver", "pack-driver"):
         return -(-kills // _CHAIN), _CHAIN
-    if kind == "worker":
+    if kind in ("worker", "pack-worker"):
         return max(1, kills * 3 // 5 // 3), 3
-    return {"driver-dask": (1, 2), "interrupt": (max(1, kills // 10), 1), "flips": (1, flips)}.get(kind, (1, 1))
+    return {
+        "driver-dask": (1, 2),
+        "pack-driver-dask": (1, 2),
+        "interrupt": (max(1, kills // 10), 1),
+        "flips": (1, flips),
+    }.get(kind, (1, 1))
 
 
 @click.command()
@@ -397,14 +466,23 @@ def main(kills, flips, seed, only, without):
 
     def tallies():
         with tempfile.TemporaryDirectory() as folder:
-            place = Place(Path(folder), seed)
-            for kind, (harm, _) in KINDS.items():
+            places = {}
+            for kind, (harm, _) in {**KINDS, **PACKED}.items():
                 if only not in kind or kind in without.split(","):
                     continue
+                make = PackPlace if kind in PACKED else Place
+                if make not in places:
+                    (Path(folder) / make.__name__).mkdir()
+                    places[make] = make(Path(folder) / make.__name__, seed)
+                place = places[make]
                 tally = Tally(*WAYS)
                 rounds, count = rounds_of(kind, kills, flips)
                 for number in range(rounds):
-                    tally.run(f"{kind} {number}", lambda harm=harm, count=count: harm(place, count), first="cases")
+                    tally.run(
+                        f"{kind} {number}",
+                        lambda harm=harm, count=count, place=place: harm(place, count),
+                        first="cases",
+                    )
                 tally.counts = {way: n for way, n in tally.counts.items() if n}
                 yield kind, tally
 

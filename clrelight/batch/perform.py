@@ -14,13 +14,20 @@ from clrelight.batch.fingerprint import code_digest, look_at, read_content, take
 from clrelight.batch.task import DONE, FAILED, Outcome, Task
 from clrelight.batch.verbs import find_verb
 from clrelight.errors import BusyError, DeviceError, InputError, KernelBuildError
+from clrelight.jobs.farm import ChoreError, Farm
 from clrelight.jobs.report import Progress, Report
 
 _WAIT_SECONDS = 10.0
 
 
 def perform(
-    given: Mapping[str, Any], key: str, code: str, device: str | None, progress: Progress | None = None
+    given: Mapping[str, Any],
+    key: str,
+    code: str,
+    device: str | None,
+    progress: Progress | None = None,
+    farm: Farm | None = None,
+    report: Report | None = None,
 ) -> dict[str, Any]:
     """Do a task and return its outcome, both as JSON; whatever the job raises is a failure of this task.
 
@@ -36,14 +43,18 @@ def perform(
         As ``--device`` names it.
     progress : callable, optional
         Told how far the job is, as a `Report`'s reader is.
+    farm : Farm, optional
+        What does parts of the job.
+    report : Report, optional
+        Filled; else its own.
     """
     since = time.perf_counter()
     task, worker = Task.from_json(given), worker_name()
-    report = Report()
+    report = Report() if report is None else report
     try:
         if code_digest() != code:
             raise InputError(f"{worker} has another clrelight than the batch: install the same there")
-        inputs, outputs = _work(task, device, report, progress)
+        inputs, outputs = _work(task, device, report, progress, farm)
         outcome = Outcome(
             task.name,
             DONE,
@@ -67,19 +78,22 @@ def worker_name() -> str:
 
 
 def _work(
-    task: Task, device: str | None, report: Report, progress: Progress | None
+    task: Task, device: str | None, report: Report, progress: Progress | None, farm: Farm | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Do the job; return fingerprints of what was read and written."""
     before = {path: look_at(path) for path in task.inputs}
     if task.out:
         _make_folders(task)
-    filled = _run(task, device, report, progress)
+    filled = _run(task, device, report, progress, farm)
     if isinstance(filled, Mapping) and not report.psnr:  # of a job that returns its decibels
         report.psnr = dict(filled)
     inputs = {}
     for path, seen in before.items():
-        # Of files that were just read the contents are in memory still.
-        inputs[path] = {"bytes": seen[0], "files": seen[1], "stat": seen[2], "content": _content_of(path, seen[2])}
+        known = task.known.get(path, {})
+        if known.get("stat") == seen[2]:
+            inputs[path] = dict(known)
+        else:  # of files that were just read the contents are in memory still
+            inputs[path] = {"bytes": seen[0], "files": seen[1], "stat": seen[2], "content": _content_of(path, seen[2])}
         if look_at(path) != seen:
             raise InputError(f"{path} has changed while it was read: do it again")
     return inputs, {path: take_fingerprint(path).to_json() for path in outputs_of(task)}
@@ -91,12 +105,12 @@ def _content_of(path: str, seen: str) -> str:
     return read_content(path)
 
 
-def _run(task: Task, device: str | None, report: Report, progress: Progress | None) -> Any:
+def _run(task: Task, device: str | None, report: Report, progress: Progress | None, farm: Farm | None) -> Any:
     """Do the job, after waiting for one who is still at it: a worker whose driver is gone, say, soon is too."""
     end = time.monotonic() + _WAIT_SECONDS
     while True:
         try:
-            return find_verb(task.job).run(task, device, report, progress)
+            return find_verb(task.job).run(task, device, report, progress, farm)
         except BusyError:
             if time.monotonic() > end:
                 raise
@@ -123,6 +137,8 @@ def _told(error: Exception) -> dict[str, Any]:
     """Return kind and line of what a job raised; of a bug, the traceback too."""
     if isinstance(error, DeviceError):
         return {"kind": "device", "error": _line(error)}
+    if isinstance(error, ChoreError):
+        return {"kind": error.kind, "error": _line(error)}
     if isinstance(error, InputError):
         return {"kind": "input", "error": _line(error)}
     if isinstance(error, MemoryError):

@@ -1,28 +1,26 @@
-"""The driver: gives tasks to an engine, keeps what became of them, and tries again what deserves it."""
+"""Batches: one job on many stacks, in a folder of results with a journal and tables."""
 
 from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
-from clrelight.batch.engine import Ended, Engine, Work
-from clrelight.batch.fingerprint import code_digest, is_unchanged, task_key
+from clrelight.batch.driver import Driver
+from clrelight.batch.engine import Engine
 from clrelight.batch.journal import Journal
 from clrelight.batch.leftovers import sweep
 from clrelight.batch.perform import outputs_of
 from clrelight.batch.summary import write_summary
-from clrelight.batch.task import FAILED, Outcome, Task
+from clrelight.batch.task import Outcome, Task
 from clrelight.durable import claiming, naming, no_locks
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, report_for
 
 JOURNAL = "journal.jsonl"
-_LOOK_SECONDS = 0.5
-_LOOK_EVERY = 100
-"""Tasks of which an earlier run's result is looked at before that is told."""
 
 
 @dataclass(frozen=True)
@@ -108,34 +106,41 @@ def run_batch(
     InputError
         If `out` cannot be written, another batch writes it, or the engine cannot be had.
     """
-    told, folder = report_for(report), Path(os.path.abspath(os.fsdecode(out)))
     if retries < 0:
         raise InputError(f"retries must be at least 0, got {retries}")
+    with opened_folder(out, anew, report_for(report)) as (folder, journal, told):
+        driver = Driver(tasks, folder, journal, device, keep_going, retries, verify, progress, told)
+        if only_kept:
+            return Batch((), driver.find_kept())
+        return _run(driver, lambda: open_engine(engine, workers, timeout, memory_limit, journal.descriptor))
+
+
+@contextmanager
+def opened_folder(out: str | os.PathLike[str], anew: bool, report: Report) -> Iterator[tuple[Path, Journal, Report]]:
+    """Lend a folder of results, which is made, and its journal, both for one driver; errors as of `run_batch`."""
+    folder = Path(os.path.abspath(os.fsdecode(out)))
     with naming(folder):
         folder.mkdir(parents=True, exist_ok=True)
     with claiming(folder) as is_claimed:
         if not is_claimed:
-            told.note(no_locks(folder))
+            report.note(no_locks(folder))
         journal = Journal(folder / JOURNAL, anew=anew)
         try:
             if journal.damaged:
-                told.note(f"{journal.path}: {journal.damaged} lines are damaged or torn; their stacks are done again")
-            if only_kept:
-                known = _Driver(tasks, folder, journal, device, keep_going, retries, verify, progress, told)
-                return Batch((), known.find_kept())
-            driver = _Driver(tasks, folder, journal, device, keep_going, retries, verify, progress, told)
-            return driver.run(lambda: _open(engine, workers, timeout, memory_limit, journal.descriptor))
+                report.note(f"{journal.path}: {journal.damaged} lines are damaged or torn; their stacks are done again")
+            yield folder, journal, report
         finally:
             journal.close()
 
 
-def _open(
+def open_engine(
     engine: str | Callable[[int], Engine],
     workers: int | None,
     timeout: float | None,
     memory_limit: str,
     lock: int,
 ) -> Engine:
+    """Return the engine of a name, or what `engine` makes; InputError where it cannot be had."""
     if callable(engine):
         return engine(lock)
     if engine == "local":
@@ -153,140 +158,24 @@ def _open(
     return DaskEngine(engine if is_address(engine) else None, workers=workers, memory=memory_limit)
 
 
-@dataclass
-class _Driver:
-    """A run of a batch: what waits, what is being done, what died once and waits for its last tries."""
-
-    tasks: Sequence[Task]
-    folder: Path
-    journal: Journal
-    device: str | None
-    keep_going: bool
-    retries: int
-    verify: bool
-    progress: Progress | None
-    report: Report
-    tries: dict[str, int] = field(default_factory=dict)
-    deaths: dict[str, int] = field(default_factory=dict)
-    doubted: set[str] = field(default_factory=set)
-    waiting: deque[Task] = field(default_factory=deque)
-    suspects: deque[Task] = field(default_factory=deque)
-    keys: dict[str, str] = field(default_factory=dict)
-    failures: int = 0
-    total: int = 0
-    done: int = 0
-
-    def run(self, open_engine: Callable[[], Engine]) -> Batch:
-        """Do what is not done; write the tables, however it ends."""
-        wanted = {task.name: task for task in self.tasks}
-        sweep(path for task in self.tasks for path in outputs_of(task))
-        kept = self.find_kept()
-        self.waiting = deque(task for name, task in wanted.items() if name not in kept)
-        self.total = len(self.waiting)
-        try:
-            if self.waiting:
-                engine = open_engine()
-                try:
-                    self.journal.begin_run({"job": self.waiting[0].job, "stacks": self.total, "engine": engine.label})
-                    self._drive(engine, wanted)
-                finally:
-                    engine.close()
-                    sweep(path for task in self.tasks for path in outputs_of(task))
-        finally:
-            outcomes = self._outcomes(wanted)
-            files = write_summary(self.folder, outcomes, kept, len(self.waiting) + len(self.suspects))
-        left = tuple(task.name for task in (*self.waiting, *self.suspects))
-        return Batch(outcomes, kept, left, (str(self.journal.path), *files))
-
-    def _key(self, task: Task) -> str:
-        if task.name not in self.keys:
-            self.keys[task.name] = task_key(task, self.folder)
-        return self.keys[task.name]
-
-    def _outcomes(self, wanted: dict[str, Task]) -> tuple[Outcome, ...]:
-        """Return what became of the tasks as they are now: outcomes of others are of another batch in this folder."""
-        known = (self.journal.outcomes.get(name) for name in wanted)
-        return tuple(each for each in known if each is not None and each.key == self._key(wanted[each.name]))
-
-    def find_kept(self) -> frozenset[str]:
-        """Return the names of tasks that an earlier run has done, and that nothing has changed since."""
-        kept = set()
-        for count, task in enumerate(self.tasks):
-            if self.progress is not None and count % _LOOK_EVERY == 0:
-                self.progress(count, len(self.tasks), "looking at what is done")
-            if self._is_kept(task):
-                kept.add(task.name)
-        return frozenset(kept)
-
-    def _is_kept(self, task: Task) -> bool:
-        before = self.journal.outcomes.get(task.name)
-        if before is None or not before.is_done or before.key != self._key(task):
-            return False
-        if [*before.inputs] != [*task.inputs] or [*before.outputs] != outputs_of(task):
-            return False
-        every = (*before.inputs.items(), *before.outputs.items())
-        return all(is_unchanged(path, known, verify=self.verify) for path, known in every)
-
-    def _drive(self, engine: Engine, wanted: dict[str, Task]) -> None:
-        flying: set[str] = set()
-        while self.waiting or self.suspects or flying:
-            stopping = self.failures and not self.keep_going
-            while not stopping and (task := self._next(engine, len(flying))) is not None:
-                self.tries[task.name] = self.tries.get(task.name, 0) + 1
-                engine.submit(Work(task.name, task.to_json(), self._key(task), code_digest(), self.device))
-                flying.add(task.name)
-            if not flying:
-                return
-            self._tell(engine)
-            is_alone = engine.isolates or len(flying) == 1
-            for ended in engine.collect(_LOOK_SECONDS):
-                flying.discard(ended.name)
-                self._settle(engine, wanted[ended.name], ended, is_alone)
-
-    def _next(self, engine: Engine, flying: int) -> Task | None:
-        """Return the next task to begin; None where there is none, or all workers have enough."""
-        if self.waiting:
-            return self.waiting.popleft() if flying < engine.workers + engine.ahead else None
-        # What died with its worker is tried last: where workers hold several tasks, one alone, so that an innocent one
-        # does not die twice of its neighbour.
-        most = engine.workers if engine.isolates else 1
-        return self.suspects.popleft() if self.suspects and flying < most else None
-
-    def _settle(self, engine: Engine, task: Task, ended: Ended, is_alone: bool) -> None:
-        tries = self.tries[task.name]
-        if ended.outcome is None:
-            alone, deaths = self._count_death(task.name, is_alone)
-            if ended.kind == "died" and (not alone or deaths <= self.retries):
-                # What was given out first was most likely being done: so it comes last, and those who only waited
-                # behind it find a worker that has not to be started anew.
-                (self.suspects.append if alone else self.suspects.appendleft)(task)
-                return
-            times = f", {deaths} times" if deaths > 1 else ""
-            outcome = Outcome(task.name, FAILED, self._key(task), f"{ended.fault}{times}", ended.kind, tries=tries)
-        else:
-            outcome = replace(Outcome.from_json(ended.outcome), tries=tries)
-            if outcome.kind == "device" and engine.avoid(outcome.worker):
-                self.report.note(f"{outcome.worker} gets no more stacks: {outcome.error}")
-                self.waiting.appendleft(task)
-                return
-        self.journal.add(outcome)
-        self.done += 1
-        if not outcome.is_done:
-            self.failures += 1
-            self.report.note(f"{task.name}: {outcome.error}")
-
-    def _count_death(self, name: str, is_alone: bool) -> tuple[int, int]:
-        """Return how often a task ended a worker that it had for itself, and how often in all.
-
-        A worker that had several tasks ended for one of them. So that death fails nobody; but who then does it alone
-        has done it before, and all of them together count once, however many neighbours died.
-        """
-        self.deaths[name] = self.deaths.get(name, 0) + is_alone
-        if not is_alone:
-            self.doubted.add(name)
-        return self.deaths[name], self.deaths[name] + (name in self.doubted)
-
-    def _tell(self, engine: Engine) -> None:
-        if self.progress is not None:
-            failed = f", {self.failures} failed" if self.failures else ""
-            self.progress(self.done, self.total, f"{engine.doing()}{failed}")
+def _run(driver: Driver, open_it: Callable[[], Engine]) -> Batch:
+    """Do what is not done; write the tables, however it ends."""
+    tasks, journal = driver.tasks, driver.journal
+    wanted = {task.name: task for task in tasks}
+    sweep(path for task in tasks for path in outputs_of(task))
+    kept = driver.find_kept()
+    waiting = deque(task for name, task in wanted.items() if name not in kept)
+    try:
+        if waiting:
+            engine = open_it()
+            try:
+                journal.begin_run({"job": waiting[0].job, "stacks": len(waiting), "engine": engine.label})
+                driver.drive(engine, waiting)
+            finally:
+                engine.close()
+                sweep(path for task in tasks for path in outputs_of(task))
+    finally:
+        outcomes = driver.outcomes()
+        files = write_summary(driver.folder, outcomes, kept, len(waiting) + len(driver.suspects))
+    left = tuple(task.name for task in (*waiting, *driver.suspects))
+    return Batch(outcomes, kept, left, (str(journal.path), *files))

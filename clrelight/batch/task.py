@@ -28,6 +28,8 @@ class Task:
         Of the job, as its verb takes them; JSON values.
     inputs : tuple of str
         Files and folders that the result hangs on: the source, and those that options name.
+    known : mapping of str to Fingerprint as JSON
+        Of inputs, what the driver knows of them: who finds one as it was does not read it to know it.
     """
 
     name: str
@@ -36,6 +38,7 @@ class Task:
     out: str
     options: Mapping[str, Any] = field(default_factory=dict)
     inputs: tuple[str, ...] = ()
+    known: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Return what `from_json` takes."""

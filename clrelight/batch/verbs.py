@@ -11,9 +11,10 @@ from typing import Any
 
 from clrelight.batch.task import Task
 from clrelight.errors import InputError
+from clrelight.jobs.farm import Farm
 from clrelight.jobs.report import Progress, Report
 
-_NOT_OPTIONS = {"source", "fitted", "folder", "out", "progress", "report", "options", "device", "memory_bytes"}
+_NOT_OPTIONS = {"source", "fitted", "folder", "out", "progress", "report", "options", "device", "memory_bytes", "farm"}
 _FOUR_NUMBERS = ("crop", "region")
 _LIGHT = "light"
 
@@ -105,14 +106,15 @@ class Verb:
             if name not in known:
                 raise InputError(f"{self.id} has no option {name!r}; it has: {', '.join(known)}")
 
-    def run(self, task: Task, device: str | None, report: Report, progress: Progress | None = None) -> Any:
+    def run(
+        self, task: Task, device: str | None, report: Report, progress: Progress | None = None, farm: Farm | None = None
+    ) -> Any:
         """Do a task; the report is filled."""
         function = self.function()
         given = {name: _argument(name, value) for name, value in task.options.items()}
-        if "device" in inspect.signature(function).parameters:
-            given["device"] = device
-        if "progress" in inspect.signature(function).parameters:
-            given["progress"] = progress
+        for name, value in (("device", device), ("progress", progress), ("farm", farm)):
+            if name in inspect.signature(function).parameters:
+                given[name] = value
         if not self.is_measure:
             given["out"] = task.out
         elif "stack" not in given:
@@ -245,7 +247,14 @@ _EVERY = (
 _OF_TILES = (
     Verb("fit-rows", "clrelight.jobs.shards:fit_rows", "rows of a fit", ".h5", ("stack",), more=_of_methods),
     Verb("fit-join", "clrelight.jobs.shards:join_rows", "a fit of its rows", ".h5", ("stack",)),
+    Verb("decode-rows", "clrelight.jobs.decoding_rows:decode_rows", "rows of a decoded fit", ".h5", ("encoded",)),
+    Verb("decode-join", "clrelight.jobs.shards:join_rows", "a decoded fit of its rows", ".h5", ("encoded",)),
+    Verb("unpack-part", "clrelight.jobs.unpacking_chores:relight_part", "a part under lights", ".npz", ("encoded",)),
+    Verb("unpack-light", "clrelight.jobs.unpacking_chores:write_light", "a photograph", "", ("encoded",)),
+    Verb("pack-tile", "clrelight.jobs.packing_chores:code_tile", "streams of a tile", ".npz", ("stack",)),
+    Verb("pack-try", "clrelight.jobs.packing_chores:try_pieces", "bytes of pieces", ".npz", ("stack",)),
+    Verb("measure-windows", "clrelight.jobs.packing_chores:measure_coded", "errors of windows", ".npz", ("stack",)),
 )
-"""What `tiles` makes of the job fit."""
+"""Parts of the jobs that are done in tiles."""
 VERBS = {each.id: each for each in _EVERY}
 """Every job, in the order in which it is told of them."""

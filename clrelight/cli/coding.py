@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.options import (
     ByteCount,
     device_option,
@@ -125,6 +126,7 @@ def encode(
 @level_option
 @salvage_option
 @memory_option("256MiB", "parts of the map")
+@engine_options
 @device_option
 @json_option
 @click.pass_context
@@ -136,6 +138,8 @@ def decode(
     level: int,
     salvage: bool,
     memory: int,
+    engine: str | None,
+    jobs: int | None,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -145,6 +149,7 @@ def decode(
     Example:
       clrelight decode enc.h5 decoded.h5
       clrelight decode enc.h5 small.h5 --level 2
+      clrelight decode large.h5 decoded.h5 --jobs 2
       clrelight decode https://host/enc.h5 part.h5 --region 0,0,512,512
     """
     from clrelight.jobs.decode import decode as run_decode
@@ -152,17 +157,24 @@ def decode(
     report = make_report(as_json)
     with progress_bar("decoding") as bar:
         given = memory if is_given(context, "memory") else None
-        run_decode(
-            encoded_file,
-            out=out,
-            region=region,
-            level=level,
-            salvage=salvage,
-            memory=given,
-            device=device,
-            progress=bar,
-            report=report,
-        )
+        if is_shared(engine, jobs):
+            asked = {"region": region, "level": level or None, "salvage": salvage, "memory": given}
+            run_shared("decode", encoded_file, out, asked, engine, jobs, device, bar, report)
+        else:
+            run_decode(
+                encoded_file,
+                out=out,
+                region=region,
+                level=level,
+                salvage=salvage,
+                memory=given,
+                device=device,
+                progress=bar,
+                report=report,
+            )
+    if "codec" not in report.facts:  # of tiles nobody has seen all
+        print_report(report, as_json, {"fit": out})
+        return
     print_report(report, as_json, {"fit": out, **_size_lines(report.facts)})
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.files import reading_options
 from clrelight.cli.options import (
     ByteCount,
@@ -73,6 +74,7 @@ from clrelight.cli.psnr import psnr_lines
 )
 @preview_option
 @memory_option("1GiB", "photographs being read and planes being coded")
+@engine_options
 @device_option
 @json_option
 def pack(
@@ -80,6 +82,8 @@ def pack(
     out: str,
     byte_count: int | None,
     holdout_by: str | None,
+    engine: str | None,
+    jobs: int | None,
     device: str | None,
     as_json: bool,
     **asked: Any,
@@ -94,22 +98,18 @@ def pack(
       clrelight pack photos/ view.h5 --lights photos/dome.lp --transfer srgb --holdout 5
       clrelight pack photos/ view.h5 --transfer srgb --bytes 20M
       clrelight pack stack.h5 view.h5 --target-psnr 38
+      clrelight pack large.h5 view.h5 --engine dask --jobs 4
       clrelight relight view.h5 relit.png --light 0.3,0.1,2
     """
     from clrelight.jobs.pack import pack as run_pack
 
     report = make_report(as_json)
     with progress_bar("preparing") as bar:
-        run_pack(
-            photographs,
-            out,
-            bytes=byte_count,
-            holdout_by=holdout_by or "index",
-            device=device,
-            progress=bar,
-            report=report,
-            **asked,
-        )
+        asked |= {"bytes": byte_count, "holdout_by": holdout_by or "index"}
+        if is_shared(engine, jobs):
+            run_shared("pack", photographs, out, asked, engine, jobs, device, bar, report)
+        else:
+            run_pack(photographs, out, device=device, progress=bar, report=report, **asked)
     facts = report.facts
     height, width, channel = facts["image_shape"]
     lines: dict[str, Any] = {
@@ -143,9 +143,12 @@ def pack(
 @click.option("--transfer", type=click.Choice(["linear", "srgb"]), help="Curve of 8-bit files; default: the stack's.")
 @salvage_option
 @memory_option("1GiB", "images and planes")
+@engine_options
 @device_option
 @json_option
-def unpack(packed: str, out: str, as_json: bool, **asked: Any) -> None:
+def unpack(
+    packed: str, out: str, engine: str | None, jobs: int | None, device: str | None, as_json: bool, **asked: Any
+) -> None:
     """Write the photographs of a packed view, under the lights it was made of or any others.
 
     The folder gets a lights.lp beside them, so that it can be packed or ingested again.
@@ -154,12 +157,16 @@ def unpack(packed: str, out: str, as_json: bool, **asked: Any) -> None:
     Example:
       clrelight unpack view.h5 photos_again/
       clrelight unpack view.h5 dome/ --lights dome.lp --format exr
+      clrelight unpack large.h5 photos_again/ --jobs 2
     """
     from clrelight.jobs.unpack import unpack as run_unpack
 
     report = make_report(as_json)
     with progress_bar("preparing") as bar:
-        run_unpack(packed, out, progress=bar, report=report, **asked)
+        if is_shared(engine, jobs):
+            run_shared("unpack", packed, out, asked, engine, jobs, device, bar, report)
+        else:
+            run_unpack(packed, out, device=device, progress=bar, report=report, **asked)
     print_report(report, as_json, {"folder": out, "images": len(report.facts["files"]) - 1})
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.options import device_option, json_option, perceptual_option
 from clrelight.cli.output import decibel, print_report
 from clrelight.cli.progress import progress_bar
@@ -15,9 +16,18 @@ from clrelight.cli.progress import progress_bar
 @click.argument("fitted", metavar="FIT_OR_ENC", type=click.Path())
 @click.argument("stack", type=click.Path())
 @perceptual_option
+@engine_options
 @device_option
 @json_option
-def psnr(fitted: str, stack: str, perceptual: bool, device: str | None, as_json: bool) -> None:
+def psnr(
+    fitted: str,
+    stack: str,
+    perceptual: bool,
+    engine: str | None,
+    jobs: int | None,
+    device: str | None,
+    as_json: bool,
+) -> None:
     """Measure PSNR of a fit or an encoded file against a stack.
 
     Lights that the fit has not seen are measured apart.
@@ -26,13 +36,18 @@ def psnr(fitted: str, stack: str, perceptual: bool, device: str | None, as_json:
     Example:
       clrelight psnr enc.h5 stack.h5
       clrelight psnr enc.h5 stack.h5 --perceptual
+      clrelight psnr large.h5 stack.h5 --jobs 2
     """
     from clrelight.jobs.measure import measure
     from clrelight.jobs.report import Report
 
     report = Report(facts={"file": fitted})
     with progress_bar("measuring") as bar:
-        measure(fitted, stack, perceptual=perceptual, device=device, progress=bar, report=report)
+        if is_shared(engine, jobs):
+            asked = {"stack": stack, "perceptual": perceptual}
+            run_shared("psnr", fitted, None, asked, engine, jobs, device, bar, report)
+        else:
+            measure(fitted, stack, perceptual=perceptual, device=device, progress=bar, report=report)
     print_report(report, as_json, psnr_lines(report.psnr))
 
 

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from clrelight.codec.workspace import ArrayPlanes, Planes, Shape, Workspace
 from clrelight.device import Device
 from clrelight.matmul import SampleCurve, multiply_columns
 from clrelight.streaming import Buffer, reading_ahead
+
+if TYPE_CHECKING:
+    from clrelight.codec.formats.klt_tiles import TileCoder
 
 Result = TypeVar("Result")
 
@@ -76,6 +79,8 @@ class Source(ABC):
     """Of those."""
     basis: str = SH
     """What coefficients are of (`clrelight.bases`)."""
+    elsewhere: TileCoder | None = None
+    """What codes tiles of them in other processes, where there are such; their bytes are the same."""
 
     def __init__(self, shape: Shape, device: Device, workspace: Workspace) -> None:
         self.shape, self.device, self.workspace = shape, device, workspace

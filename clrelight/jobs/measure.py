@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import os
 import time
 
 import numpy as np
@@ -10,7 +12,9 @@ import numpy as np
 from clrelight.codec.views import Regions
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
+from clrelight.errors import InputError
 from clrelight.holdout import split_by_fit
+from clrelight.jobs.farm import Farm
 from clrelight.jobs.inputs import (
     FittedLike,
     Packed,
@@ -19,14 +23,17 @@ from clrelight.jobs.inputs import (
     lend_fitted,
     lend_stack,
     opened_on,
+    paths_among,
 )
-from clrelight.jobs.measure_parts import measure_parts
+from clrelight.jobs.measure_parts import MeasureWindows, measure_parts
+from clrelight.jobs.packing_farm import measure_elsewhere
 from clrelight.jobs.perceived import measure_perceived, relit_map, relit_regions
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.split_quality import Split, summarize_split
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.metrics import check_view, domain_note, measure_errors
 from clrelight.perception import check_perception
+from clrelight.remote import is_remote
 
 
 def measure(
@@ -37,6 +44,7 @@ def measure(
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
+    farm: Farm | None = None,
 ) -> dict[str, float]:
     """Return PSNRs of a fit against a stack, in decibel.
 
@@ -54,6 +62,8 @@ def measure(
         Told (done, total or None, stage).
     report : Report, optional
         Filled; without one, notes become warnings (`Note`).
+    farm : Farm, optional
+        Other processes that measure parts of what is large and encoded in units; both are files then.
 
     Returns
     -------
@@ -78,7 +88,8 @@ def measure(
             if isinstance(held, Packed) and 4 * math.prod(held.encoded.shape) > DEFAULT_MEMORY:
                 regions = held.regions()
                 if regions is not None:
-                    kept.psnr = _measure_regions(regions, held, source, perceptual, opened, kept, progress)
+                    elsewhere = None if farm is None else _elsewhere(farm, fitted, stack)
+                    kept.psnr = _measure_regions(regions, held, source, perceptual, opened, kept, progress, elsewhere)
                     kept.add("measure", since)
                     return kept.psnr
             coefficients = decoded_of(held, fitted, opened, kept, progress)
@@ -92,6 +103,14 @@ def measure(
     return kept.psnr
 
 
+def _elsewhere(farm: Farm, fitted: FittedLike, stack: StackLike) -> MeasureWindows:
+    paths = paths_among(stack, fitted)
+    if len(paths) < 2 or any(is_remote(os.fsdecode(path)) for path in paths):
+        raise InputError("other processes read the stack and what was packed too: give the paths of their files")
+    stack_path, coded_path = (os.path.abspath(os.fsdecode(path)) for path in paths)
+    return functools.partial(measure_elsewhere, farm, stack_path, coded_path)
+
+
 def _measure_regions(
     regions: Regions,
     packed: Packed,
@@ -100,13 +119,14 @@ def _measure_regions(
     device: Device,
     report: Report,
     progress: Progress | None,
+    elsewhere: MeasureWindows | None,
 ) -> dict[str, float]:
     record = packed.record
     blank = record.to_map(np.broadcast_to(np.float32(0), packed.encoded.shape))  # takes no memory
     check_view(blank, stack)
     report.note(*filter(None, [domain_note(blank, stack)]))
     split = split_by_fit(stack, blank)
-    found = measure_parts(regions, record, stack, split, device, sampled=False, progress=progress)
+    found = measure_parts(regions, record, stack, split, device, sampled=False, progress=progress, elsewhere=elsewhere)
     if perceptual:
         found |= measure_perceived(relit_regions(regions, device), stack, split, progress)
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,9 @@ from clrelight.jobs.split_quality import Split, summarize_split
 from clrelight.metrics import measure_errors
 from clrelight.streaming import reading_ahead
 
+Sums = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Of windows: squared errors at each light, and how many pixels count."""
+MeasureWindows = Callable[[Sequence[Region]], Sums]
 SAMPLED_FROM = 1 << 20
 """Pixels from which an image is measured at a sample where nothing else is said."""
 _WINDOW, _WINDOWS, _FEW = 256, 30, 8
@@ -34,6 +38,7 @@ def measure_parts(
     *,
     sampled: bool,
     progress: Progress | None = None,
+    elsewhere: MeasureWindows | None = None,
 ) -> dict[str, float]:
     """Return PSNRs as `clrelight.jobs.measure.measure_split` does.
 
@@ -52,13 +57,38 @@ def measure_parts(
         ``error_holdout`` are standard errors of the pooled PSNR in decibel, as the windows differ.
     progress : callable, optional
         Told how many parts are measured.
+    elsewhere : callable, optional
+        Returns what `measure_windows` would, from other processes.
     """
     height, width, channel = stack.image_shape
     pixel_bytes = 4 * coefficient_count(record.degree) * channel
     windows = sample_windows(stack) if sampled else list_tiles(height, width, pixel_bytes, _TILE_BYTES)
+    if elsewhere is not None:
+        sums_wi, counts_w = elsewhere(windows)
+    else:
+        with stage(progress, "measuring") as tell:
+            sums_wi, counts_w = measure_windows(regions, record, stack, windows, device, tell)
+    quality = summarize_split(sums_wi.sum(axis=0) / counts_w.sum(), record.directions_i3, stack, split)
+    if sampled:
+        counted = height * width if stack.mask_hw is None else int(stack.mask_hw.sum())
+        quality["sampled"] = float(counts_w.sum() / counted)
+        for name, lights in zip(("fitted", "holdout"), split, strict=True):
+            if len(lights):
+                quality[f"error_{name}"] = _standard_error(sums_wi[:, lights].mean(axis=1), counts_w)
+    return quality
+
+
+def measure_windows(
+    regions: Regions,
+    record: FitRecord,
+    stack: LightStack,
+    windows: Sequence[Region],
+    device: Device,
+    tell: Callable[[int, int], object] = lambda done, total: None,
+) -> Sums:
+    """Return each window's squared errors at each light, (n_window, n_light), and the pixels of it that count."""
     sums_wi, counts_w = np.zeros((len(windows), stack.n_light)), np.zeros(len(windows))
     with (
-        stage(progress, "measuring") as tell,
         bands_of(stack) as bands,
         reading_ahead(lambda window: _part_of(stack, window, bands), windows) as parts,
     ):
@@ -68,14 +98,7 @@ def measure_parts(
                 counts_w[number] = part.mask_hw.sum() if part.mask_hw is not None else math.prod(window.shape)
                 sums_wi[number] = measure_errors(fitted, part, device=device) * counts_w[number]
             tell(number + 1, len(windows))
-    quality = summarize_split(sums_wi.sum(axis=0) / counts_w.sum(), record.directions_i3, stack, split)
-    if sampled:
-        counted = height * width if stack.mask_hw is None else int(stack.mask_hw.sum())
-        quality["sampled"] = float(counts_w.sum() / counted)
-        for name, lights in zip(("fitted", "holdout"), split, strict=True):
-            if len(lights):
-                quality[f"error_{name}"] = _standard_error(sums_wi[:, lights].mean(axis=1), counts_w)
-    return quality
+    return sums_wi, counts_w
 
 
 def _part_of(stack: LightStack, window: Region, bands: Bands) -> LightStack | None:

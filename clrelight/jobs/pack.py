@@ -22,12 +22,14 @@ from clrelight.fit.prepare import check_lights
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
 from clrelight.ingest import read_folder
+from clrelight.jobs.farm import Chore, Farm
 from clrelight.jobs.ingest import given_options, ingest, lend_photographs
 from clrelight.jobs.inputs import Path as Name
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.memory import peak_memory
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.packing import Pack, Size
+from clrelight.jobs.packing_farm import PackingFarm
 from clrelight.jobs.preview import check_preview, draw_preview, write_preview
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
@@ -64,6 +66,7 @@ def pack(
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
+    farm: Farm | None = None,
     **options: Any,
 ) -> Report:
     """Turn photographs under known lights into one encoded file (codec ``klt``) that can be relit.
@@ -106,6 +109,9 @@ def pack(
         Bytes for photographs that are being read and for planes that are being coded.
     device, progress, report
         As of `clrelight.jobs.fit.fit`.
+    farm : Farm, optional
+        Other processes that do parts of the work, with the same result; photographs become a stack file that all of
+        them read, where `keep_stack` says or in the farm's folder.
     **options
         Of reading a folder: ``lights``, ``transfer``, ``peak``, ``crop``, ``mask``, ``subset``, ...
 
@@ -122,19 +128,15 @@ def pack(
     """
     kept, budget = report_for(report), count_bytes(memory)
     size = Size.of(rate, None if bytes is None else count_bytes(bytes), target_psnr, loss)
-    _check_words(measure, metric)
-    _check_names(out, keep_stack, preview)
+    _check(measure, metric, out, keep_stack, preview)
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
-    look = _looking(size, rule, metric, perceptual, (method, wanted, basis))
-    for path in paths_among(source):
-        name = os.fsdecode(path)
-        if not is_remote(name) and "\0" not in name and not os.path.lexists(name):
-            raise InputError(f"there is no file or folder {name}")  # before drivers are tested, which takes a minute
+    look, outs = _looking(size, rule, metric, perceptual, (method, wanted, basis)), [out, *paths_among(preview)]
+    _check_there(source)
     with (
         claimed([out, keep_stack, preview], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
-        _photographs(source, [out, *paths_among(preview)], keep_stack, budget, options, look, kept, progress) as stack,
+        _photographs(source, outs, keep_stack, budget, options, look, kept, progress, farm) as (stack, stored),
         scratch_workspace(Path(os.fsdecode(out)).parent, budget) as workspace,
     ):
         split = rule.split(stack.directions_i3)
@@ -143,7 +145,8 @@ def pack(
         with stage(progress, "choosing a model"):
             prepared = prepare_fit(chosen, method, wanted, basis=basis, within=within, device=opened, unseen_t3=unseen)
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
-        job = Pack(stack, split, prepared, size, metric, workspace, kept, progress)
+        elsewhere = None if farm is None else PackingFarm.of(farm, stored, prepared, split[0], budget)
+        job = Pack(stack, split, prepared, size, metric, workspace, kept, progress, elsewhere)
         job.tell_facts()
         encoded = job.encode(measure, perceptual)
         picture_hwc = None if preview is None else draw_preview(encoded, prepared.record, opened, kept)
@@ -157,14 +160,19 @@ def pack(
     return kept
 
 
-def _check_words(measure: str, metric: str) -> None:
+def _check_there(source: StackLike) -> None:
+    """Raise InputError where there is no such file: before drivers are tested, which takes a minute."""
+    for path in paths_among(source):
+        name = os.fsdecode(path)
+        if not is_remote(name) and "\0" not in name and not os.path.lexists(name):
+            raise InputError(f"there is no file or folder {name}")
+
+
+def _check(measure: str, metric: str, out: Name, keep_stack: Name | None, preview: Name | None) -> None:
     if measure not in MEASURES:
         raise InputError(f"measure must be one of {', '.join(MEASURES)}, got {measure!r}")
     if metric not in METRICS:
         raise InputError(f"metric must be one of {', '.join(METRICS)}, got {metric!r}")
-
-
-def _check_names(out: Name, keep_stack: Name | None, preview: Name | None) -> None:
     if keep_stack is not None and os.path.abspath(keep_stack) == os.path.abspath(out):
         raise InputError(f"the stack that is kept and the packed file have the same name, {os.fsdecode(out)}")
     if preview is not None:
@@ -197,28 +205,49 @@ def _photographs(
     look: Callable[[LightStack], object],
     report: Report,
     progress: Progress | None,
-) -> Iterator[LightStack]:
-    """Lend the stack, which is read from a folder first where it is one."""
+    farm: Farm | None,
+) -> Iterator[tuple[LightStack, str]]:
+    """Lend the stack, which is read from a folder first where it is one, and the name of its file, if it has one."""
     if isinstance(source, LightStack) or not os.path.isdir(source):
         given = [name for name, value in options.items() if value not in (None, False)]
         if given or keep_stack is not None:
             named = ", ".join([*given, *(["keep_stack"] if keep_stack is not None else [])])
             raise InputError(f"{named}: for a folder of photographs, not for a stack")
+        if farm is not None and (isinstance(source, LightStack) or is_remote(os.fsdecode(source))):
+            raise InputError("other processes read the stack too: give the path of its file")
         with lend_stack(source, report) as stack:
             look(stack)
-            yield stack
+            yield stack, "" if isinstance(source, LightStack) else os.path.abspath(os.fsdecode(source))
         return
-    if keep_stack is None:
+    if keep_stack is None and farm is None:
         folder = Path(os.fsdecode(outs[0])).parent
         with lend_photographs(source, folder, memory, report, progress, options, outs, look) as stack:
-            yield stack
+            yield stack, ""
         return
-    reading = Report(tell=report.note)
     found = read_folder(source, memory_bytes=memory, **given_options(source, options))
     for out in outs:
         check_output(out, found.inputs)
     look(found.stack)
-    ingest(source, keep_stack, memory=memory, progress=progress, report=reading, **options)
-    report.seconds |= reading.seconds
-    with lend_stack(keep_stack, report) as stack:
-        yield stack
+    if farm is not None:
+        kept_at = os.path.abspath(os.fsdecode(keep_stack) if keep_stack else os.path.join(farm.folder, "stack.h5"))
+        since = time.perf_counter()
+        report.note(*farm.write([(_ingesting(source, memory, options), kept_at)], "reading images"))
+        report.add("ingest", since)
+    else:
+        kept_at = os.fsdecode(keep_stack)  # type: ignore[arg-type]
+        reading = Report(tell=report.note)
+        ingest(source, kept_at, memory=memory, progress=progress, report=reading, **options)
+        report.seconds |= reading.seconds
+    with lend_stack(kept_at, report) as stack:
+        yield stack, kept_at
+
+
+def _ingesting(folder: str | os.PathLike[str], memory: int, options: dict[str, Any]) -> Chore:
+    """Return the reading of a folder as a chore."""
+    given = {name: list(each) if isinstance(each, tuple) else each for name, each in options.items()}
+    given = {name: each for name, each in given.items() if each is not None}
+    for name in ("lights", "mask"):
+        if name in given:
+            given[name] = os.path.abspath(os.fsdecode(str(given[name])))
+    reads = tuple(str(given[name]) for name in ("lights", "mask") if name in given)
+    return Chore("ingest", os.path.abspath(os.fsdecode(folder)), {**given, "memory": memory}, reads)

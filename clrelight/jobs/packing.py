@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Iterator
@@ -26,6 +27,7 @@ from clrelight.holdout import describe_duplicates, note_distance
 from clrelight.jobs.bands import bands_of
 from clrelight.jobs.fitted_source import fitted_source
 from clrelight.jobs.measure_parts import SAMPLED_FROM, measure_parts, sample_windows
+from clrelight.jobs.packing_farm import PackingFarm
 from clrelight.jobs.perceived import measure_perceived, relit_regions
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.sizes import payload_budget, size_facts
@@ -103,6 +105,8 @@ class Pack:
     workspace: ScratchWorkspace
     report: Report
     progress: Progress | None
+    elsewhere: PackingFarm | None = None
+    """What does parts of the work in other processes."""
 
     def tell_facts(self) -> None:
         """Report what is known before the work."""
@@ -157,6 +161,7 @@ class Pack:
             yield array_source(fitted.coeffs_khwc, prepared.device, fitted.basis)
         else:
             with fitted_source(prepared, self.workspace) as source:
+                source.elsewhere = self.elsewhere
                 yield source
 
     def _code(self, source: Source, options: dict[str, Any]) -> Encoded:
@@ -184,6 +189,7 @@ class Pack:
             self.prepared.device,
             sampled=sampled,
             progress=self.progress,
+            elsewhere=None if self.elsewhere is None else functools.partial(self.elsewhere.measure, encoded),
         )
         report.add("measure", since)
         return report.psnr["pooled_holdout" if len(self.split[1]) else "pooled_fitted"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -19,6 +18,7 @@ from clrelight.fit import PreparedFit, fit_tiles, prepare_fit
 from clrelight.fit.precision import MIXED
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
+from clrelight.jobs.held import Held, look_of
 from clrelight.jobs.inputs import lend_stack, opened_on, whole
 from clrelight.jobs.measure import measure
 from clrelight.jobs.outputs import claimed
@@ -30,7 +30,7 @@ from clrelight.store.shards import shard_name
 from clrelight.store.tiling import write_tiles
 from clrelight.tiles import row_tiles
 
-_threads = threading.local()
+_held = Held()
 
 
 def fit_rows(
@@ -119,17 +119,9 @@ def _prepared(
 ) -> PreparedFit:
     """Return the fit of a stack, ready to run: the last one's where it is the same."""
     path = os.path.abspath(os.fsdecode(source))
-    try:
-        known = os.stat(path)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    key = repr((path, known.st_ino, known.st_size, known.st_mtime_ns, rule, model, asked, id(device)))
-    if getattr(_threads, "key", None) != key:
-        _threads.key = None
-        if getattr(_threads, "held", None) is not None:
-            _threads.held.close()
-        _threads.held = ExitStack()
-        stack = _threads.held.enter_context(lend_stack(path, report))
+
+    def make(opened: ExitStack) -> PreparedFit:
+        stack = opened.enter_context(lend_stack(path, report))
         fitted, unseen = rule.split(stack.directions_i3)
         prepared = prepare_fit(
             stack if len(fitted) == stack.n_light else stack.select(fitted),
@@ -139,10 +131,11 @@ def _prepared(
             unseen_t3=stack.directions_i3[unseen] if len(unseen) else None,
             **asked,
         )
-        _threads.fit = replace(prepared, config={**prepared.config, **rule.to_config()})
-        _threads.key = key
-    report.note(*_threads.fit.report.notes)
-    return _threads.fit
+        return replace(prepared, config={**prepared.config, **rule.to_config()})
+
+    found: PreparedFit = _held.get(repr((look_of(path), rule, model, asked, id(device))), make)
+    report.note(*found.report.notes)
+    return found
 
 
 def join_rows(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +18,13 @@ from clrelight.device import Device
 from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.images import write_image
+from clrelight.jobs.farm import Chore, Farm
 from clrelight.jobs.inputs import lend_encoded, opened_on, read_directions
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import FLOAT_FORMATS
 from clrelight.jobs.region import list_tiles
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.unpacking_chores import LIGHT, PART
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import IMAGE_MEMORY
 from clrelight.relight import to_display
@@ -44,6 +46,7 @@ def unpack(
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
+    farm: Farm | None = None,
 ) -> Report:
     """Write the photographs of a packed view into a new folder, with the light file that `pack` and `ingest` read.
 
@@ -67,6 +70,8 @@ def unpack(
         Bytes of images and planes that are held.
     device, progress, report
         As of `clrelight.jobs.decode.decode`.
+    farm : Farm, optional
+        Other processes that relight parts of the image and write photographs; `source` is a file then.
 
     Returns
     -------
@@ -97,22 +102,17 @@ def unpack(
             raise InputError(f"only files of codec klt hold parts that can be decoded alone, this is {encoded.codec}")
         _check_channels(kind, encoded.shape[3])
         directions_i3 = record.directions_i3 if lights is None else read_directions(lights, kept)
-        since = kept.add("read", since)
-        shape = (len(directions_i3), *encoded.shape[1:])
-        dtype = np.dtype(np.float32 if f".{kind}" in FLOAT_FORMATS else np.uint8)
-        with (
-            replacing_folder(out) as folder,
-            closing(ScratchImages(Path(os.fsdecode(out)).parent, shape, dtype)) as images,
-        ):
-            with stage(progress, "relighting") as tell:
-                parts = list_tiles(*shape[1:3], 4 * shape[0] * shape[3], budget // 4)
-                for number, part in enumerate(parts):
-                    _relight(images, regions, part, directions_i3, transfer or record.transfer, opened)
-                    tell(number + 1, len(parts))
-            since = kept.add("relight", since)
-            with stage(progress, "writing images") as tell:
-                names = _write(folder, images, kind, directions_i3, tell)
-            kept.add("write", since)
+        kept.add("read", since)
+        job = _Unpack(encoded.shape, directions_i3, kind, transfer or record.transfer, budget, kept, progress)
+        with replacing_folder(out) as folder:
+            if farm is None:
+                names = job.run(folder, regions, Path(os.fsdecode(out)).parent, opened)
+            elif isinstance(source, Encoded) or salvage:
+                raise InputError("other processes read the packed file too, and salvage nothing: give its path alone")
+            else:
+                names = job.share(folder, os.path.abspath(os.fsdecode(source)), farm)
+            _write_lights(folder, names, directions_i3)
+            names = [*names, LIGHTS_FILE]
     kept.facts |= {"folder": os.fsdecode(out), "files": [os.path.join(os.fsdecode(out), name) for name in names]}
     return kept
 
@@ -126,29 +126,85 @@ def _check_channels(kind: str, channel: int) -> None:
     raise InputError(f"{kind} holds {held}, the images have {channel}: {fitting} can hold them")
 
 
-def _relight(
-    images: ScratchImages,
-    regions: Regions,
-    part: Region,
-    directions_i3: NDArray[np.float64],
-    transfer: str,
-    device: Device,
-) -> None:
-    relit_ihwc = regions.relight_region(directions_i3, part, device)
-    shown_ihwc = relit_ihwc if images.dtype == np.float32 else to_display(relit_ihwc, transfer)
-    for light, rows_hwc in enumerate(shown_ihwc):
-        images.write_part(light, part.top, part.left, rows_hwc)
+@dataclass(frozen=True)
+class _Unpack:
+    """Photographs that are asked for."""
+
+    shape: tuple[int, int, int, int]
+    directions_i3: NDArray[np.float64]
+    kind: str
+    transfer: str
+    memory: int
+    report: Report
+    progress: Progress | None
+
+    @property
+    def names(self) -> list[str]:
+        """Of the files."""
+        digits = max(3, len(str(len(self.directions_i3) - 1)))
+        return [f"light_{light:0{digits}}.{self.kind}" for light in range(len(self.directions_i3))]
+
+    @property
+    def is_float(self) -> bool:
+        """Whether files hold linear radiance."""
+        return f".{self.kind}" in FLOAT_FORMATS
+
+    @property
+    def parts(self) -> list[Region]:
+        """Of the image, each decoded once."""
+        return list_tiles(*self.shape[1:3], 4 * len(self.directions_i3) * self.shape[3], self.memory // 4)
+
+    def run(self, folder: Path, regions: Regions, place: Path, device: Device) -> list[str]:
+        """Write all photographs, which lie in a file without a name in `place` meanwhile; return their names."""
+        since, shape = time.perf_counter(), (len(self.directions_i3), *self.shape[1:])
+        dtype = np.dtype(np.float32 if self.is_float else np.uint8)
+        with closing(ScratchImages(place, shape, dtype)) as images:
+            with stage(self.progress, "relighting") as tell:
+                for number, part in enumerate(self.parts):
+                    relit_ihwc = regions.relight_region(self.directions_i3, part, device)
+                    shown_ihwc = relit_ihwc if self.is_float else to_display(relit_ihwc, self.transfer)
+                    for light, rows_hwc in enumerate(shown_ihwc):
+                        images.write_part(light, part.top, part.left, rows_hwc)
+                    tell(number + 1, len(self.parts))
+            since = self.report.add("relight", since)
+            with stage(self.progress, "writing images") as tell:
+                for light, name in enumerate(self.names):
+                    write_image(folder / name, images[light])
+                    tell(light + 1, len(self.names))
+            self.report.add("write", since)
+        return self.names
+
+    def share(self, folder: Path, source: str, farm: Farm) -> list[str]:
+        """Have all photographs written elsewhere; return their names."""
+        since, parts = time.perf_counter(), self.parts
+        lights = farm.share("lights", {"directions_i3": self.directions_i3})
+        curve = None if self.is_float else self.transfer
+        files = [f"part-{number:06d}.npz" for number in range(len(parts))]
+        relit = [
+            Chore(
+                PART,
+                source,
+                {"lights": lights, "transfer": curve, "sides": [part.top, part.left, part.bottom, part.right]},
+                (lights,),
+            )
+            for part in parts
+        ]
+        paths = [os.path.join(farm.folder, file) for file in files]
+        farm.write(list(zip(relit, paths, strict=True)), "relighting")
+        since = self.report.add("relight", since)
+        places = [[part.top, part.left] for part in parts]
+        given = {"shape": list(self.shape[1:]), "parts": files, "places": places}
+        written = [
+            (Chore(LIGHT, source, {**given, "light": light}, tuple(paths)), os.path.join(farm.folder, name))
+            for light, name in enumerate(self.names)
+        ]
+        farm.write(written, "writing images")
+        for name in self.names:
+            os.replace(os.path.join(farm.folder, name), folder / name)
+        self.report.add("write", since)
+        return self.names
 
 
-def _write(
-    folder: Path, images: ScratchImages, kind: str, directions_i3: NDArray[np.float64], tell: Callable[[int, int], None]
-) -> list[str]:
-    """Write all images and the light file; return their names."""
-    digits = max(3, len(str(len(directions_i3) - 1)))
-    names = [f"light_{light:0{digits}}.{kind}" for light in range(len(directions_i3))]
-    for light, name in enumerate(names):
-        write_image(folder / name, images[light])
-        tell(light + 1, len(names))
+def _write_lights(folder: Path, names: list[str], directions_i3: NDArray[np.float64]) -> None:
     lines = [f"{name} {x:.9f} {y:.9f} {z:.9f}" for name, (x, y, z) in zip(names, directions_i3, strict=True)]
     (folder / LIGHTS_FILE).write_text("\n".join([str(len(names)), *lines, ""]))
-    return [*names, LIGHTS_FILE]

@@ -146,8 +146,8 @@ def _slopes(device: Device, sampling: str) -> list[Slope]:
     if sampling == "scattered":
         cuts = [_paper_cut(lights, degree) for degree in LARGE_DEGREES]
         alone = [_CEB_COLUMNS] * len(cuts)
-        sizes, runs = [size for size, _ in cuts], [run for _, run in cuts]
-        rows.append(Slope("CEB as printed, scattered", "n³", "cut", "n", 3.0, sizes, runs, alone))
+        large, runs = [size for size, _ in cuts], [run for _, run in cuts]
+        rows.append(Slope("CEB as printed, scattered", "n³", "cut", "n", 3.0, large, runs, alone))
     return rows
 
 

@@ -33,6 +33,11 @@ MARGIN = 128
 class Window(Rectangle):
     """A part of an image whose planes are transformed together; it begins at multiples of ``2 ** LEVELS``."""
 
+    @property
+    def n_pixel(self) -> int:
+        """Height times width."""
+        return self.shape[0] * self.shape[1]
+
     def sides_at(self, level: int) -> tuple[int, int]:
         """Return the height and width of its planes at a level."""
         return low_side(self.bottom, level) - (self.top >> level), low_side(self.right, level) - (self.left >> level)
@@ -226,15 +231,32 @@ def whole_tile(height: int, width: int, streams: list[int]) -> Tile:
     return Tile(list_units(height, width), streams, Window(0, 0, height, width), 0, height, height * width)
 
 
+def tile_of(
+    height: int, width: int, sides: tuple[int, int, int, int], among: list[tuple[int, Unit]] | None = None
+) -> Tile:
+    """Return the tile of top, left, bottom and right, the first two of which are multiples of `PRECINCT`.
+
+    Its units are `among` those, with their numbers; by default all of the image.
+    """
+    top, left, bottom, right = sides
+    known = list(enumerate(list_units(height, width))) if among is None else among
+    chosen = [(t, unit) for t, unit in known if _begins_in(unit, top, left, bottom, right)]
+    window = Window(
+        max(top - MARGIN, 0), max(left - MARGIN, 0), min(bottom + MARGIN, height), min(right + MARGIN, width)
+    )
+    n_pixel = (bottom - top) * (right - left)
+    return Tile([unit for _, unit in chosen], [t for t, _ in chosen], window, top, bottom, n_pixel)
+
+
 def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
     """Return the tiles of an image of so many planes: whole precincts whose windows fit a number of bytes, rows first.
 
     Strips as wide as the image where one fits, which rows are read once for; one precinct at the least. The last strip
     is in pieces: what comes last is coded several times, which takes its memory twice.
     """
-    units = list_units(height, width)
+    known = list(enumerate(list_units(height, width)))
     if height * width <= _WHOLE and 4 * height * width * count <= memory:
-        return [whole_tile(height, width, list(range(len(units))))]
+        return [whole_tile(height, width, list(range(len(known))))]
     rows, columns = tile_sides(height, width, count, memory)
     tiles = []
     for top in range(0, height, rows):
@@ -243,12 +265,7 @@ def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
             columns = min(columns, -(-width // (_LAST_PIECES * PRECINCT)) * PRECINCT)
         for left in range(0, width, columns):
             right = min(left + columns, width)
-            chosen = [t for t, unit in enumerate(units) if _begins_in(unit, top, left, bottom, right)]
-            window = Window(
-                max(top - MARGIN, 0), max(left - MARGIN, 0), min(bottom + MARGIN, height), min(right + MARGIN, width)
-            )
-            n_pixel = (bottom - top) * (right - left)
-            tiles.append(Tile([units[t] for t in chosen], chosen, window, top, bottom, n_pixel))
+            tiles.append(tile_of(height, width, (top, left, bottom, right), known))
     return tiles
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
-from clrelight.codec.entropy.unit_streams import Coded, ValuesLostError, default_tables, encode_streams
-from clrelight.codec.entropy.units import LEVELS, Tile, Window, list_tiles, whole_tile
+from clrelight.codec.entropy.unit_streams import Coded
+from clrelight.codec.entropy.units import Tile, Window, list_tiles, whole_tile
+from clrelight.codec.formats.klt_tiles import MULTIPLIER, TileEncoder, Tried, encode_elsewhere
 from clrelight.codec.formats.klt_trials import (
     MULTIPLIER_POWER,
     MULTIPLIERS,
@@ -23,17 +25,14 @@ from clrelight.codec.formats.klt_trials import (
 )
 from clrelight.codec.formats.klt_units import HEAD_SIZE, Head, count_streams, is_together, pack_axes, pack_body
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
-from clrelight.codec.transforms.lifting import transform_planes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
 from clrelight.codec.transforms.strips import Strips
-from clrelight.codec.transforms.whitening import Planes, reshaped, whitening_of, with_type
+from clrelight.codec.transforms.whitening import Planes, whitening_of
 from clrelight.codec.workspace import Progress
 from clrelight.errors import InputError
 from clrelight.memory import ARRAY_MEMORY
 
-MULTIPLIER = 0.12
-"""Lagrange multiplier of rate–distortion optimisation: squared steps of error that a bit must save."""
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
 _LEAST_USED, _AIM = 0.992, 0.997
@@ -44,7 +43,7 @@ _STEP_POWER = 0.9
 """Steps grow about with this power of what bytes are to shrink by."""
 
 
-class Encoder:
+class Encoder(TileEncoder):
     """A map ready to be encoded at any step.
 
     Parameters
@@ -61,8 +60,6 @@ class Encoder:
         Told how many rows of the image are coded.
     """
 
-    _counts = False
-
     def __init__(
         self,
         pixels: Pixels,
@@ -71,14 +68,15 @@ class Encoder:
         memory: int = ARRAY_MEMORY,
         progress: Progress = lambda done, total: None,
     ) -> None:
+        super().__init__(pixels)
         self._progress = progress
-        shape, self._transfer = pixels.shape, transfer
-        self._shape, self._pixels, self._device, self._memory = shape, pixels, pixels.device, memory
+        shape, self._transfer, self._memory = pixels.shape, transfer, memory
         self._n_pixel = shape[1] * shape[2]
         self._whitening = whitening_of(shape, pixels.of_row, colour_axes(metric, transfer), pixels.basis)
         largest = float(np.abs(self._whitening.mean_d).max())
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
+        self._windows: list[Window] = []
         self._pieces: list[Part] = []
         self._prepared = 0
 
@@ -90,9 +88,8 @@ class Encoder:
         axes = self._try(step).axes
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         tiles = self._tiles(axes)
-        strips = Strips.of(self._pixels, planes, tiles)
-        for tile in tiles:
-            self._collect(streams, tile, self._encode_tile(tile, planes, step, MULTIPLIER, strips))
+        for tile, coded in zip(tiles, self._encode_tiles(tiles, planes, step, MULTIPLIER), strict=True):
+            self._collect(streams, tile, coded)
         return self._pack(axes, step, streams), {"step": step, "planes": float(len(axes.scales_j))}
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
@@ -126,42 +123,27 @@ class Encoder:
             return
         _, height, width, _ = self._shape
         count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
-        planes = self._whitening.exact(count)
-        self._pieces = [
-            self._take_part(window, None, planes) for window in list_pieces(height, width, count, self._memory)
-        ]
+        self._windows = list_pieces(height, width, count, self._memory)
+        if self._pixels.elsewhere is None:
+            planes = self._whitening.exact(count)
+            self._pieces = [self.take_part(window, None, planes) for window in self._windows]
         self._prepared = count
 
-    def _take_part(self, window: Window, tile: Tile | None, planes: Planes, *, lent: bool = False) -> Part:
-        rows, columns = (window.top, window.bottom), (window.left, window.right)
-        values = self._pixels.planes(rows, columns, planes, lent=lent)
-        transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
-        return Part.of(values, window, tile, self._shape[1:3], is_together(self._shape))
+    def _encode_tiles(self, tiles: list[Tile], planes: Planes, step: float, multiplier: float) -> Iterator[Coded]:
+        """Return the streams of tiles, one after another; where others help, parts of all are begun at once."""
+        coder, sides = self._pixels.elsewhere, (self._shape[1], self._shape[2])
+        if coder is not None and not is_together(self._shape):
+            return encode_elsewhere(coder, tiles, sides, planes, self._pixels.transfer, step, multiplier)
+        strips = self._strips(planes, tiles)
+        return (self.encode_here(tile, planes, step, multiplier, strips) for tile in tiles)
 
-    def _take_tile(self, tile: Tile, planes: Planes, strips: Strips | None = None) -> Part:
-        if strips is None:
-            return self._take_part(tile.window, tile, planes, lent=True)
-        return Part.of(strips.take(tile), strips.window_of(tile), tile, self._shape[1:3], False)
+    def _strips(self, planes: Planes, tiles: list[Tile]) -> Strips | None:
+        return Strips.of(self._pixels, planes, tiles) if self._pixels.elsewhere is None else None
 
-    def _encode_tile(
-        self, tile: Tile, planes: Planes, step: float, multiplier: float, strips: Strips | None = None
-    ) -> Coded:
-        try:
-            return self._encode_part(self._take_tile(tile, planes, strips), step, multiplier)
-        except ValuesLostError:
-            return self._encode_part(self._take_tile(tile, planes), step, multiplier, keep=True)
-
-    def _encode_part(
-        self, part: Part, step: float, multiplier: float = MULTIPLIER, count: int | None = None, keep: bool = False
-    ) -> Coded:
-        """Return the streams of a part's first planes; its values are lost unless they are to be kept."""
-        shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
-        values = reshaped(part.values, shape)
-        index = with_type(self._pixels.lend("index", shape) if keep else values, np.int32)
-        layout = part.layout.of_first(shape[0])
-        return encode_streams(
-            self._device, layout, values, index, default_tables(), multiplier, 1.0 / step, count=self._counts
-        )
+    def _encode_tile(self, tile: Tile, planes: Planes, step: float, multiplier: float, strips: Strips | None) -> Coded:
+        if self._pixels.elsewhere is None:
+            return self.encode_here(tile, planes, step, multiplier, strips)
+        return next(self._encode_tiles([tile], planes, step, multiplier))
 
     def _try(self, step: float, every: int = 1) -> Trial:
         """Return about the bytes at a step, and the axes that are worth theirs, by every n-th piece."""
@@ -171,13 +153,13 @@ class Encoder:
         axes = quantise_axes(vectors, deviation, self._n_pixel, step)
         streams, sizes = 0.0, np.zeros(0)
         if count:
-            pieces = self._pieces[every // 2 :: every] or self._pieces
-            coded = [self._encode_part(piece, step, count=count, keep=True) for piece in pieces]
-            sizes, areas = np.array([c.size for c in coded]), np.array([p.height * p.width for p in pieces])
+            chosen = range(len(self._windows))[every // 2 :: every] or range(len(self._windows))
+            tried = self._try_pieces(chosen, step, count)
+            sizes, areas = np.array([each.size for each in tried]), np.array([self._windows[n].n_pixel for n in chosen])
             share = self._n_pixel / areas.sum()
-            bits_j = np.sum([c.bits_j for c in coded], axis=0) * share
-            energy_j = np.sum([piece.energy(count, self._device) for piece in pieces], axis=0) * share / step**2
-            saved_j = energy_j - np.sum([c.error_j for c in coded], axis=0) * share
+            bits_j = np.sum([each.bits_j for each in tried], axis=0) * share
+            energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
+            saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
             saved_j -= energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
             pays = saved_j > MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
@@ -185,6 +167,14 @@ class Encoder:
             sizes = sizes / areas
         size = self._fixed_bytes(axes, step, streams) + streams
         return Trial(step, size, axes, sizes)
+
+    def _try_pieces(self, chosen: Sequence[int], step: float, count: int) -> list[Tried]:
+        """Return what the first planes of some pieces take at a step."""
+        elsewhere = self._pixels.elsewhere
+        if elsewhere is not None:
+            windows, planes = [self._windows[n] for n in chosen], self._whitening.exact(self._prepared)
+            return elsewhere.try_pieces(windows, planes, self._pixels.transfer, step, count)
+        return [self.try_piece(self._pieces[n], step, count) for n in chosen]
 
     def _fixed_bytes(self, axes: Axes, step: float, streams: float) -> float:
         """Return the bytes beside those of streams, which take about so many."""
@@ -206,7 +196,7 @@ class Encoder:
                 return trials[place].size
 
             place = search_step(count, place, self._bounds(), budget, aims)
-            if len(self._pieces) <= 1:
+            if len(self._windows) <= 1:
                 break
         return trials[place]
 
@@ -228,14 +218,14 @@ class Encoder:
     def _fit_step(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return the body of a map that is one tile, at the step where it fits the budget best, and that step."""
         planes = self._whitening.solved(trial.axes)
-        parts = [self._take_part(tile.window, tile, planes) for tile in tiles]
+        parts = [self.take_part(tile.window, tile, planes) for tile in tiles]
         fitting: list[tuple[int, bytes, float]] = []
         least = 0
 
         def count(place: float) -> float:
             nonlocal least
             exact = float(np.float32(2.0**place))
-            streams = [s for part in parts for s in self._encode_part(part, exact, keep=True).streams]
+            streams = [s for part in parts for s in self.encode_part(part, exact, keep=True).streams]
             body = self._pack(trial.axes, exact, streams)
             least = len(body)
             if len(body) <= budget:
@@ -250,7 +240,8 @@ class Encoder:
 
     def _fit_multipliers(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return the body of a map of many tiles, and its step; the multiplier saves what tiles take too much."""
-        foretold, step = foretell([piece.row for piece in self._pieces], trial.of_pixel, tiles), trial.step
+        rows, step = [(each.top + each.bottom) // 2 for each in self._windows], trial.step
+        foretold = foretell(rows, trial.of_pixel, tiles)
         best: tuple[bytes, float] | None = None
         least = 0
         for _ in range(_MAX_PASSES):
@@ -276,7 +267,7 @@ class Encoder:
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         self._pieces, self._prepared = [], 0  # their memory is that of tiles now
         fixed = self._fixed_bytes(axes, step, float(budget))
-        spent, usual, strips = 0.0, np.zeros(len(tiles)), Strips.of(self._pixels, planes, tiles)
+        spent, usual, strips = 0.0, np.zeros(len(tiles)), self._strips(planes, tiles)
         for number, tile in enumerate(tiles):
             left = budget - fixed - spent
             # What has come so far tells how the trials err.
@@ -285,14 +276,18 @@ class Encoder:
             multiplier = min(max(MULTIPLIER * ratio ** (-1.0 / MULTIPLIER_POWER), MULTIPLIERS[0]), MULTIPLIERS[1])
             if number + 1 == len(tiles):
                 strips = None
-                self._pixels.forget()  # indices of this one take as much again as its values
-                part = self._take_tile(tile, planes)
-                coded, multiplier = fill_by_multiplier(
-                    functools.partial(self._encode_part, part, step, keep=True), left, multiplier
-                )
+                coded, multiplier = fill_by_multiplier(self._trying(tile, planes, step), left, multiplier)
             else:
                 coded = self._encode_tile(tile, planes, step, multiplier, strips)
             spent += coded.size
             usual[number] = coded.size * (multiplier / MULTIPLIER) ** MULTIPLIER_POWER
             self._collect(streams, tile, coded)
         return self._pack(axes, step, streams), usual
+
+    def _trying(self, tile: Tile, planes: Planes, step: float) -> Callable[[float], Coded]:
+        """Return what codes a tile at any multiplier."""
+        if self._pixels.elsewhere is not None:
+            return functools.partial(self._encode_tile, tile, planes, step, strips=None)
+        self._pixels.forget()  # indices of this one take as much again as its values
+        part = self.take_part(tile.window, tile, planes, lent=True)
+        return functools.partial(self.encode_part, part, step, keep=True)

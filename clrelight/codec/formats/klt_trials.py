@@ -37,26 +37,23 @@ class Part:
     ----------
     values : DeviceArray, shape (n_plane, height, pitch), float32
     layout : Layout
-    row : int
-        Its middle.
     height, width : int
         Of the part; rows of the planes may be longer.
     """
 
     values: DeviceArray
     layout: Layout
-    row: int
     height: int
     width: int
 
     @classmethod
     def of(cls, values: DeviceArray, window: Window, tile: Tile | None, sides: tuple[int, int], together: bool) -> Part:
         """Return what of a window's values is a tile of an image of some sides; without one it is a map of its own."""
-        middle, here, units = (window.top + window.bottom) // 2, window, [] if tile is None else tile.units
+        here, units = window, [] if tile is None else tile.units
         if tile is None:
             sides, here, units = window.shape, Window(0, 0, *window.shape), list_units(*window.shape)
         layout = lay_out(units, sides, here, values.shape[2], together, [(0, values.shape[0])])
-        return cls(values, layout, middle, *window.shape)
+        return cls(values, layout, *window.shape)
 
     def energy(self, count: int, device: Device) -> NDArray[np.float64]:
         """Return the sums of squares of the first planes."""

@@ -41,7 +41,7 @@ class Pixels:
 
     def __init__(self, source: Source, transfer: str = "linear") -> None:
         self.shape, self.device, self.transfer, self.basis = source.shape, source.device, transfer, source.basis
-        self._source = source
+        self._source, self.elsewhere = source, source.elsewhere
         self._buffers: dict[str, Buffer] = defaultdict(Buffer)
         self._way: tuple[NDArray[np.float64], _Way] | None = None
 

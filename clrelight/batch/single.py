@@ -1,0 +1,121 @@
+"""One job on one stack by the workers of an engine: what ``--engine`` of a command does."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from clrelight.batch.engine import Engine
+from clrelight.batch.farmed import FOLDER, run_farmed
+from clrelight.batch.run import JOURNAL
+from clrelight.batch.task import Task
+from clrelight.batch.tiles import FARMED, run_tiles
+from clrelight.batch.verbs import find_verb
+from clrelight.durable import check_output
+from clrelight.errors import InputError
+from clrelight.jobs.farm import ChoreError
+from clrelight.jobs.inputs import path_text
+from clrelight.jobs.report import Progress, Report, report_for
+
+_PARTS = "parts"
+_LEFT = (JOURNAL, "summary.csv", "summary.json")
+
+
+def run_single(
+    job: str,
+    source: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None,
+    *,
+    options: Mapping[str, Any] | None = None,
+    engine: str | Callable[[int], Engine] = "local",
+    workers: int | None = None,
+    device: str | None = None,
+    progress: Progress | None = None,
+    report: Report | None = None,
+) -> Report:
+    """Do a job on one stack, with parts done by an engine's workers: the file that the job alone would write.
+
+    What is done stands in the folder ``NAME.shards`` beside `out` until all is: after a kill, the same call goes on.
+    Of a job that only measures it lies beside `source`.
+
+    Parameters
+    ----------
+    job : str
+        One of `clrelight.batch.tiles.FARMED`, or ``"decode"``.
+    source : path
+    out : path or None
+        None for a job that only measures.
+    options : mapping, optional
+        Of the job, as it takes them in Python.
+    engine, workers, device
+        As of `clrelight.batch.run.run_batch`.
+    progress, report
+        As of `clrelight.jobs.fit.fit`.
+
+    Returns
+    -------
+    Report
+        As of the job.
+
+    Raises
+    ------
+    InputError
+        As of the job; or if a part fails, a worker's end among them, or the engine cannot be had.
+    """
+    kept = report_for(report)
+    verb, given = find_verb(job), {name: _plain(value) for name, value in (options or {}).items()}
+    given = {name: value for name, value in given.items() if value not in (None, False)}
+    for name in (*verb.reads, *verb.writes):
+        if isinstance(given.get(name), str):
+            given[name] = os.path.abspath(given[name])
+    verb.check(given)
+    place = path_text(source, "a file or folder")
+    target = "" if out is None else os.path.abspath(path_text(out, "a file to write"))
+    if target and verb.ending:
+        check_output(target, [] if os.path.isdir(place) else [place])
+    inputs = (os.path.abspath(place), *(given[name] for name in verb.reads if name in given))
+    for path in inputs:
+        if not os.path.exists(path):
+            raise InputError(f"there is no file or folder {path}")
+    beside = os.path.splitext(target or inputs[0])[0]
+    folder, task = Path(beside + FOLDER), Task(os.path.basename(beside), job, inputs[0], target, given, inputs)
+    settings: dict[str, Any] = {
+        "engine": engine,
+        "workers": workers,
+        "device": device,
+        "keep_going": True,
+        "progress": progress,
+        "report": Report(),  # of a part that fails the error tells
+        "shards": lambda _: str(folder / _PARTS),
+    }
+    if job in FARMED:
+        made = run_farmed([task], folder, reports={task.name: kept}, redo=True, **settings)
+    else:
+        made = run_tiles([task], folder, **settings)
+        kept.facts["file"] = target
+    for each in made.failed:
+        if each.kind == "bug":
+            raise RuntimeError(f"{each.error}\n{each.trace}")
+        raise ChoreError(each.error, each.kind)
+    _remove(folder)
+    return kept
+
+
+def _plain(value: Any) -> Any:
+    """Return an option as JSON has it."""
+    if isinstance(value, os.PathLike):
+        return os.fsdecode(value)
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _remove(folder: Path) -> None:
+    """Remove what lies in the folder of ours, and the folder where nothing else does."""
+    shutil.rmtree(folder / _PARTS, ignore_errors=True)
+    with suppress(OSError):
+        for name in _LEFT:
+            (folder / name).unlink(missing_ok=True)
+        folder.rmdir()

@@ -1,0 +1,170 @@
+"""Tiles of the codec `klt` that are coded elsewhere: what cuts them into parts, and puts the streams of parts together.
+
+A unit's stream hangs on its place, the axes, the step and the multiplier, and on nothing of how an image was cut: the
+transform of a window is that of the image on all but its margin (`clrelight.codec.entropy.units.MARGIN`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.entropy.unit_streams import (
+    CONTEXTS,
+    FLAGS,
+    SYMBOLS,
+    Coded,
+    ValuesLostError,
+    default_tables,
+    encode_streams,
+)
+from clrelight.codec.entropy.units import LEVELS, PRECINCT, Tile, Window, tile_of
+from clrelight.codec.formats.klt_trials import Part
+from clrelight.codec.formats.klt_units import is_together
+from clrelight.codec.transforms.lifting import transform_planes
+from clrelight.codec.transforms.pixels import Pixels
+from clrelight.codec.transforms.strips import Strips
+from clrelight.codec.transforms.whitening import Planes, reshaped, with_type
+
+MULTIPLIER = 0.12
+"""Lagrange multiplier of rate–distortion optimisation: squared steps of error that a bit must save."""
+PART_PIXELS = 3 << 19
+"""Pixels of a part, about: a second or two of work. Smaller ones have more of what they read in their margins."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What a piece took at a step.
+
+    Attributes
+    ----------
+    size : int
+        Bytes of its streams.
+    bits_j, error_j : ndarray, shape (n_plane,), float64
+        See `clrelight.codec.entropy.unit_streams.Coded`.
+    energy_j : ndarray, shape (n_plane,), float64
+        Sums of squares of its planes.
+    """
+
+    size: int
+    bits_j: NDArray[np.float64]
+    error_j: NDArray[np.float64]
+    energy_j: NDArray[np.float64]
+
+
+class TileCoder(Protocol):
+    """Codes tiles in other processes."""
+
+    def code(
+        self, tiles: Sequence[Tile], planes: Planes, transfer: str, step: float, multiplier: float
+    ) -> Iterator[list[bytes]]:
+        """Return the streams of each tile, in the order of the tiles."""
+
+    def try_pieces(
+        self, windows: Sequence[Window], planes: Planes, transfer: str, step: float, count: int
+    ) -> list[Tried]:
+        """Return what the first planes of pieces take at a step, each a map of its own."""
+
+
+def sides_of(tile: Tile) -> tuple[int, int, int, int]:
+    """Return the top, left, bottom and right of what a tile codes, whose window is larger."""
+    left = min(unit.column << (unit.level or LEVELS) for unit in tile.units)
+    return tile.top, left, tile.bottom, left + tile.n_pixel // (tile.bottom - tile.top)
+
+
+def cut_tile(tile: Tile, height: int, width: int, most: int = PART_PIXELS) -> list[Tile]:
+    """Return parts of a tile, of whole precincts and of about so many pixels, rows first."""
+    top, left, bottom, right = sides_of(tile)
+    among = list(zip(tile.streams, tile.units, strict=True))
+    columns = max(most // PRECINCT**2, 1) * PRECINCT
+    return [
+        tile_of(height, width, (row, column, min(row + PRECINCT, bottom), min(column + columns, right)), among)
+        for row in range(top, bottom, PRECINCT)
+        for column in range(left, right, columns)
+    ]
+
+
+def encode_elsewhere(
+    coder: TileCoder,
+    tiles: Sequence[Tile],
+    sides: tuple[int, int],
+    planes: Planes,
+    transfer: str,
+    step: float,
+    multiplier: float,
+) -> Iterator[Coded]:
+    """Return the streams of tiles of an image of some height and width, one after another, which are begun at once."""
+    cut = [cut_tile(tile, *sides) for tile in tiles]
+    made = coder.code([part for each in cut for part in each], planes, transfer, step, multiplier)
+    for tile, parts in zip(tiles, cut, strict=True):
+        yield _join(tile, [(part, next(made)) for part in parts], len(planes[1]))
+
+
+def _join(tile: Tile, parts: Sequence[tuple[Tile, list[bytes]]], n_plane: int) -> Coded:
+    """Return the streams of a tile from those of its parts; what is measured beside them is not known."""
+    found = {t: stream for part, streams in parts for t, stream in zip(part.streams, streams, strict=True)}
+    unknown = np.full(n_plane, np.nan)
+    return Coded(
+        [found[t] for t in tile.streams],
+        unknown,
+        unknown,
+        np.zeros((CONTEXTS, SYMBOLS), np.int64),
+        np.zeros((FLAGS, 2), np.int64),
+    )
+
+
+class TileEncoder:
+    """What codes parts of a map along given axes.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        The map.
+    """
+
+    _counts = False
+
+    def __init__(self, pixels: Pixels) -> None:
+        self._shape, self._pixels, self._device = pixels.shape, pixels, pixels.device
+
+    def take_part(self, window: Window, tile: Tile | None, planes: Planes, *, lent: bool = False) -> Part:
+        """Return wavelet coefficients of the planes of a window, of which a tile's are coded; None: all, as a map."""
+        rows, columns = (window.top, window.bottom), (window.left, window.right)
+        values = self._pixels.planes(rows, columns, planes, lent=lent)
+        transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
+        return Part.of(values, window, tile, self._shape[1:3], is_together(self._shape))
+
+    def encode_here(
+        self, tile: Tile, planes: Planes, step: float, multiplier: float, strips: Strips | None = None
+    ) -> Coded:
+        """Return the streams of a tile, coded by this process; `strips` make its planes where they come in order."""
+        try:
+            return self.encode_part(self._take_tile(tile, planes, strips), step, multiplier)
+        except ValuesLostError:
+            return self.encode_part(self.take_part(tile.window, tile, planes, lent=True), step, multiplier, keep=True)
+
+    def _take_tile(self, tile: Tile, planes: Planes, strips: Strips | None) -> Part:
+        if strips is None:
+            return self.take_part(tile.window, tile, planes, lent=True)
+        return Part.of(strips.take(tile), strips.window_of(tile), tile, self._shape[1:3], False)
+
+    def encode_part(
+        self, part: Part, step: float, multiplier: float = MULTIPLIER, count: int | None = None, keep: bool = False
+    ) -> Coded:
+        """Return the streams of a part's first planes; its values are lost unless they are to be kept."""
+        shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
+        values = reshaped(part.values, shape)
+        index = with_type(self._pixels.lend("index", shape) if keep else values, np.int32)
+        layout = part.layout.of_first(shape[0])
+        return encode_streams(
+            self._device, layout, values, index, default_tables(), multiplier, 1.0 / step, count=self._counts
+        )
+
+    def try_piece(self, piece: Part, step: float, count: int) -> Tried:
+        """Return what the first planes of a piece take at a step."""
+        coded = self.encode_part(piece, step, count=count, keep=True)
+        return Tried(coded.size, coded.bits_j, coded.error_j, piece.energy(count, self._device))

@@ -1,0 +1,245 @@
+"""The parts of `pack` as jobs: a process does one after the other, of one view, and keeps what they share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.bases import SH
+from clrelight.codec.entropy.units import Window, tile_of
+from clrelight.codec.formats.klt_tiles import TileEncoder
+from clrelight.codec.formats.klt_trials import Part
+from clrelight.codec.transforms.pixels import Pixels
+from clrelight.codec.views import Region
+from clrelight.codec.workspace import BoundedWorkspace
+from clrelight.dataset import LightStack
+from clrelight.device import Device
+from clrelight.errors import InputError
+from clrelight.fit import PreparedFit, method_class
+from clrelight.fit.plan import make_lighting
+from clrelight.fit.prepare import FitReport
+from clrelight.jobs.farm import read_arrays, write_arrays
+from clrelight.jobs.fitted_source import FittedSource, fitted_source
+from clrelight.jobs.held import Held, look_of
+from clrelight.jobs.inputs import lend_encoded, lend_stack, opened_on
+from clrelight.jobs.measure_parts import measure_windows
+from clrelight.jobs.packing_farm import chosen_of, facts_of
+from clrelight.jobs.report import Report, report_for
+
+_MOST_PIECES = 64
+_held = Held()
+Kept = TypeVar("Kept")
+
+
+def code_tile(
+    source: str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str],
+    plan: str,
+    axes: str,
+    transfer: str,
+    sides: Sequence[int],
+    step: float,
+    multiplier: float,
+    memory: int,
+    device: Device | str | None = None,
+    report: Report | None = None,
+) -> Report:
+    """Code a tile of a view whose fit is prepared.
+
+    Parameters
+    ----------
+    source : path
+        The stack.
+    out : path
+        Gets ``sizes`` of the streams, and them one after another as ``streams``.
+    plan, axes : path
+        Of `clrelight.jobs.packing_farm.PackingFarm`: the fit, and what makes planes.
+    transfer : str
+        The curve behind which coefficients are coded.
+    sides : top, left, bottom, right
+        Of the tile; multiples of a precinct.
+    step, multiplier : float
+        Of the quantiser, and what a bit must save.
+    memory : int
+        Bytes for parts.
+    device, report
+        As of `clrelight.jobs.fit.fit`.
+
+    Raises
+    ------
+    InputError
+        If a file is not what it should be, or a sample cannot be fitted.
+    """
+    kept = report_for(report)
+    with opened_on(device, kept) as opened:
+        view = _view_of(source, plan, memory, opened, kept)
+        encoder, planes = view.encoder(transfer), view.planes(axes)
+        top, left, bottom, right = sides
+        tile = tile_of(*view.source.shape[1:3], (top, left, bottom, right))
+        streams = encoder.encode_here(tile, planes, step, multiplier).streams
+    content = np.frombuffer(b"".join(streams), np.uint8)
+    write_arrays(out, {"sizes": np.array([len(each) for each in streams], np.int64), "streams": content})
+    return kept
+
+
+def try_pieces(
+    source: str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str],
+    plan: str,
+    axes: str,
+    transfer: str,
+    windows: Sequence[Sequence[int]],
+    step: float,
+    count: int,
+    memory: int,
+    device: Device | str | None = None,
+    report: Report | None = None,
+) -> Report:
+    """Find out what the first planes of pieces of a view take at a step; else as `code_tile`.
+
+    Parameters
+    ----------
+    windows : sequence of (top, left, bottom, right)
+    count : int
+        Of planes.
+    """
+    kept = report_for(report)
+    with opened_on(device, kept) as opened:
+        view = _view_of(source, plan, memory, opened, kept)
+        encoder = view.encoder(transfer)
+        tried = [
+            encoder.try_piece(view.piece(encoder, axes, transfer, Window(*_sides(window))), step, count)
+            for window in windows
+        ]
+    write_arrays(
+        out,
+        {
+            "size_n": np.array([each.size for each in tried], np.int64),
+            "bits_nj": np.array([each.bits_j for each in tried]),
+            "error_nj": np.array([each.error_j for each in tried]),
+            "energy_nj": np.array([each.energy_j for each in tried]),
+        },
+    )
+    return kept
+
+
+def measure_coded(
+    source: str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str],
+    coded: str,
+    windows: Sequence[Sequence[int]],
+    device: Device | str | None = None,
+    report: Report | None = None,
+) -> Report:
+    """Measure windows of what was coded beside the photographs.
+
+    Parameters
+    ----------
+    source : path
+        The stack.
+    out : path
+        Gets ``sums_wi`` and ``counts_w`` of `clrelight.jobs.measure_parts.measure_windows`.
+    coded : path
+        The encoded file.
+    windows : sequence of (top, left, bottom, right)
+    device, report
+        As of `clrelight.jobs.fit.fit`.
+
+    Raises
+    ------
+    InputError
+        If a file is not what it should be.
+    """
+    kept = report_for(report)
+    with (
+        opened_on(device, kept) as opened,
+        lend_stack(source, kept) as stack,
+        lend_encoded(coded, kept, parts=True) as packed,
+    ):
+        regions = packed.regions()
+        if regions is None:
+            raise InputError(f"{coded} holds no parts that can be decoded alone")
+        places = [Region(*_sides(window)) for window in windows]
+        sums_wi, counts_w = measure_windows(regions, packed.record, stack, places, opened)
+    write_arrays(out, {"sums_wi": sums_wi, "counts_w": counts_w})
+    return kept
+
+
+def _sides(numbers: Sequence[int]) -> tuple[int, int, int, int]:
+    top, left, bottom, right = map(int, numbers)
+    return top, left, bottom, right
+
+
+@dataclass
+class _View:
+    """A stack that is open, the source of its coefficients, and what chores of it have made."""
+
+    source: FittedSource
+    encoders: dict[str, TileEncoder] = field(default_factory=dict)
+    axes: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=dict)
+    pieces: dict[tuple[Any, ...], Part] = field(default_factory=dict)
+
+    def encoder(self, transfer: str) -> TileEncoder:
+        return _remember(self.encoders, transfer, lambda: TileEncoder(Pixels(self.source, transfer)), 2)
+
+    def planes(self, path: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        def read() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            found = read_arrays(path)
+            return found["operator_jq"], found["offset_j"]
+
+        return _remember(self.axes, path, read, 4)
+
+    def piece(self, encoder: TileEncoder, axes: str, transfer: str, window: Window) -> Part:
+        """Return a piece's wavelet coefficients, which one step after another is tried on."""
+        if self.pieces and next(iter(self.pieces))[:2] != (axes, transfer):
+            self.pieces.clear()  # their planes are others now
+        key = (axes, transfer, window)
+        return _remember(self.pieces, key, lambda: encoder.take_part(window, None, self.planes(axes)), _MOST_PIECES)
+
+
+def _remember(held: dict[Any, Kept], key: Any, make: Callable[[], Kept], most: int) -> Kept:
+    """Return what is held under a key, made where it is not; the oldest goes where there are too many."""
+    if key not in held:
+        while len(held) >= most:
+            del held[next(iter(held))]
+        held[key] = make()
+    return held[key]
+
+
+def _view_of(source: str | os.PathLike[str], plan: str, memory: int, device: Device, report: Report) -> _View:
+    """Return a view, ready for chores: the last one's where it is the same."""
+    path = os.path.abspath(os.fsdecode(source))
+
+    def make(opened: ExitStack) -> _View:
+        prepared = _prepared(opened.enter_context(lend_stack(path, report)), plan, device)
+        return _View(opened.enter_context(fitted_source(prepared, BoundedWorkspace(memory))))
+
+    found: _View = _held.get((look_of(path, plan), memory, id(device)), make)
+    return found
+
+
+def _prepared(stack: LightStack, plan: str, device: Device) -> PreparedFit:
+    """Return the fit that the driver has prepared, with its very matrices: other processors may find others."""
+    arrays = read_arrays(plan)
+    facts = facts_of(arrays)
+    chosen, config = chosen_of(stack, arrays["lights"]), facts["config"]
+    method = method_class(facts["method"]).from_config(facts["options"])
+    lighting = make_lighting(chosen, config["weights"], config["sampling"], config.get("basis", SH))
+    made = replace(
+        method.plan(lighting, facts["degree"]),
+        analysis_ri=arrays["analysis_ri"],
+        synthesis_kr=arrays.get("synthesis_kr"),
+        singular_r=arrays["singular_r"],
+        energy_i=arrays["energy_i"],
+        condition=facts["condition"],
+    )
+    return PreparedFit(chosen, method, facts["degree"], config, made, device, FitReport(), precision=facts["precision"])

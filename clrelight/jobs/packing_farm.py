@@ -1,0 +1,135 @@
+"""What `pack` hands to other processes: trials, tiles and windows of a view whose fit is prepared."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec import Encoded
+from clrelight.codec.entropy.units import Tile, Window
+from clrelight.codec.formats.klt_tiles import Tried, sides_of
+from clrelight.codec.transforms.whitening import Planes
+from clrelight.codec.views import Region
+from clrelight.dataset import LightStack
+from clrelight.fit import PreparedFit
+from clrelight.jobs.farm import Arrays, Chore, Farm
+from clrelight.jobs.measure_parts import Sums
+from clrelight.store import write_encoded
+
+_TRIED_TOGETHER = 6
+_MEASURED_TOGETHER = 4
+CODE_TILE, TRY_PIECES, MEASURE_WINDOWS = "pack-tile", "pack-try", "measure-windows"
+
+
+@dataclass(frozen=True)
+class PackingFarm:
+    """A farm, and what its processes have to know of a fit: see `clrelight.jobs.packing_chores`.
+
+    Attributes
+    ----------
+    farm : Farm
+    source : str
+        The stack file.
+    plan : str
+        The file of the fit's plan.
+    memory : int
+        Bytes that each process may take for parts.
+    """
+
+    farm: Farm
+    source: str
+    plan: str
+    memory: int
+
+    @classmethod
+    def of(cls, farm: Farm, source: str, prepared: PreparedFit, lights: NDArray[np.intp], memory: int) -> PackingFarm:
+        """Return what packs a stack file, of which some lights are fitted."""
+        plan, config = prepared.plan, prepared.config
+        facts = {
+            "method": prepared.method.id,
+            "options": prepared.method.to_config(),
+            "degree": prepared.degree,
+            "precision": prepared.precision,
+            "config": dict(config),
+            "condition": plan.condition,
+        }
+        arrays: dict[str, NDArray] = {
+            "facts": _text(facts),
+            "lights": np.asarray(lights, np.int64),
+            "analysis_ri": plan.analysis_ri,
+            "singular_r": plan.singular_r,
+            "energy_i": plan.energy_i,
+        }
+        if plan.synthesis_kr is not None:
+            arrays["synthesis_kr"] = plan.synthesis_kr
+        return cls(farm, source, farm.share("plan", arrays), memory)
+
+    def code(
+        self, tiles: Sequence[Tile], planes: Planes, transfer: str, step: float, multiplier: float
+    ) -> Iterator[list[bytes]]:
+        """See `clrelight.codec.formats.klt_tiles.TileCoder`."""
+        axes = self._axes(planes)
+        given = {"axes": axes, "transfer": transfer, "step": step, "multiplier": multiplier}
+        chores = [self._chore(CODE_TILE, {**given, "sides": list(sides_of(tile))}, axes) for tile in tiles]
+        for made in self.farm.do(chores, "coding"):
+            ends = np.cumsum(made["sizes"]).tolist()
+            content = made["streams"].tobytes()
+            yield [content[first:end] for first, end in zip([0, *ends], ends, strict=False)]
+
+    def try_pieces(
+        self, windows: Sequence[Window], planes: Planes, transfer: str, step: float, count: int
+    ) -> list[Tried]:
+        """See `clrelight.codec.formats.klt_tiles.TileCoder`."""
+        axes = self._axes(planes)
+        given = {"axes": axes, "transfer": transfer, "step": step, "count": count}
+        places = [[each.top, each.left, each.bottom, each.right] for each in windows]
+        groups = [places[at : at + _TRIED_TOGETHER] for at in range(0, len(places), _TRIED_TOGETHER)]
+        chores = [self._chore(TRY_PIECES, {**given, "windows": group}, axes) for group in groups]
+        return [
+            Tried(int(size), bits_j, error_j, energy_j)
+            for made in self.farm.do(chores, "looking for the step")
+            for size, bits_j, error_j, energy_j in zip(
+                made["size_n"], made["bits_nj"], made["error_nj"], made["energy_nj"], strict=True
+            )
+        ]
+
+    def measure(self, encoded: Encoded, windows: Sequence[Region]) -> Sums:
+        """Return what `clrelight.jobs.measure_parts.measure_windows` does of an encoding."""
+        path = os.path.join(self.farm.folder, "coded.h5")
+        write_encoded(path, encoded)
+        return measure_elsewhere(self.farm, self.source, path, windows)
+
+    def _axes(self, planes: Planes) -> str:
+        return self.farm.share("axes", {"operator_jq": planes[0], "offset_j": planes[1]})
+
+    def _chore(self, job: str, options: dict[str, Any], *reads: str) -> Chore:
+        return Chore(job, self.source, {"plan": self.plan, "memory": self.memory, **options}, (self.plan, *reads))
+
+
+def measure_elsewhere(farm: Farm, stack: str, coded: str, windows: Sequence[Region]) -> Sums:
+    """Return what `clrelight.jobs.measure_parts.measure_windows` does of an encoded file beside a stack file."""
+    places = [[each.top, each.left, each.bottom, each.right] for each in windows]
+    groups = [places[at : at + _MEASURED_TOGETHER] for at in range(0, len(places), _MEASURED_TOGETHER)]
+    chores = [Chore(MEASURE_WINDOWS, stack, {"coded": coded, "windows": group}, (coded,)) for group in groups]
+    found = list(farm.do(chores, "measuring"))
+    return np.concatenate([each["sums_wi"] for each in found]), np.concatenate([each["counts_w"] for each in found])
+
+
+def facts_of(arrays: Arrays) -> dict[str, Any]:
+    """Return what stands beside the arrays of a plan."""
+    return json.loads(arrays["facts"].tobytes())
+
+
+def _text(facts: dict[str, Any]) -> NDArray[np.uint8]:
+    return np.frombuffer(json.dumps(facts, sort_keys=True).encode("ascii"), np.uint8)
+
+
+def chosen_of(stack: LightStack, lights: NDArray[np.int64]) -> LightStack:
+    """Return a stack of the lights that are fitted."""
+    return stack if len(lights) == stack.n_light else stack.select(lights)

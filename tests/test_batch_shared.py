@@ -1,0 +1,107 @@
+"""`decode`, `unpack` and `psnr` with parts done by workers: what one process makes, bit for bit."""
+
+import os
+
+import numpy as np
+import pytest
+
+from clrelight.batch import make_tasks, read_listing
+from clrelight.batch.single import run_single
+from clrelight.batch.tiles import run_tiles
+from clrelight.codec import encode
+from clrelight.codec.formats.klt import Klt
+from clrelight.codec.formats.wavelet import Wavelet
+from clrelight.dataset import FitRecord, LightStack
+from clrelight.device import open_device
+from clrelight.errors import InputError
+from clrelight.jobs import measure as measuring
+from clrelight.jobs.decode import decode
+from clrelight.jobs.measure import measure
+from clrelight.jobs.report import Report
+from clrelight.jobs.unpack import unpack
+from clrelight.sampling import make_pattern
+from clrelight.store import read_fit, write_encoded, write_stack
+from tests.batches import strays_in
+from tests.commands import succeed
+from tests.test_batch import Here
+from tests.test_batch_pack import Failing
+
+HEIGHT, WIDTH = 1100, 200
+DIRECTIONS = make_pattern("uniform", 7)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Encodings of a smooth map with noise, and photographs that are not far from it."""
+    folder = tmp_path_factory.mktemp("shared") / "in"
+    folder.mkdir()
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[0 : 3 : HEIGHT * 1j, 0 : 1 : WIDTH * 1j]
+    base = np.stack([1.5 + np.sin(9 * x * y), 0.3 * np.cos(8 * y), 0.2 * x, 0.1 * np.sin(20 * x)])
+    coeffs = (base + 0.01 * rng.standard_normal(base.shape)).astype(np.float32)[..., None]
+    fit = FitRecord(1, "spline", 255.0, "linear", DIRECTIONS, {}, "s").to_map(coeffs)
+    device = open_device()
+    for name, codec in (("klt", Klt(rate=1.0)), ("wavelet", Wavelet(rate=1.0))):
+        write_encoded(folder / f"{name}.h5", encode(coeffs, codec, device), fit)
+    images = rng.integers(0, 256, (7, HEIGHT, WIDTH, 1), np.uint8)
+    write_stack(folder.parent / "stack.h5", LightStack(images, DIRECTIONS, 255.0, name="s"))
+    return folder
+
+
+@pytest.mark.parametrize("name", ["klt", "wavelet"])
+def test_decoding_in_tiles(files, tmp_path, name):
+    decode(files / f"{name}.h5", out=tmp_path / "one.h5", report=Report())
+    tasks = make_tasks(read_listing(files, "decode", match=(name,)), tmp_path / "out", job="decode")
+    for virtual in (False, True):
+        engine = Here()
+        batch = run_tiles(tasks, tmp_path / "out", rows=512, virtual=virtual, engine=engine, report=Report(), anew=True)
+        assert not batch.failed, batch.failed
+        assert [each for each in engine.begun if "@" in each] == [f"{name}@{row:06d}" for row in (0, 512, 1024)]
+        made = tmp_path / "out" / f"{name}.h5"
+        assert (made.read_bytes() == (tmp_path / "one.h5").read_bytes()) != virtual
+        assert np.array_equal(read_fit(made).coeffs_khwc, read_fit(tmp_path / "one.h5").coeffs_khwc)
+    assert strays_in(tmp_path / "out") == []
+
+
+def test_decoding_by_its_command(files, tmp_path):
+    succeed("decode", files / "klt.h5", tmp_path / "one.h5")
+    succeed("decode", files / "klt.h5", tmp_path / "two.h5", "--jobs", 1)
+    assert (tmp_path / "two.h5").read_bytes() == (tmp_path / "one.h5").read_bytes()
+    assert sorted(os.listdir(tmp_path)) == ["one.h5", "two.h5"]
+    with pytest.raises(InputError, match="region is no option of a decode in tiles"):
+        run_single("decode", files / "klt.h5", tmp_path / "x.h5", options={"region": (0, 0, 9, 9)}, engine=Here())
+
+
+@pytest.mark.parametrize("kind", ["png", "exr"])
+def test_photographs_from_parts(files, tmp_path, kind):
+    unpack(files / "klt.h5", tmp_path / "one", kind=kind, memory="1MiB", report=Report())
+    options, report = {"kind": kind, "memory": "1MiB"}, Report()
+    engine = Failing("*@unpack-light-*")
+    with pytest.raises(InputError, match="unpack-light"):
+        run_single("unpack", files / "klt.h5", tmp_path / "two", options=options, engine=engine, report=Report())
+    engine = Here()
+    run_single("unpack", files / "klt.h5", tmp_path / "two", options=options, engine=engine, report=report)
+    assert not any("@unpack-part-" in name for name in engine.begun)  # those were done
+    found = {name: (tmp_path / "two" / name).read_bytes() for name in os.listdir(tmp_path / "two")}
+    assert found == {name: (tmp_path / "one" / name).read_bytes() for name in os.listdir(tmp_path / "one")}
+    assert sorted(found) == sorted(os.path.basename(path) for path in report.facts["files"])
+    assert sorted(os.listdir(tmp_path)) == ["one", "two"]
+
+
+def test_quality_from_windows(files, tmp_path, monkeypatch):
+    monkeypatch.setattr(measuring, "DEFAULT_MEMORY", 1)  # else a small map is decoded as a whole
+    report, engine = Report(), Here()
+    options = {"stack": files.parent / "stack.h5"}
+    run_single("psnr", files / "klt.h5", None, options=options, engine=engine, report=report)
+    assert report.psnr == measure(files / "klt.h5", files.parent / "stack.h5", report=Report())
+    assert any("@measure-windows-" in name for name in engine.begun)
+    assert sorted(os.listdir(files)) == ["klt.h5", "wavelet.h5"]
+    tasks = make_tasks(
+        read_listing(files, "psnr", match=("klt",)),
+        tmp_path / "out",
+        job="psnr",
+        options={"stack": str(options["stack"])},
+    )
+    (outcome,) = run_tiles(tasks, tmp_path / "out", engine=Here(), report=Report()).outcomes
+    assert dict(outcome.psnr) == report.psnr
+    assert not [*(tmp_path / "out").glob("*.shards")]
