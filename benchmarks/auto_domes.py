@@ -32,7 +32,8 @@ def list_scenes(lights: NDArray, tests: NDArray) -> Iterator[tuple[str, NDArray,
     rng = np.random.default_rng(3)
     cubic_kp = rng.standard_normal((16, COLUMNS)) * np.repeat([0.0, 0.3, 0.15, 0.08], [1, 3, 5, 7])[:, None]
     seen, held = (evaluate_basis(directions, 3) @ cubic_kp for directions in (lights, tests))
-    yield "cubic", (seen - held.min()) / np.ptp(held), (held - held.min()) / np.ptp(held)
+    least, most = min(seen.min(), held.min()), max(seen.max(), held.max())
+    yield ("cubic", *((values - least) / (most - least) for values in (seen, held)))
     normals = rng.standard_normal((3, COLUMNS)) * [[0.6], [0.6], [0.3]] + [[0.0], [0.0], [1.0]]
     normals /= np.linalg.norm(normals, axis=0)
     albedo_p = rng.uniform(0.3, 1.0, COLUMNS)

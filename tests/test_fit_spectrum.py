@@ -5,6 +5,7 @@ import pytest
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import collect_fit, method_class, prepare_fit
+from clrelight.fit.evidence import Likelihood
 from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.left_out import PRIOR_MEAN, Objective, solve_zones
 from clrelight.fit.places import find_places, find_zones, spread_points
@@ -56,11 +57,12 @@ def test_variances_are_the_references_and_so_are_their_slopes():
     np.testing.assert_allclose(Theta.from_logs(logs).to_logs(), logs)
 
 
-def test_the_gradient_is_that_of_finite_differences():
+@pytest.mark.parametrize("kind", [Objective, Likelihood])
+def test_the_gradient_is_that_of_finite_differences(kind):
     stack = make_stack(17)
     places = find_places(make_lighting(stack, "uniform", "hemisphere"))
     mean = places.mean_gi @ columns_of(stack)
-    objective = Objective.make(places, mean @ mean.T / mean.shape[1] / np.mean(mean**2), 1e-5)
+    objective = kind.make(places, mean @ mean.T / mean.shape[1] / np.mean(mean**2), 1e-5)
     for logs in (PRIOR_MEAN, np.array([1.0, 0.5, -2.0, -2.0, -5.0, -0.7, 0.6])):
         _, gradient = objective.evaluate(logs)
         for k in range(7):
@@ -272,6 +274,28 @@ def test_only_spectrum_has_confidence(device, tmp_path):
     with pytest.raises(InputError, match="a confidence map shows the variance that spectrum has; cls has none"):
         fit(make_stack(20), "cls", 3, confidence=tmp_path / "c.png", out=tmp_path / "f.h5", report=Report())
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("n_light", [9, 10])
+def test_few_lights_tell_where_a_function_ends(n_light):
+    """Fewer lights than coefficients: by being left out alone they do not."""
+    lights, between = make_pattern("uniform", n_light), spread_points(120, False)
+    coeffs_kp = (
+        np.random.default_rng(1).standard_normal((16, 300)) * np.repeat([0.2, 0.1, 0.1, 0.1], [1, 3, 5, 7])[:, None]
+    )
+    coeffs_kp[0] += 1.7
+    shown, truth = (real_harmonics(directions, 3) @ coeffs_kp for directions in (lights, between))
+    seen, held = (
+        LightStack(np.rint(255 * np.clip(value, 0, 1)).astype(np.uint8).reshape(-1, 10, 10, 3), directions, 255.0)
+        for value, directions in ((shown, lights), (truth, between))
+    )
+    method = prepare_fit(seen, "spectrum", 25).method
+    assert method.limit == 3
+    reached, endless = (
+        mean_psnr(collect_fit(prepare_fit(seen, "spectrum", 25, options=options)), held)
+        for options in ({}, {"limit": 25})
+    )
+    assert reached > endless + 0.5
 
 
 @pytest.mark.parametrize("limit", [2, 3])

@@ -104,18 +104,35 @@ def learn_step(
         None: that of `SHARES` for which lights are foretold best that are left out with all nearer than a typical
         gap's radius, the step being made without them.
     """
+    lights = _lights_of(places, theta, moment_gg)
+    if share == 0.0 or lights is None:
+        return None
+    if share is None:
+        share, _ = judge_step(places, theta, moment_gg)
+    return AxialStep(share, tuple(share * block for block in lights.whole_step())) if share > 0.0 else None
+
+
+def judge_step(places: Places, theta: Theta, moment_gg: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the share of `SHARES` that foretells lights left out best, and the mean logarithm of their error."""
+    lights = _lights_of(places, theta, moment_gg)
+    if lights is None:
+        raise ValueError(f"{len(places)} places tell nothing of a step")
+    directions_g3 = places.directions_g3[pick_spread(places.directions_g3, MOST_PLACES)]
+    shares = SHARES if len(directions_g3) >= _FEWEST_WHOLE else SHARES[:-1]
+    errors = _leave_out(lights, directions_g3, shares)
+    return shares[int(np.argmin(errors))], float(errors.min())
+
+
+def _lights_of(places: Places, theta: Theta, moment_gg: NDArray[np.float64]) -> _Lights | None:
+    """Return what steps are made of; None where there are too few lights, or nothing but black."""
     some = pick_spread(places.directions_g3, MOST_PLACES)
     square = float(np.trace(moment_gg[np.ix_(some, some)])) / max(len(some), 1)
-    if share == 0.0 or len(some) < FEWEST or not square > 0.0:
+    if len(some) < FEWEST or not square > 0.0:
         return None
     basis_gk = evaluate_basis(places.directions_g3[some], LARGEST_DEGREE)
     noise = theta.noise * float(SHARE @ degree_variances(theta.to_logs(), theta.limit)[0])
     moments_gg = moment_gg[np.ix_(some, some)] / square
-    lights = _Lights(coefficient_variances(theta), basis_gk, moments_gg, noise / places.count_g[some])
-    if share is None:
-        shares = SHARES if len(some) >= _FEWEST_WHOLE else SHARES[:-1]
-        share = shares[int(np.argmin(_leave_out(lights, places.directions_g3[some], shares)))]
-    return AxialStep(share, tuple(share * block for block in lights.whole_step())) if share > 0.0 else None
+    return _Lights(coefficient_variances(theta), basis_gk, moments_gg, noise / places.count_g[some])
 
 
 def _leave_out(lights: _Lights, directions_g3: NDArray[np.float64], shares: tuple[float, ...]) -> NDArray[np.float64]:

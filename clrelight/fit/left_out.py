@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.fit.places import Places, find_gap_radii, find_zones, pick_spread, stack_zones
+from clrelight.fit.places import Places, find_gap_radii, find_zones, stack_zones
 from clrelight.fit.zonal import LARGEST_DEGREE, SHARE, Theta, degree_variances, order_factors
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import degrees_of_coefficients
@@ -27,7 +27,7 @@ MOST_PLACES = 192
 """Lights that the parameters are learnt from; the map is made of all."""
 _LIMITS = range(1, 13)
 """Degrees at which variances may end."""
-_LIMIT_LIGHTS = 0.75
+LIMIT_LIGHTS = 0.75
 """Lights for each coefficient that there then are at least: the prior settles the rest."""
 _LIMIT_GAIN = 3.0
 """By which what is minimised must then be less. Of log likelihoods that is strong evidence (a factor of 20: Kass and
@@ -117,6 +117,10 @@ class Objective:
         basis_gk = evaluate_basis(places.directions_g3, LARGEST_DEGREE)
         return cls(basis_gk, moment_gg, places.count_g, judge_zones(places.directions_g3), least)
 
+    def measure(self, covariance_gg: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Return what is minimised but for the prior, and its gradient in the covariance of the lights."""
+        return measure_left_out(covariance_gg, self.moment_gg, self.judged, self.least)
+
     def evaluate(self, logs: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Return the value, and its gradient in the seven parameters."""
         variance_l, slopes_tl = degree_variances(logs, self.limit)
@@ -125,7 +129,7 @@ class Objective:
         noise, total = np.exp(logs[4]), SHARE @ variance_l
         covariance_gg = (self.basis_gk * variance_k) @ self.basis_gk.T
         covariance_gg[np.diag_indices(len(covariance_gg))] += noise * total / self.count_g
-        value, gradient_gg = measure_left_out(covariance_gg, self.moment_gg, self.judged, self.least)
+        value, gradient_gg = self.measure(covariance_gg)
         trace = float(np.sum(np.diag(gradient_gg) / self.count_g))
         by_k = np.einsum("gk,gk->k", gradient_gg @ self.basis_gk, self.basis_gk)
         by_degree_l = np.bincount(_L_K, by_k * factor_k) + noise * trace * SHARE
@@ -136,79 +140,75 @@ class Objective:
         return value + 0.5 * float(away @ away), gradient
 
 
-def learn_theta(
-    places: Places,
-    moment_gg: NDArray[np.float64],
-    quantum: float,
-    given: dict[int, float] | None = None,
-    limit: int | None = None,
-) -> Theta:
-    """Return the parameters for these lights and the second moments of what was photographed under them.
+@dataclass(frozen=True)
+class Learner:
+    """A search for the parameters: what is minimised, and their bounds."""
 
-    Parameters
-    ----------
-    places : Places
-    moment_gg : ndarray, shape (n_place, n_place)
-        Mean over the columns of the products of two lights' samples.
-    quantum : float
-        Step between two code values, 0 for floats.
-    given : dict of int to float, optional
-        Parameters (as `Theta.to_logs` has them) that are known.
-    limit : int, optional
-        That of `Theta`, where it is known.
-    """
-    from scipy.optimize import minimize  # slow to load, and of no use to other methods
+    objective: Objective
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
 
-    fixed = given or {}
-    start_t = PRIOR_MEAN.copy()
-    start_t[list(fixed)] = list(fixed.values())
-    some = pick_spread(places.directions_g3, MOST_PLACES)
-    moment_gg = moment_gg[np.ix_(some, some)]
-    square = float(np.trace(moment_gg)) / max(len(some), 1)
-    if not square > 0.0 or len(some) < FEWEST or (len(fixed) == len(PRIOR_MEAN)):
-        return Theta.from_logs(start_t, LARGEST_DEGREE if limit is None else limit)
-    least = max(quantum**2 / 12.0 / square, LEAST_SQUARE)
-    chosen = Places(places.directions_g3[some], places.mean_gi[some], places.count_g[some])
-    objective = Objective.make(chosen, moment_gg / square, least)
-    low, high = _LOW.copy(), _HIGH.copy()
-    low[4] = min(max(low[4], np.log(least)), high[4] - 1.0)
-    for k, value in fixed.items():
-        low[k] = high[k] = value
+    @classmethod
+    def make(cls, places: Places, moment_gg: NDArray[np.float64], quantum: float, fixed: dict[int, float]) -> Learner:
+        """Return the search for these lights; see `clrelight.fit.learning.learn_theta`."""
+        square = float(np.trace(moment_gg)) / len(places)
+        least = max(quantum**2 / 12.0 / square, LEAST_SQUARE)
+        low, high = _LOW.copy(), _HIGH.copy()
+        low[4] = min(max(low[4], np.log(least)), high[4] - 1.0)
+        for k, value in fixed.items():
+            low[k] = high[k] = value
+        return cls(Objective.make(places, moment_gg / square, least), low, high)
 
-    def search(goal: Objective, start: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def limited(self, limit: int) -> Learner:
+        """Return the same where nothing is above a degree."""
+        return replace(self, objective=replace(self.objective, limit=limit))
+
+    def search(self, start: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Return the least value that is found from here, and where."""
+        from scipy.optimize import minimize  # slow to load, and of no use to other methods
+
         one = minimize(
-            goal.evaluate,
-            np.clip(start, low, high),
+            self.objective.evaluate,
+            np.clip(start, self.low, self.high),
             jac=True,
             method="L-BFGS-B",
-            bounds=list(zip(low, high, strict=True)),
+            bounds=list(zip(self.low, self.high, strict=True)),
             options={"maxiter": 60, "ftol": 1e-6},
         )
         return float(one.fun), one.x
 
-    if limit is not None:
-        objective = replace(objective, limit=limit)
-    value, logs = min((search(objective, start) for start in _STARTS), key=lambda one: one[0])
-    if limit is None and not fixed:
-        limited = replace(objective, limit=_best_limit(objective, logs, low, high))
-        starts = (_still(logs, low, high), logs)
-        below, at = min((search(limited, start) for start in starts), key=lambda one: one[0])
-        if below < value - _LIMIT_GAIN:
-            return Theta.from_logs(at, limited.limit)
-    return Theta.from_logs(logs, objective.limit)
+
+def begin(given: dict[int, float]) -> NDArray[np.float64]:
+    """Return the prior's mean, and what is given."""
+    start_t = PRIOR_MEAN.copy()
+    start_t[list(given)] = list(given.values())
+    return start_t
 
 
-def _still(logs: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+def search_free(learner: Learner) -> tuple[float, NDArray[np.float64]]:
+    """Return the least value that is found without a limit of the learner's own, and where."""
+    return min((learner.search(start) for start in _STARTS), key=lambda one: one[0])
+
+
+def find_clear_limit(learner: Learner, free: tuple[float, NDArray[np.float64]]) -> Theta | None:
+    """Return the parameters with a limit where lights left out alone ask for one; None otherwise."""
+    value, logs = free
+    limited = learner.limited(_best_limit(learner, logs))
+    starts = (hold_still(logs, learner.low, learner.high), logs)
+    below, at = min((limited.search(start) for start in starts), key=lambda one: one[0])
+    return Theta.from_logs(at, limited.objective.limit) if below < value - _LIMIT_GAIN else None
+
+
+def hold_still(logs: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return these parameters with as little noise and edges as a band-limited function leaves."""
     still = logs.copy()
     still[2], still[4] = -8.0, low[4] + 1.0
     return np.clip(still, low, high)
 
 
-def _best_limit(
-    objective: Objective, logs: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
-) -> int:
+def _best_limit(learner: Learner, logs: NDArray[np.float64]) -> int:
     """Return the degree beyond which variances may end best, without a search at each."""
-    still, most = _still(logs, low, high), len(objective.moment_gg) / _LIMIT_LIGHTS
+    objective = learner.objective
+    still, most = hold_still(logs, learner.low, learner.high), len(objective.moment_gg) / LIMIT_LIGHTS
     limits = [limit for limit in _LIMITS if limit == 1 or (limit + 1) ** 2 <= most]
     return min(limits, key=lambda limit: replace(objective, limit=limit).evaluate(still)[0])

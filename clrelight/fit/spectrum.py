@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from clrelight.errors import InputError
 from clrelight.fit.axial import AxialStep, learn_step
 from clrelight.fit.kriging import KrigingModel
-from clrelight.fit.left_out import FEWEST, learn_theta
+from clrelight.fit.learning import learn_theta
+from clrelight.fit.left_out import FEWEST
 from clrelight.fit.places import find_places, spread_points
 from clrelight.fit.plan import FitPlan, Lighting, is_sphere
 from clrelight.fit.registry import FitMethod, register

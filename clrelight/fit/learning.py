@@ -1,0 +1,56 @@
+"""The parameters of `clrelight.fit.zonal`, as the lights of one stack tell them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.fit.evidence import find_end
+from clrelight.fit.left_out import (
+    FEWEST,
+    MOST_PLACES,
+    PRIOR_MEAN,
+    Learner,
+    begin,
+    find_clear_limit,
+    search_free,
+)
+from clrelight.fit.places import Places, pick_spread
+from clrelight.fit.zonal import LARGEST_DEGREE, Theta
+
+
+def learn_theta(
+    places: Places,
+    moment_gg: NDArray[np.float64],
+    quantum: float,
+    given: dict[int, float] | None = None,
+    limit: int | None = None,
+) -> Theta:
+    """Return the parameters for these lights and the second moments of what was photographed under them.
+
+    Parameters
+    ----------
+    places : Places
+    moment_gg : ndarray, shape (n_place, n_place)
+        Mean over the columns of the products of two lights' samples.
+    quantum : float
+        Step between two code values, 0 for floats.
+    given : dict of int to float, optional
+        Parameters (as `Theta.to_logs` has them) that are known.
+    limit : int, optional
+        That of `Theta`, where it is known.
+    """
+    fixed = given or {}
+    some = pick_spread(places.directions_g3, MOST_PLACES)
+    moment_gg = moment_gg[np.ix_(some, some)]
+    if not float(np.trace(moment_gg)) > 0.0 or len(some) < FEWEST or len(fixed) == len(PRIOR_MEAN):
+        return Theta.from_logs(begin(fixed), LARGEST_DEGREE if limit is None else limit)
+    chosen = Places(places.directions_g3[some], places.mean_gi[some], places.count_g[some])
+    learner = Learner.make(chosen, moment_gg, quantum, fixed)
+    if limit is not None:
+        learner = learner.limited(limit)
+    free = search_free(learner)
+    ended = None
+    if limit is None and not fixed:
+        ended = find_clear_limit(learner, free) or find_end(learner, free, chosen, moment_gg)
+    return ended or Theta.from_logs(free[1], learner.objective.limit)
