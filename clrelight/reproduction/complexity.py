@@ -145,9 +145,9 @@ def _slopes(device: Device, sampling: str) -> list[Slope]:
             rows.append(Slope(label, "k n", "search", "k", 1.0, STEPS, runs, alike))
     if sampling == "scattered":
         cuts = [_paper_cut(lights, degree) for degree in LARGE_DEGREES]
-        alone = [_CEB_COLUMNS] * len(cuts)
-        large, runs = [size for size, _ in cuts], [run for _, run in cuts]
-        rows.append(Slope("CEB as printed, scattered", "n³", "cut", "n", 3.0, large, runs, alone))
+        counts, cut_runs = [count for count, _ in cuts], [run for _, run in cuts]
+        columns = [_CEB_COLUMNS] * len(cuts)
+        rows.append(Slope("CEB as printed, scattered", "n³", "cut", "n", 3.0, counts, cut_runs, columns))
     return rows
 
 
