@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def read_dome(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64], tuple[s
     if not images:
         return (), vectors_i3, notes
     try:
-        names = [str(each["filename"]) for each in images]
+        names = [os.fspath(each["filename"]) for each in images]  # TypeError of what is no text
         used = [i for i, each in enumerate(images) if not each.get("skip", False)]
     except (KeyError, TypeError, AttributeError):
         raise InputError(f"{path}: its images have no file names") from None

@@ -149,13 +149,20 @@ def open_engine(
         return LocalEngine(workers or 1, timeout=timeout, lock=lock)
     from clrelight.batch.cluster import DaskEngine, is_address
 
-    if engine != "dask" and not is_address(engine):
-        raise InputError(f"there is no engine {engine!r}; there are local, dask, and addresses such as tcp://host:8786")
+    check_engine(engine, workers)
     if timeout is not None:
         raise InputError("a time limit is for the engine local; those of Dask have none")
+    return DaskEngine(engine if is_address(engine) else None, workers=workers, memory=memory_limit)
+
+
+def check_engine(engine: str, workers: int | None) -> None:
+    """Raise InputError where there is no engine of a name, or it takes no number of workers."""
+    from clrelight.batch.cluster import is_address
+
+    if engine not in ("local", "dask") and not is_address(engine):
+        raise InputError(f"there is no engine {engine!r}; there are local, dask, and addresses such as tcp://host:8786")
     if is_address(engine) and workers is not None:
         raise InputError(f"{engine} has as many workers as were started there: leave the number out")
-    return DaskEngine(engine if is_address(engine) else None, workers=workers, memory=memory_limit)
 
 
 def _run(driver: Driver, open_it: Callable[[], Engine]) -> Batch:

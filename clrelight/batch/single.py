@@ -11,7 +11,8 @@ from typing import Any
 
 from clrelight.batch.engine import Engine
 from clrelight.batch.farmed import FOLDER, run_farmed
-from clrelight.batch.run import JOURNAL
+from clrelight.batch.journal import Journal
+from clrelight.batch.run import JOURNAL, check_engine
 from clrelight.batch.task import Task
 from clrelight.batch.tiles import FARMED, run_tiles
 from clrelight.batch.verbs import find_verb
@@ -20,6 +21,7 @@ from clrelight.errors import InputError
 from clrelight.jobs.farm import ChoreError
 from clrelight.jobs.inputs import path_text
 from clrelight.jobs.report import Progress, Report, report_for
+from clrelight.remote import is_remote
 
 _PARTS = "parts"
 _LEFT = (JOURNAL, "summary.csv", "summary.json")
@@ -68,13 +70,20 @@ def run_single(
     """
     kept = report_for(report)
     verb, given = find_verb(job), {name: _plain(value) for name, value in (options or {}).items()}
-    given = {name: value for name, value in given.items() if value not in (None, False)}
+    given = {name: value for name, value in given.items() if value is not None and value is not False}
+    verb.check(given)
+    place = path_text(source, "a file or folder")
+    for path in (place, *(given[name] for name in verb.reads if isinstance(given.get(name), str))):
+        if is_remote(path):
+            raise InputError(f"workers read files of their own machine, {path} is none: fetch it first")
+    if isinstance(engine, str):
+        check_engine(engine, workers)
+    target = "" if out is None else os.path.abspath(path_text(out, "a file to write"))
     for name in (*verb.reads, *verb.writes):
         if isinstance(given.get(name), str):
             given[name] = os.path.abspath(given[name])
-    verb.check(given)
-    place = path_text(source, "a file or folder")
-    target = "" if out is None else os.path.abspath(path_text(out, "a file to write"))
+    if target and os.path.splitext(target)[1] == FOLDER:
+        raise InputError(f"{target}: parts of the work lie in a folder of such a name, choose another ending")
     if target and verb.ending:
         check_output(target, [] if os.path.isdir(place) else [place])
     inputs = (os.path.abspath(place), *(given[name] for name in verb.reads if name in given))
@@ -92,11 +101,17 @@ def run_single(
         "report": Report(),  # of a part that fails the error tells
         "shards": lambda _: str(folder / _PARTS),
     }
-    if job in FARMED:
-        made = run_farmed([task], folder, reports={task.name: kept}, redo=True, **settings)
-    else:
-        made = run_tiles([task], folder, **settings)
-        kept.facts["file"] = target
+    try:
+        if job in FARMED:
+            made = run_farmed([task], folder, reports={task.name: kept}, redo=True, **settings)
+        else:
+            made = run_tiles([task], folder, **settings)
+            kept.facts["file"] = target
+    except KeyboardInterrupt:
+        _leave(folder, kept)
+        raise
+    if made.failed:
+        _leave(folder, kept)
     for each in made.failed:
         if each.kind == "bug":
             raise RuntimeError(f"{each.error}\n{each.trace}")
@@ -110,6 +125,20 @@ def _plain(value: Any) -> Any:
     if isinstance(value, os.PathLike):
         return os.fsdecode(value)
     return list(value) if isinstance(value, tuple) else value
+
+
+def _leave(folder: Path, report: Report) -> None:
+    """Say that parts which are done stay for the same call; where none is, leave nothing."""
+    try:
+        journal = Journal(folder / JOURNAL)
+    except InputError:  # somebody else has begun
+        return
+    is_begun = any(each.is_done for each in journal.outcomes.values())
+    if not is_begun:
+        _remove(folder)
+    journal.close()
+    if is_begun:
+        report.note(f"what is done stays in {folder}: the same command goes on from there; else remove it")
 
 
 def _remove(folder: Path) -> None:

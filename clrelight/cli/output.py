@@ -107,4 +107,4 @@ def seconds_line(seconds: Mapping[str, float]) -> str:
     """Return times per stage in one line."""
     total = sum(seconds.values())
     parts = ", ".join(f"{stage} {value:.2f}" for stage, value in seconds.items())
-    return f"{total:.2f} s ({parts})"
+    return f"{total:.2f} s" + (f" ({parts})" if parts else "")

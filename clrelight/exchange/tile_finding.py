@@ -80,7 +80,7 @@ def find_planes(folder: Path, images: list[str], ending: str, size: tuple[int, i
         (f"{first}/info.json", _iiif),
         (f"{first}.tzi", _tar),
         ("planes.tzi", _interleaved),
-        (f"{first}/0", _google),
+        (first, _google),  # level 0 is missing where half of a side rounds to nothing
     ):
         if (folder / mark).exists():
             try:

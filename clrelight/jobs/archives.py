@@ -68,6 +68,8 @@ def import_archive(
     if not 4 <= count <= _MOST_LIGHTS:
         raise InputError(f"lights must be 4 to {_MOST_LIGHTS}, got {count}")
     reader = archive_reader(source)
+    if reader is None and not Path(source).exists():
+        raise InputError(f"there is no file or folder {source}")
     if reader is None:
         raise InputError(f"{source}: folders of relight, and files that end in {' or '.join(_READERS)} can be imported")
     kept = report_for(report)

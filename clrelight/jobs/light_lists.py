@@ -19,6 +19,8 @@ from clrelight.light_files import read_light_file, write_lp
 from clrelight.store import file_schema
 
 _OURS = (".h5", ".hdf5")
+_NO_NAME = ("#", "%", "//", '"', "'")
+"""What readers take for a comment, or a quote that ends somewhere."""
 
 
 def export_lights(
@@ -56,8 +58,8 @@ def export_lights(
         if not len(directions_i3):
             raise InputError("it holds no directions of lights")
         called = list(known) or name_pictures(names, len(directions_i3))
-        if any(len(each.split()) != 1 for each in called):
-            raise InputError("names of images in an .lp file have no blanks in them")
+        if any(len(each.split()) != 1 or each.startswith(_NO_NAME) for each in called):
+            raise InputError("names of images in an .lp file have no blanks in them, nor begin with one of # % \" ' //")
         write_lp(target, called, directions_i3)
     kept.facts = {"file": target, "lights": len(directions_i3), "bytes": os.path.getsize(target), **kept.facts}
     return kept

@@ -209,7 +209,7 @@ def _photographs(
 ) -> Iterator[tuple[LightStack, str]]:
     """Lend the stack, which is read from a folder first where it is one, and the name of its file, if it has one."""
     if isinstance(source, LightStack) or not os.path.isdir(source):
-        given = [name for name, value in options.items() if value not in (None, False)]
+        given = [name for name, value in options.items() if value is not None and value is not False]
         if given or keep_stack is not None:
             named = ", ".join([*given, *(["keep_stack"] if keep_stack is not None else [])])
             raise InputError(f"{named}: for a folder of photographs, not for a stack")

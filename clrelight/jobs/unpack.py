@@ -19,8 +19,8 @@ from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.images import write_image
 from clrelight.jobs.farm import Chore, Farm
-from clrelight.jobs.inputs import lend_encoded, opened_on, read_directions
-from clrelight.jobs.outputs import claimed
+from clrelight.jobs.inputs import lend_encoded, opened_on, path_text, read_directions
+from clrelight.jobs.outputs import check_new_folder, claimed
 from clrelight.jobs.pictures import FLOAT_FORMATS
 from clrelight.jobs.region import list_tiles
 from clrelight.jobs.report import Progress, Report, report_for, stage
@@ -90,6 +90,7 @@ def unpack(
         check_transfer(transfer)
         if f".{kind}" in FLOAT_FORMATS:
             raise InputError(f"--transfer is for 8-bit files, but {kind} holds linear radiance: leave it out")
+    check_new_folder(path_text(out, "a folder to write"))
     given = [] if isinstance(source, Encoded) else [source]
     with (
         claimed([], given, kept),

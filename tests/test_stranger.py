@@ -1,0 +1,97 @@
+"""What a stranger tried from the command line: each was a fault."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from clrelight.batch.single import run_single
+from clrelight.dataset import LightStack
+from clrelight.errors import InputError
+from clrelight.exchange.relight_reading import read_relight_folder
+from clrelight.jobs.report import Report
+from clrelight.jobs.unpack import unpack
+from clrelight.sampling import make_pattern
+from clrelight.store import write_fit, write_stack
+from tests.commands import call, succeed
+from tests.test_batch import Here
+from tests.test_exchange import made_fit
+
+DIRECTIONS = make_pattern("uniform", 12)
+
+
+@pytest.fixture
+def stack(tmp_path):
+    images = np.random.default_rng(1).integers(0, 256, (12, 40, 44, 1), np.uint8)
+    write_stack(tmp_path / "stack.h5", LightStack(images, DIRECTIONS, 255.0, name="s"))
+    return tmp_path / "stack.h5"
+
+
+def shared(stack, out, **options):
+    report = Report()
+    run_single("pack", stack, out, options=options, engine=Here(), report=report)
+    return report.facts
+
+
+def test_workers_are_told_options_that_are_zero(stack, tmp_path):
+    facts = shared(stack, tmp_path / "a.h5", method="uls", degree=0, rate=1.0, holdout=None, perceptual=False)
+    assert facts["degree"] == 0
+
+
+def test_what_is_refused_leaves_no_folder_of_parts(stack, tmp_path):
+    with pytest.raises(InputError, match="for a folder of photographs"):
+        shared(stack, tmp_path / "a.h5", keep_stack=str(tmp_path / "k.h5"))
+    for options, line in (
+        ({"engine": "nope"}, "there is no engine 'nope'"),
+        ({"engine": "tcp://127.0.0.1:1", "workers": 2}, "leave the number out"),
+    ):
+        with pytest.raises(InputError, match=line):
+            run_single("pack", stack, tmp_path / "a.h5", **options)
+    with pytest.raises(InputError, match="fetch it first"):
+        run_single("unpack", "https://127.0.0.1:1/x.h5", tmp_path / "a")
+    with pytest.raises(InputError, match="choose another ending"):
+        shared(stack, tmp_path / "a.shards")
+    assert os.listdir(tmp_path) == ["stack.h5"]
+
+
+def test_parts_that_are_done_are_told_of(stack, tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("clrelight.jobs.pack.write_encoded", interrupted)
+    report = Report()
+    with pytest.raises(KeyboardInterrupt):
+        run_single("pack", stack, tmp_path / "a.h5", options={"rate": 1.0}, engine=Here(), report=report)
+    assert f"what is done stays in {tmp_path / 'a.shards'}" in report.notes[-1]
+    monkeypatch.undo()
+    shared(stack, tmp_path / "a.h5", rate=1.0)
+    assert sorted(os.listdir(tmp_path)) == ["a.h5", "stack.h5"]
+
+
+def test_a_folder_that_is_there_is_refused_before_work(stack, tmp_path, monkeypatch):
+    succeed("pack", stack, tmp_path / "a.h5", "--rate", 1, "--method", "uls", "--degree", 1)
+    (tmp_path / "un").mkdir()
+    (tmp_path / "un" / "mine.txt").touch()
+    monkeypatch.setattr("clrelight.jobs.unpack.lend_encoded", None)
+    with pytest.raises(InputError, match="choose the name of a new folder"):
+        unpack(tmp_path / "a.h5", tmp_path / "un", report=Report())
+
+
+def test_google_tiles_without_a_first_level_are_found(tmp_path):
+    write_fit(tmp_path / "fit.h5", made_fit(1, height=257, width=1))
+    succeed("export", tmp_path / "fit.h5", tmp_path / "out", "--format", "relight", "--tiles", "google", "--planes", 3)
+    assert not (tmp_path / "out" / "plane_0" / "0").exists()
+    assert read_relight_folder(tmp_path / "out").image_shape == (257, 1, 3)
+    assert "there is no file or folder" in call("import", tmp_path / "nothing", tmp_path / "x.h5").err
+
+
+def test_names_of_lights_can_be_read_again(stack, tmp_path):
+    for start in ("#", "%%", "//", '"'):
+        ended = call("export", stack, tmp_path / "a.lp", "--names", f"{start}%d.png")
+        assert (ended.code, ended.err.count("\n")) == (2, 1), start
+    assert succeed("export", stack, tmp_path / "a.lp").out.splitlines()[-1].split() == ["time", "0.00", "s"]
+    lamps = [[0, 0, 1], [0, 1, 1], [1, 0, 1]]
+    told = {"images": [{"filename": None}] * 3, "dome": {"directions": lamps}}
+    (tmp_path / "a.relight").write_text(json.dumps(told))
+    assert "have no file names" in call("export", tmp_path / "a.relight", tmp_path / "b.lp").err
