@@ -1,5 +1,6 @@
 """Photographs that are packed lie in memory where the system has much to spare, else in a file."""
 
+import errno
 import os
 
 import numpy as np
@@ -61,3 +62,17 @@ def test_photographs_lie_in_memory_where_there_is_enough(tmp_path, monkeypatch, 
     ) as stack:
         assert (stack.images_ihwc[:] == images).all()
         assert report.facts["photographs_in_memory"] == (images.nbytes if enough else 0)
+
+
+def test_a_system_that_forbids_files_in_memory_has_them_on_the_disk(tmp_path, monkeypatch):
+    folder, images = write_folder(tmp_path / "photos")
+
+    def forbidden(*_):
+        raise OSError(errno.EPERM, "a sandbox")
+
+    monkeypatch.setattr("clrelight.jobs.ingest.spare_memory", lambda: SPARE_SHARE * images.nbytes)
+    monkeypatch.setattr(os, "memfd_create", forbidden, raising=False)
+    report = Report()
+    with lend_photographs(folder, tmp_path, 1 << 24, report, None, {}, [tmp_path / "o.h5"], lambda stack: None) as stack:
+        assert (stack.images_ihwc[:] == images).all()
+        assert report.facts["photographs_in_memory"] == 0

@@ -31,6 +31,7 @@ def stack(tmp_path):
 def shared(stack, out, **options):
     report = Report()
     run_single("pack", stack, out, options=options, engine=Here(), report=report)
+    assert report.facts["file"] == str(out)
     return report.facts
 
 
@@ -95,3 +96,21 @@ def test_names_of_lights_can_be_read_again(stack, tmp_path):
     told = {"images": [{"filename": None}] * 3, "dome": {"directions": lamps}}
     (tmp_path / "a.relight").write_text(json.dumps(told))
     assert "have no file names" in call("export", tmp_path / "a.relight", tmp_path / "b.lp").err
+
+
+def test_spheres_that_are_none_are_refused_in_one_line(tmp_path):
+    images = np.full((3, 40, 40, 1), 60, np.uint8)
+    images[1, 20, 20] = 255
+    write_stack(tmp_path / "grey.h5", LightStack(images, DIRECTIONS[:3], 255.0, name="s"))
+    write_stack(tmp_path / "black.h5", LightStack(0 * images, DIRECTIONS[:3], 255.0, name="s"))
+    for name, words in (
+        ("grey", ("--sphere", "1e300,1e300,1e300")),
+        ("grey", ("--sphere", "20,20,900")),
+        ("grey", ("--sphere", "20,20,9", "--focal", "1e-9")),
+        ("black", ("--sphere", "20,20,9", "--kind", "matte")),
+    ):
+        ended = call("find-lights", tmp_path / f"{name}.h5", tmp_path / "x.lp", *words)
+        told = [line for line in ended.err.splitlines() if not line.startswith("note:")]
+        assert (ended.code, len(told)) == (2, 1), (words, ended.err)
+    ended = succeed("find-lights", tmp_path / "grey.h5", tmp_path / "x.lp", "--sphere", "20,20,9")
+    assert "not seen" in ended.out

@@ -106,7 +106,6 @@ def run_single(
             made = run_farmed([task], folder, reports={task.name: kept}, redo=True, **settings)
         else:
             made = run_tiles([task], folder, **settings)
-            kept.facts["file"] = target
     except KeyboardInterrupt:
         _leave(folder, kept)
         raise
@@ -117,6 +116,8 @@ def run_single(
             raise RuntimeError(f"{each.error}\n{each.trace}")
         raise ChoreError(each.error, each.kind)
     _remove(folder)
+    if target and verb.ending:
+        kept.facts["file"] = path_text(out, "a file to write")  # as it was given, not as the workers know it
     return kept
 
 

@@ -112,7 +112,10 @@ def _outline_line(outlines: list[dict[str, float]]) -> dict[str, str]:
     if not outlines:
         return {}
     return {
-        "outline": ", ".join(f"{each['seen']:.0%} seen, {each['off']:.2f} pixels off a circle" for each in outlines)
+        "outline": ", ".join(
+            f"{each['seen']:.0%} seen, {each['off']:.2f} pixels off a circle" if each["seen"] else "not seen"
+            for each in outlines
+        )
     }
 
 

@@ -123,7 +123,7 @@ def pack(
     }
     if facts["peak_memory"]:
         held = facts.get("photographs_in_memory", 0) / 2**20
-        beside = f", beside {held:.0f} MiB of photographs" if held else ""
+        beside = f", beside {held:.0f} MiB of photographs" if held >= 0.5 else ""
         lines["memory"] = f"{facts['peak_memory'] / 2**20:.0f} MiB at most{beside}"
     print_report(report, as_json, lines)
 

@@ -130,8 +130,8 @@ def lend_photographs(
     shape, dtype = found.source.shape_ihwc, found.source.values.dtype
     n_bytes = math.prod(shape) * dtype.itemsize
     in_memory = SPARE_SHARE * n_bytes <= spare_memory()
-    report.facts["photographs_in_memory"] = n_bytes if in_memory else 0
     images = ScratchImages(place, shape, dtype, in_memory=in_memory)
+    report.facts["photographs_in_memory"] = n_bytes if images.in_memory else 0
     with closing(images):
         with stage(progress, "reading images") as tell, closing(fill_scratch(images, found.source, plan)) as steps:
             for done in steps:

@@ -7,7 +7,7 @@ import math
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -33,13 +33,22 @@ class Scratch:
     in_memory : bool
         Keep the bytes in memory that the system has beside the process's own, where it has such files: writing takes a
         third of the time, and waits for no disk.
+
+    Attributes
+    ----------
+    in_memory : bool
+        Whether they are there.
     """
 
     def __init__(self, folder: str | os.PathLike, n_bytes: int, *, in_memory: bool = False) -> None:
         # What is said of a full disk: the file has no name.
         self._what = Path(f"temporary files in {os.path.abspath(os.fsdecode(folder))}")
+        self.in_memory = False
         if in_memory and hasattr(os, "memfd_create"):
-            self._file: BinaryIO = os.fdopen(os.memfd_create("clrelight-scratch"), "r+b", buffering=0)
+            with suppress(OSError):  # where a sandbox forbids it, the disk does as well
+                self._file: BinaryIO = os.fdopen(os.memfd_create("clrelight-scratch"), "r+b", buffering=0)
+                self.in_memory = True
+        if self.in_memory:
             with naming(self._what):
                 os.ftruncate(self._file.fileno(), n_bytes)
             return

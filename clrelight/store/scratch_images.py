@@ -43,6 +43,11 @@ class ScratchImages:
     def __len__(self) -> int:
         return self.shape[0]
 
+    @property
+    def in_memory(self) -> bool:
+        """Whether they lie in memory, where that was asked for."""
+        return self._scratch.in_memory
+
     def write_rows(self, light: int, first: int, rows_hwc: NDArray) -> None:
         """Write some rows of an image, of this type; several threads may."""
         if rows_hwc.dtype != self.dtype or rows_hwc.shape[1:] != self.shape[2:]:

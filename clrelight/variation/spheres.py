@@ -128,7 +128,7 @@ def view_sphere(
         weight_n = 1.0 / np.sqrt(1.0 + (off_n / max(1.5 * float(np.median(off_n)), 1e-9)) ** 2)
     axis_3: NDArray[np.float64] = np.asarray(scaled_3, np.float64)
     length = float(np.linalg.norm(axis_3))
-    if not length > 1.0:
+    if not 1.0 < length < 1.0 / _LIMB:  # beyond, it would fill half of all directions
         raise InputError(f"a sphere of radius {circle.radius:.4g} pixels is not seen at focal length {focal:g} pixels")
     return SphereView(circle, focal, middle, axis_3 * (1.0 / length), float(np.sqrt(1.0 - 1.0 / length**2)))
 

@@ -111,7 +111,7 @@ def lights_of_sphere(
     """
     since = time.perf_counter()
     height, width = frames.shape_hw
-    window = window_of(start, (height, width))
+    window = window_of(start, (height, width)) if start.radius <= height + width else (0, 0, 0, 0)
     if window[2] < 8 or window[3] < 8:
         raise InputError(
             f"sphere {start.x:g},{start.y:g},{start.radius:g} lies outside the photographs, {width}×{height}"
@@ -128,7 +128,7 @@ def lights_of_sphere(
     if refined.outline < LEAST_OUTLINE or (is_given and away > 0.1 * inside.radius):
         if is_given:
             report.note(f"no outline is seen at sphere {start.x:g},{start.y:g},{start.radius:g}: it is taken as it is")
-        refined, outline_n2 = inside, np.zeros((0, 2))
+        refined, outline_n2 = replace(inside, outline=0.0), np.zeros((0, 2))
     circle = refined.scaled(factor, *corner)
     outline_n2 = (outline_n2 + 0.5) * factor - 0.5 + np.array(corner)
     sphere = view_sphere(circle, (height, width), focal, outline_n2)
@@ -180,6 +180,8 @@ def _settle(part_ihw: NDArray[np.float32], start: Circle) -> Circle:
     samples_ip = part_ihw[::stride, y_p, x_p].astype(np.float64)
     lit_ip = samples_ip > 0.1 * np.quantile(samples_ip, 0.95, axis=1, keepdims=True)
     energy = float(np.sum(samples_ip[lit_ip] ** 2))
+    if energy == 0.0:  # all black
+        return start
 
     def off(parameters: NDArray[np.float64]) -> float:
         x, y, radius = parameters
