@@ -187,7 +187,7 @@ def test_a_flipped_bit_is_found_where_it_is_looked_for(copied):
 
 def test_other_code_does_it_again(copied, monkeypatch):
     tasks, _, out = copied
-    for module in ("fingerprint", "run", "perform"):
+    for module in ("fingerprint", "driver", "perform"):
         monkeypatch.setattr(f"clrelight.batch.{module}.code_digest", lambda: "other")
     assert begun(tasks, out) == ["a", "b", "c"]
 

@@ -33,7 +33,7 @@ def test_headings_name_commands_that_exist_and_a_new_one_is_shown_too(monkeypatc
     [
         ("fit photos o.h5", "photos is no regular file, but a folder: clrelight ingest makes"),
         ("fit fit.h5 o.h5", "expected stack/1 (clrelight ingest makes one)"),
-        ("encode stack.h5 o.h5", "(clrelight fit makes one)"),
+        ("encode stack.h5 o.h5", "clrelight fit makes one of it"),
         ("decode fit.h5 o.h5", "(clrelight encode or pack makes one)"),
         ("report fit.h5 --out o", "expected results/1 (clrelight bench makes one)"),
         ("import photos o.h5", "photos is no folder of relight, it has no info.json"),

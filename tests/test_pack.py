@@ -384,7 +384,7 @@ def test_a_full_disk_of_unpack_too(stack, tmp_path, monkeypatch):
 def test_grey_pictures_do_not_go_to_hdr(tmp_path, monkeypatch):
     grey = LightStack(codes()[..., :1], make_pattern("uniform", LIGHTS), 255.0)
     cr.pack(grey, tmp_path / "p.h5", method="cls", degree=1, rate=1.0, measure="none")
-    monkeypatch.setattr("clrelight.jobs.unpack._relight", lambda *arguments: pytest.fail("it was relit"))
+    monkeypatch.setattr("clrelight.jobs.unpack._Unpack.run", lambda *arguments: pytest.fail("it was relit"))
     ended = call("unpack", tmp_path / "p.h5", tmp_path / "again", "--format", "hdr")
     said = "clrelight: hdr holds 3 channels, the images have 1: jpg, png, tif and exr can hold them\n"
     assert (ended.code, ended.err) == (2, said)

@@ -58,7 +58,7 @@ def test_photographs_lie_in_memory_where_there_is_enough(tmp_path, monkeypatch, 
     monkeypatch.setattr("clrelight.jobs.ingest.spare_memory", lambda: SPARE_SHARE * images.nbytes - (not enough))
     report = Report()
     with lend_photographs(
-        folder, tmp_path, 1 << 24, report, None, {}, tmp_path / "out.h5", lambda stack: None
+        folder, tmp_path, 1 << 24, report, None, {}, [tmp_path / "out.h5"], lambda stack: None
     ) as stack:
         assert (stack.images_ihwc[:] == images).all()
         assert report.facts["photographs_in_memory"] == (images.nbytes if enough else 0)

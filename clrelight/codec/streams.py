@@ -23,6 +23,7 @@ from clrelight.codec.workspace import ArrayPlanes, Planes, Shape, Workspace
 from clrelight.device import Device
 from clrelight.matmul import SampleCurve, multiply_columns
 from clrelight.streaming import Buffer, reading_ahead
+from clrelight.tiles import read_rows_into
 
 if TYPE_CHECKING:
     from clrelight.codec.formats.klt_tiles import TileCoder
@@ -246,7 +247,7 @@ class Target(ABC):
         n_coeff, _, width, channel = self.shape
         for part in self.row_parts():
             rows_khwc = np.empty((n_coeff, part.stop - part.start, width, channel), np.float32)
-            self._planes.read_rows_into(part.start, part.stop, rows_khwc)
+            read_rows_into(self._planes, part.start, part.stop, rows_khwc)
             self.put_rows(part.start, rows_khwc)
 
     def mapped(self, operator_kj: NDArray[np.float64], device: Device) -> Target:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.memory import ARRAY_MEMORY
+from clrelight.tiles import PixelArray, Rectangle, read_tile
 
 Shape = tuple[int, int, int, int]
 """(n_coeff, height, width, channel)."""
@@ -21,10 +22,8 @@ PARTS = 4
 """Pieces of a budget: the part being read, the one being coded, what is made of it, and what that takes meanwhile."""
 
 
-class Planes(Protocol):
+class Planes(PixelArray, Protocol):
     """Maps of float32, put and read some at a time, or some rows of all at a time."""
-
-    shape: tuple[int, ...]
 
     def put_maps(self, first: int, maps: NDArray[np.float32]) -> None:
         """Put whole maps, from number `first` on; they must not change any more."""
@@ -38,16 +37,14 @@ class Planes(Protocol):
         """Return some maps, not to be written to."""
         ...
 
-    def read_rows_into(self, first: int, end: int, out: NDArray[np.float32]) -> None:
-        """Read rows of every map into a C-contiguous array."""
-        ...
-
 
 class ArrayPlanes:
     """`Planes` in memory."""
 
+    chunks: tuple[int, ...] | None = None
+
     def __init__(self, shape: tuple[int, ...]) -> None:
-        self.shape = shape
+        self.shape, self.dtype = shape, np.dtype(np.float32)
         self._values: NDArray[np.float32] | None = None
 
     def put_maps(self, first: int, maps: NDArray[np.float32]) -> None:
@@ -68,9 +65,9 @@ class ArrayPlanes:
         """See `Planes`."""
         return self.whole()[first:end]
 
-    def read_rows_into(self, first: int, end: int, out: NDArray[np.float32]) -> None:
-        """See `Planes`."""
-        out[...] = self.whole()[:, first:end]
+    def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
+        """See `clrelight.tiles.PixelArray`."""
+        read_tile(self.whole(), tile, out, picked_n)
 
     def whole(self) -> NDArray[np.float32]:
         """Return everything; memory is taken when it is first needed."""

@@ -19,6 +19,7 @@ from clrelight.codec.workspace import BoundedWorkspace, Planes, Progress
 from clrelight.durable import Part, naming
 from clrelight.interrupts import holding
 from clrelight.recycling import kept_within
+from clrelight.tiles import Rectangle, check_shape
 
 
 class Scratch:
@@ -82,6 +83,20 @@ class Scratch:
             raise OSError(errno.EIO, f"{self._what} ends before byte {at + len(out_rb) * stride}")
         out_rb.reshape(-1).view(np.uint8)[...] = np.frombuffer(content, np.uint8)
 
+    def read_tile_into(
+        self, shape: tuple[int, ...], tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None
+    ) -> None:
+        """Fill `out` with a tile of an array (n, height, width, ...) of its type; other columns are not touched."""
+        check_shape(tile, out, shape, picked_n)
+        row_bytes = math.prod(shape[2:]) * out.itemsize
+        at = tile.top * row_bytes + tile.left * (row_bytes // shape[2])
+        for number, part_hwc in zip(range(shape[0]) if picked_n is None else picked_n.tolist(), out, strict=True):
+            start = number * shape[1] * row_bytes + at
+            if tile.shape[1] == shape[2] and part_hwc.flags.c_contiguous:
+                self.read_into(start, part_hwc)
+            elif part_hwc.size:
+                self.read_strided_into(start, row_bytes, part_hwc.reshape(len(part_hwc), -1))
+
     def close(self) -> None:
         """Give the disk its room back."""
         self._file.close()
@@ -89,6 +104,8 @@ class Scratch:
 
 class ScratchPlanes:
     """`Planes` in a file, one map after another."""
+
+    chunks: tuple[int, ...] | None = None
 
     def __init__(self, shape: tuple[int, ...], scratch: Scratch) -> None:
         self.shape, self.dtype = shape, np.dtype(np.float32)
@@ -111,10 +128,9 @@ class ScratchPlanes:
         self._scratch.read_into(first * self._map_bytes, found)
         return found
 
-    def read_rows_into(self, first: int, end: int, out: NDArray[np.float32]) -> None:
-        """See `Planes`."""
-        for k, rows_of_map in enumerate(out):
-            self._scratch.read_into(k * self._map_bytes + first * self._row_bytes, rows_of_map)
+    def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
+        """See `clrelight.tiles.PixelArray`."""
+        self._scratch.read_tile_into(self.shape, tile, out, picked_n)
 
 
 class ScratchBody(BodyWriter):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.store.blocks import box_of
 from clrelight.store.scratch import Scratch
-from clrelight.tiles import Rectangle, check_shape
+from clrelight.tiles import Rectangle
 
 
 class ScratchImages:
@@ -65,17 +65,9 @@ class ScratchImages:
 
     def read_into(self, tile: Rectangle, out: NDArray, picked_n: NDArray[np.intp] | None = None) -> None:
         """See `clrelight.tiles.PixelArray`; the disk's other columns are not touched."""
-        check_shape(tile, out, self.shape, picked_n)
         if out.dtype != self.dtype:
             raise TypeError(f"expected an array of {self.dtype}, got {out.dtype}")
-        at = tile.top * self._row_bytes + tile.left * (self._row_bytes // self.shape[2])
-        is_whole = tile.shape[1] == self.shape[2]
-        for light, part_hwc in zip(range(len(self)) if picked_n is None else picked_n.tolist(), out, strict=True):
-            if is_whole:
-                self._scratch.read_into(light * self._image_bytes + at, part_hwc)
-            else:
-                rows_rb = part_hwc.reshape(len(part_hwc), part_hwc[0].size if len(part_hwc) else 0)
-                self._scratch.read_strided_into(light * self._image_bytes + at, self._row_bytes, rows_rb)
+        self._scratch.read_tile_into(self.shape, tile, out, picked_n)
 
     def __getitem__(self, key: Any) -> NDArray:
         """Read a selection: integers, slices, and lists of integers."""
