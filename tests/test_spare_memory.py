@@ -73,6 +73,8 @@ def test_a_system_that_forbids_files_in_memory_has_them_on_the_disk(tmp_path, mo
     monkeypatch.setattr("clrelight.jobs.ingest.spare_memory", lambda: SPARE_SHARE * images.nbytes)
     monkeypatch.setattr(os, "memfd_create", forbidden, raising=False)
     report = Report()
-    with lend_photographs(folder, tmp_path, 1 << 24, report, None, {}, [tmp_path / "o.h5"], lambda stack: None) as stack:
+    with lend_photographs(
+        folder, tmp_path, 1 << 24, report, None, {}, [tmp_path / "o.h5"], lambda stack: None
+    ) as stack:
         assert (stack.images_ihwc[:] == images).all()
         assert report.facts["photographs_in_memory"] == 0

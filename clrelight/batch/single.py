@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -73,9 +73,7 @@ def run_single(
     given = {name: value for name, value in given.items() if value is not None and value is not False}
     verb.check(given)
     place = path_text(source, "a file or folder")
-    for path in (place, *(given[name] for name in verb.reads if isinstance(given.get(name), str))):
-        if is_remote(path):
-            raise InputError(f"workers read files of their own machine, {path} is none: fetch it first")
+    _check_here([place, *(given[name] for name in verb.reads if isinstance(given.get(name), str))])
     if isinstance(engine, str):
         check_engine(engine, workers)
     target = "" if out is None else os.path.abspath(path_text(out, "a file to write"))
@@ -87,9 +85,6 @@ def run_single(
     if target and verb.ending:
         check_output(target, [] if os.path.isdir(place) else [place])
     inputs = (os.path.abspath(place), *(given[name] for name in verb.reads if name in given))
-    for path in inputs:
-        if not os.path.exists(path):
-            raise InputError(f"there is no file or folder {path}")
     beside = os.path.splitext(target or inputs[0])[0]
     folder, task = Path(beside + FOLDER), Task(os.path.basename(beside), job, inputs[0], target, given, inputs)
     settings: dict[str, Any] = {
@@ -119,6 +114,15 @@ def run_single(
     if target and verb.ending:
         kept.facts["file"] = path_text(out, "a file to write")  # as it was given, not as the workers know it
     return kept
+
+
+def _check_here(paths: Sequence[str]) -> None:
+    """Raise InputError where workers find no file of such a name."""
+    for path in paths:
+        if is_remote(path):
+            raise InputError(f"workers read files of their own machine, {path} is none: fetch it first")
+        if not os.path.exists(path):
+            raise InputError(f"there is no file or folder {os.path.abspath(path)}")
 
 
 def _plain(value: Any) -> Any:

@@ -21,7 +21,6 @@ from clrelight.exchange.rows import Place, read_tile
 
 TERMS = 6
 _LINES = 7
-_MOST_LINE = 1024
 _INVERTED, _MOVED = 1, 2
 
 
