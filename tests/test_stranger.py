@@ -1,5 +1,7 @@
 """What a stranger tried from the command line: each was a fault."""
 
+import errno
+import io
 import json
 import os
 
@@ -9,6 +11,7 @@ import pytest
 from clrelight.batch.single import run_single
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
+from clrelight.exchange.jpegs import close_jpeg, open_jpeg, write_jpeg
 from clrelight.exchange.relight_reading import read_relight_folder
 from clrelight.jobs.report import Report
 from clrelight.jobs.unpack import unpack
@@ -114,3 +117,37 @@ def test_spheres_that_are_none_are_refused_in_one_line(tmp_path):
         assert (ended.code, len(told)) == (2, 1), (words, ended.err)
     ended = call("find-lights", tmp_path / "grey.h5", tmp_path / "x.lp", "--sphere", "20,20,9")
     assert (ended.code, "not seen" in ended.out) == (0, True)
+
+
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="the system has no files in memory")
+@pytest.mark.parametrize("words", [("--format", "relight"), ("--format", "deepzoom"), ("--quality", "95")])
+def test_a_full_disk_ends_an_export_and_not_the_process(tmp_path, monkeypatch, words):
+    """libjpeg calls exit() where a write fails."""
+    write_fit(tmp_path / "fit.h5", made_fit(1, height=60, width=70))
+    jpegs = []
+
+    class Full(io.BytesIO):
+        def write(self, piece):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def opened(file, mode):
+        jpegs.append(file)
+        return Full()
+
+    monkeypatch.setattr("clrelight.exchange.jpegs.open", opened, raising=False)
+    out = "out.ptm" if "--quality" in words else "out"
+    ended = call("export", tmp_path / "fit.h5", tmp_path / out, *words)
+    assert (ended.code, ended.err.count("\n"), "the disk is full" in ended.err) == (2, 1, True), ended.err
+    assert jpegs
+    assert os.listdir(tmp_path) == ["fit.h5"]
+
+
+def test_a_jpeg_in_pieces_is_the_one_at_once(tmp_path):
+    pixels = np.random.default_rng(2).integers(0, 256, (300, 200, 3), np.uint8)
+    write_jpeg(tmp_path / "once.jpg", pixels, 90)
+    output = open_jpeg(tmp_path / "pieces.jpg", 300, 200, 90)
+    for first in range(0, 300, 50):
+        output.write_scanlines(first, first + 50, 0, pixels[first : first + 50].copy())
+    assert (tmp_path / "pieces.jpg").stat().st_size > 0  # memory does not hold it all
+    close_jpeg(tmp_path / "pieces.jpg", output)
+    assert (tmp_path / "pieces.jpg").read_bytes() == (tmp_path / "once.jpg").read_bytes()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import BinaryIO
 
 import numpy as np
 import OpenImageIO as oiio
@@ -14,18 +17,75 @@ from clrelight.errors import InputError
 
 MOST_SIDE = 65535
 """Pixels that a JPEG's header can count."""
+_PIECE_BYTES = 1 << 20
+_PUNCH = 3
+"""FALLOC_FL_PUNCH_HOLE and FALLOC_FL_KEEP_SIZE of Linux."""
+_C = ctypes.CDLL(None) if os.name == "posix" else None
 
 
-def open_jpeg(file: Path, height: int, width: int, quality: int, channels: int = 3) -> Any:
-    """Return an OpenImageIO output that takes scanlines; InputError if the file cannot be made."""
+class JpegFile:
+    """A JPEG that takes scanlines. libjpeg ends the process where a disk is full: it fills memory, we write.
+
+    Parameters
+    ----------
+    file : Path
+    spec : oiio.ImageSpec
+
+    Raises
+    ------
+    InputError
+        If the file cannot be made.
+    OSError
+        From every call, what the system says against writing.
+    """
+
+    def __init__(self, file: Path, spec: oiio.ImageSpec) -> None:
+        self._output, name, self._at = oiio.ImageOutput.create("x.jpg"), str(file), 0
+        self._held: BinaryIO | None = None
+        if hasattr(os, "memfd_create") and os.path.isdir("/proc/self/fd"):
+            self._file, self._held = open(file, "wb"), os.fdopen(os.memfd_create("clrelight-jpeg"), "rb")  # noqa: SIM115
+            name = f"/proc/self/fd/{self._held.fileno()}"
+        if not self._output or not self._output.open(name, spec):
+            raise InputError(f"cannot write {file.name}: {oiio.geterror() or 'the folder takes no file'}")
+
+    def write_scanlines(self, first: int, end: int, z: int, pixels: NDArray[np.uint8]) -> bool:
+        """As OpenImageIO's; what is finished goes to the disk, and memory has it no longer."""
+        is_well = bool(self._output.write_scanlines(first, end, z, pixels))
+        self._move()
+        return is_well
+
+    def close(self) -> bool:
+        """As OpenImageIO's."""
+        is_well = bool(self._output.close())
+        self._move()
+        if self._held is not None:
+            self._file.close()
+            self._held.close()
+        return is_well
+
+    def geterror(self) -> str:
+        """As OpenImageIO's."""
+        return str(self._output.geterror())
+
+    def _move(self) -> None:
+        if self._held is None:
+            return
+        begin, descriptor = self._at, self._held.fileno()
+        while piece := os.pread(descriptor, _PIECE_BYTES, self._at):
+            self._file.write(piece)
+            self._at += len(piece)
+        # The pages go, places stay: libjpeg writes on behind them. Where that is not to be had they stay until the end.
+        with suppress(AttributeError):
+            _C.fallocate64(descriptor, _PUNCH, ctypes.c_int64(begin), ctypes.c_int64(self._at - begin))
+
+
+def open_jpeg(file: Path, height: int, width: int, quality: int, channels: int = 3) -> JpegFile:
+    """Return a JPEG that takes scanlines; InputError if the file cannot be made."""
     spec = oiio.ImageSpec(width, height, channels, "uint8")
     spec.attribute("Compression", f"jpeg:{quality}")
     spec.attribute("jpeg:subsampling", "4:4:4")
     spec.attribute("oiio:ColorSpace", "sRGB")  # codes are written as they are
-    output = oiio.ImageOutput.create("x.jpg")
-    if not output or not output.open(str(file), spec):
-        raise InputError(f"cannot write {file.name}: {oiio.geterror() or 'the folder takes no file'}")
-    return output
+    return JpegFile(file, spec)
 
 
 def write_jpeg(file: Path, pixels_hwc: NDArray[np.uint8], quality: int) -> None:
@@ -37,7 +97,7 @@ def write_jpeg(file: Path, pixels_hwc: NDArray[np.uint8], quality: int) -> None:
     close_jpeg(file, output)
 
 
-def close_jpeg(file: Path, output: Any) -> None:
+def close_jpeg(file: Path, output: JpegFile) -> None:
     """Finish a file; InputError where the disk refuses."""
     if not output.close():
         raise InputError(f"cannot write {file.name}: {output.geterror()}")
