@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import OpenImageIO as oiio
@@ -20,7 +20,7 @@ MOST_SIDE = 65535
 _PIECE_BYTES = 1 << 20
 _PUNCH = 3
 """FALLOC_FL_PUNCH_HOLE and FALLOC_FL_KEEP_SIZE of Linux."""
-_C = ctypes.CDLL(None) if os.name == "posix" else None
+_C: Any = ctypes.CDLL(None) if os.name == "posix" else None
 
 
 class JpegFile:
@@ -40,7 +40,8 @@ class JpegFile:
     """
 
     def __init__(self, file: Path, spec: oiio.ImageSpec) -> None:
-        self._output, name, self._at = oiio.ImageOutput.create("x.jpg"), str(file), 0
+        self._output: Any = oiio.ImageOutput.create("x.jpg")
+        name, self._at = str(file), 0
         self._held: BinaryIO | None = None
         if hasattr(os, "memfd_create") and os.path.isdir("/proc/self/fd"):
             self._file, self._held = open(file, "wb"), os.fdopen(os.memfd_create("clrelight-jpeg"), "rb")  # noqa: SIM115
