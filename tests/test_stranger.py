@@ -52,6 +52,7 @@ def test_what_is_refused_leaves_no_folder_of_parts(stack, tmp_path):
     ):
         with pytest.raises(InputError, match=line):
             run_single("pack", stack, tmp_path / "a.h5", **options)
+    assert "no engine 'nope'" in call("batch", tmp_path, tmp_path / "out", "--job", "pack", "--engine", "nope").err
     with pytest.raises(InputError, match="fetch it first"):
         run_single("unpack", "https://127.0.0.1:1/x.h5", tmp_path / "a")
     with pytest.raises(InputError, match="choose another ending"):

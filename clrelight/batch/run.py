@@ -108,6 +108,8 @@ def run_batch(
     """
     if retries < 0:
         raise InputError(f"retries must be at least 0, got {retries}")
+    if isinstance(engine, str):
+        check_engine(engine, workers)  # before there is a folder
     with opened_folder(out, anew, report_for(report)) as (folder, journal, told):
         driver = Driver(tasks, folder, journal, device, keep_going, retries, verify, progress, told)
         if only_kept:
