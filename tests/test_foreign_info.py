@@ -1,6 +1,7 @@
 """`clrelight info` of other programs' files: pictures, folders and lists of lights."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -143,6 +144,18 @@ def test_what_is_not_there(tmp_path, name):
     ended = call("info", tmp_path / name)
     assert (ended.code, ended.err.count("\n")) == (2, 1)
     assert name in ended.err
+
+
+def test_what_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "x.lp")  # whose end would never come
+    (tmp_path / "x.ptm").mkdir()
+    for name in ("x.lp", "x.ptm"):
+        ended = call("info", tmp_path / name)
+        assert (ended.code, ended.err.count("\n")) == (2, 1)
+        assert "is no regular file" in ended.err
+    ended = call("info", "https://127.0.0.1:1/x.ptm")
+    assert ended.code != 0
+    assert "https://127.0.0.1:1/x.ptm" in ended.err  # as ours are asked for
 
 
 def test_cut_short(made, tmp_path):

@@ -50,7 +50,7 @@ def describe_foreign(path: str | os.PathLike[str]) -> dict[str, Any] | None:
         If it cannot be read, is not what its name says, or is cut short.
     """
     place = Path(os.fsdecode(path))
-    summary = _summary_of(place)
+    summary = _summary_of(path)
     if summary is None:
         return None
     kind, facts = summary(place)
@@ -59,20 +59,18 @@ def describe_foreign(path: str | os.PathLike[str]) -> dict[str, Any] | None:
 
 def open_foreign(path: str | os.PathLike[str]) -> CodedMap | RelightFolder | None:
     """Return the picture in a file of another program; None where its name is not that of one."""
+    reader = _READERS.get(_summary_of(path))
+    return None if reader is None else reader(Path(os.fsdecode(path)))
+
+
+def _summary_of(path: str | os.PathLike[str]) -> Callable[[Path], tuple[str, dict[str, Any]]] | None:
+    """Return what makes the summary of a file, by its name; None of what is no regular file, which may never end."""
+    if is_remote(os.fsdecode(path)):
+        return None
     place = Path(os.fsdecode(path))
-    reader = _READERS.get(_summary_of(place))
-    return None if reader is None else reader(place)
-
-
-def _summary_of(place: Path) -> Callable[[Path], tuple[str, dict[str, Any]]] | None:
-    """Return what makes the summary of a file, by its name."""
-    if is_remote(os.fspath(place)):
-        return None
-    if place.name == INFO or (place / INFO).is_file():
-        return _folder_facts
-    if place.is_dir():
-        return None
-    return _SUMMARIES.get(place.suffix.lower())
+    if os.path.exists(place) and not os.path.isfile(place):
+        return _folder_facts if os.path.isfile(place / INFO) else None
+    return _folder_facts if place.name == INFO else _SUMMARIES.get(place.suffix.lower())
 
 
 def _bytes_of(place: Path) -> int:
