@@ -13,6 +13,8 @@ _UNIT_TOLERANCE = 0.01
 _HORIZON_DEGREES = 0.15
 """A light so little below the horizon, by rounding or measurement, is taken to be at it."""
 _SAME_DIRECTION = 1e-9
+_ASKEW = np.array([0.48, 0.6, 0.64])
+"""An axis along which lights in a ring or a plane differ: those that are alike are then neighbours."""
 _OCTAHEDRON = (1 << 19) - 1
 """Steps from the middle of the octahedron's map to its corners."""
 MOST_PACKED = 4096
@@ -87,8 +89,17 @@ def _axis_hint(directions_i3: NDArray[np.float64]) -> str:
 
 def count_duplicates(directions_i3: NDArray[np.float64]) -> int:
     """Return how many lights have the direction of an earlier one, within 1e-9 in each component."""
-    same = (np.abs(directions_i3[:i] - d) <= _SAME_DIRECTION for i, d in enumerate(directions_i3))
-    return sum(bool(s.all(axis=1).any()) for s in same)
+    along_i = directions_i3 @ _ASKEW
+    order_i = np.argsort(along_i)
+    sorted_i3, along_i = directions_i3[order_i], along_i[order_i]
+    again_i = np.zeros(len(directions_i3), bool)
+    for step in range(1, len(directions_i3)):
+        close_i = along_i[step:] - along_i[:-step] <= 2.0 * _SAME_DIRECTION  # |_ASKEW| sums to less
+        if not close_i.any():
+            break
+        close_i &= (np.abs(sorted_i3[step:] - sorted_i3[:-step]) <= _SAME_DIRECTION).all(axis=1)
+        again_i[np.maximum(order_i[step:], order_i[:-step])[close_i]] = True
+    return int(again_i.sum())
 
 
 def horizon_note(directions_i3: NDArray[np.float64], label: Callable[[int], str], allow_below: bool) -> list[str]:

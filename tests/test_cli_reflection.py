@@ -159,6 +159,31 @@ def test_plan_says_what_build_takes(made):
     assert "reflectance" in text
 
 
+@pytest.mark.parametrize(
+    ("short", "long"),
+    [
+        ("microfacet:0.3", ("--sigma", 0.3)),
+        ("phong:8", ("--brdf", "phong", "--exponent", 8)),
+        ("kajiya-kay:4", ("--brdf", "kajiya-kay", "--exponent", 4)),
+    ],
+)
+def test_a_name_has_its_number_behind_a_colon(made, tmp_path, short, long):
+    succeed("shrm", "build", made / "small.exr", tmp_path / "a.h5", "--brdf", short, "--degree", 3, "--order", 0)
+    succeed("shrm", "build", made / "small.exr", tmp_path / "b.h5", *long, "--degree", 3, "--order", 0)
+    first, second = (read_shrm(tmp_path / name) for name in ("a.h5", "b.h5"))
+    assert first.config == second.config
+    assert float(short.partition(":")[2]) in first.config.values()
+    np.testing.assert_array_equal(first.maps_khwc, second.maps_khwc)
+    by_name = build_reflection(made / "light.h5", short, degree=3, order=0)
+    assert by_name.config == first.config
+    plans = [succeed("shrm", "plan", *words, "--json").json for words in (("--brdf", short), long)]
+    assert plans[0] | {"seconds": 0} == plans[1] | {"seconds": 0}
+    told = succeed("brdf", "info", short, "--json").json
+    assert told["config"] == first.config
+    assert told["shares"] == plans[0]["shares"]
+    assert f"angles from the {first.centre}" in succeed("brdf", "info", short).out
+
+
 def test_plan_draws(made, tmp_path):
     pytest.importorskip("matplotlib")
     chart = tmp_path / "a.png"
@@ -238,6 +263,13 @@ REFUSED = [
     ("shrm plan --chart @o.png", "under a map: give one"),
     ("shrm plan map.exr --chart @o.pdf", "charts are .png files"),
     ("shrm plan --axes probe", "is for maps"),
+    ("brdf info phong:glossy", "a number behind the colon"),
+    ("brdf info skin:3", "takes no number"),
+    ("shrm build map.exr @o.h5 --brdf phong:8 --exponent 8", "leave exponent out"),
+    ("shrm build map.exr @o.h5 --brdf phong:8 --sigma 8", "leave sigma out"),
+    ("shrm build map.exr @o.h5 --brdf paint:8", "phong:EXPONENT"),
+    ("shrm plan --brdf microfacet:-1", "sigma"),
+    ("shrm bench map.exr --table peers --brdf lambert:1", "takes no number"),
     ("brdf info bad.brdf", "is no .brdf file"),
     ("brdf info none.json", "cannot read"),
     ("shrm build map.exr @o.h5 --brdf none.json", "cannot read"),

@@ -53,7 +53,7 @@ def find(photographs_ihw, **options):
     ],
 )
 def test_a_glossy_sphere_tells_lights_to_half_a_degree(spheres, how):
-    lights_i3 = lamps(10 if "exposure" in how else 6, 1)
+    lights_i3 = lamps(6, 1)
     found_i3, report = find(photograph_spheres(lights_i3, SIZE, spheres, **how))
     np.testing.assert_allclose(report.facts["spheres"][0], spheres[0], atol=0.25)
     assert off(found_i3, lights_i3).max() < 0.5

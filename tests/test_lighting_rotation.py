@@ -6,7 +6,7 @@ import pytest
 from clrelight.errors import InputError
 from clrelight.harmonics.rotation import rotation_blocks, rotation_blocks_zyz, rotation_matrix
 from clrelight.lighting.light import Light, turn_about_z
-from clrelight.lighting.rotation import rotate_light, rotate_maps
+from clrelight.lighting.rotation import rotate_light, rotate_lights, rotate_maps
 from tests.reference.basis import real_harmonics, sphere_quadrature
 
 EPS32 = 2.0**-24
@@ -96,6 +96,23 @@ def test_maps_on_the_device(degree):
         assert (abs(turned[own].reshape(2 * l + 1, -1) - block @ part) <= bound).all()
     back = rotate_maps(turned, matrix.T)
     np.testing.assert_allclose(back, maps_khwc, atol=1e-5)
+
+
+@pytest.mark.parametrize("degree", [0, 2, 9, 40])
+def test_many_turns_of_a_light_are_each_of_them(degree, monkeypatch):
+    rng = np.random.default_rng(degree)
+    light = Light(rng.standard_normal(((degree + 1) ** 2, 3)), "noise")
+    matrices = np.array([rotation_matrix("axis", (1, 2, 0.5, 360 * step / 7)) for step in range(7)])
+    together = list(rotate_lights(light, matrices))
+    monkeypatch.setattr("clrelight.lighting.rotation._TURN_BYTES", 1)  # one by one
+    alone = list(rotate_lights(light, matrices))
+    assert len(together) == len(alone) == 7
+    for matrix, first, second in zip(matrices, together, alone, strict=True):
+        expected = rotate_light(light, matrix)
+        np.testing.assert_allclose(first.coeffs_kc, expected.coeffs_kc, atol=1e-12)
+        np.testing.assert_allclose(second.coeffs_kc, expected.coeffs_kc, atol=1e-12)
+        assert first.config == expected.config
+    assert list(rotate_lights(light, matrices[:0])) == []
 
 
 def test_float32_matrices_are_orthogonal():

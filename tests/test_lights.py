@@ -87,6 +87,16 @@ def test_lights_below_the_horizon_may_be_allowed():
         unit_directions(given, label)
 
 
+@pytest.mark.parametrize("count", [0, 1, 2, 60])
+def test_duplicates_are_those_of_all_pairs(count):
+    rng = np.random.default_rng(count)
+    known = rng.standard_normal((count, 3)).round(1)  # some of which are alike already
+    again = known[: count // 2] + rng.uniform(-2e-9, 2e-9, (count // 2, 3))
+    lights = rng.permutation(np.concatenate([known, again]))
+    pairs = (np.abs(lights[:, None] - lights) <= 1e-9).all(axis=2)
+    assert count_duplicates(lights) == np.tril(pairs, -1).any(axis=1).sum()
+
+
 def test_duplicates_and_lengths():
     z = np.array([0, 0, 1.0])
     x = np.array([1.0, 0, 0])

@@ -249,3 +249,35 @@ def test_a_page_that_is_served_shows_photographs(folder):
         finally:
             server.shutdown()
             thread.join()
+
+
+PHONE = """(() => {
+  const box = (each) => each.getBoundingClientRect();
+  const seen = [...document.querySelectorAll("body *")].filter((each) => each.offsetParent && each.checkVisibility());
+  const outside = seen.filter((each) => box(each).left < -1 || box(each).right > innerWidth + 1).map((each) => each.id);
+  const touched = seen.filter((each) => each.matches("button, select, summary, input[type=range], .choice label"));
+  const low = touched.filter((each) => box(each).height < 30).map((each) => each.id || each.textContent);
+  return [document.documentElement.scrollWidth, outside, low, touched.length > 12];
+})()"""
+
+
+def test_a_phone_has_room_for_all_controls(page):
+    def metrics(width, height, mobile):
+        size = {"width": width, "height": height}
+        page.call("Emulation.setDeviceMetricsOverride", **size, deviceScaleFactor=1, mobile=mobile)
+
+    metrics(390, 844, True)
+    try:
+        for light in ("lamp", "sky", "environment"):
+            page.evaluate(f"document.getElementById('light-{light}').click()")
+            assert page.evaluate(PHONE) == [390, [], [], True]
+        page.evaluate("document.getElementById('compare-split').click()")
+        assert page.evaluate(PHONE) == [390, [], [], True]
+        page.evaluate("document.getElementById('help-open').click()")
+        width = "document.querySelector('#keys > {}').getBoundingClientRect().width"
+        name, meaning = (page.evaluate(width.format(each)) for each in ("dt", "dd"))
+        assert meaning > name > 60
+        assert page.evaluate("document.getElementById('help').getBoundingClientRect().height") < 500
+    finally:
+        page.evaluate("document.getElementById('help').close(); document.getElementById('compare-one').click()")
+        metrics(700, 700, False)

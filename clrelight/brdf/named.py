@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -38,7 +39,8 @@ def make_brdf(name: str, *, sigma: float | None = None, exponent: float | None =
     numbers = {"sigma": sigma, "exponent": exponent}
     given = {key: value for key, value in numbers.items() if value is not None}
     if name not in _MAKERS and Path(name).suffix.lower() not in (".brdf", ".json"):
-        raise InputError(f"a reflectance is {', '.join(BRDF_NAMES)}, or a .brdf or .json file, got {name!r}")
+        known = ", ".join(f"{each}:{key.upper()}" if key else each for each, (_, key) in _MAKERS.items())
+        raise InputError(f"a reflectance is {known}, or a .brdf or .json file, got {name!r}")
     maker, own = _MAKERS.get(name, (None, None))
     foreign = [key for key in given if key != own]
     if foreign:
@@ -50,20 +52,28 @@ def make_brdf(name: str, *, sigma: float | None = None, exponent: float | None =
     return MeasuredBrdf(read_brdf(name))
 
 
-def parse_brdf(text: str) -> CentredBrdf:
+def parse_brdf(text: str, *, sigma: float | None = None, exponent: float | None = None) -> CentredBrdf:
     """Return the reflectance that a text such as ``microfacet:0.2``, ``skin`` or ``paint.brdf`` names.
 
-    What stands behind the colon is the name's own number. InputError as of `make_brdf`.
+    What stands behind the colon is the name's own number, which may be given by its own name instead. InputError as of
+    `make_brdf`, and where the number comes twice.
     """
     name, colon, number = text.partition(":")
     if not colon or name not in _MAKERS:
-        return make_brdf(text)
+        return make_brdf(text, sigma=sigma, exponent=exponent)
     own = _MAKERS[name][1]
     if own is None:
         raise InputError(f"{name} takes no number, got {text!r}")
+    given = {key: value for key, value in (("sigma", sigma), ("exponent", exponent)) if value is not None}
+    if given:
+        raise InputError(f"{text} has its number behind the colon: leave {' and '.join(given)} out")
     try:
-        return make_brdf(name, **{own: float(number)})
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
+        value = float(number)
+    except ValueError:
         raise InputError(f"{name} takes a number behind the colon, got {text!r}") from None
+    return make_brdf(name, **{own: value})
+
+
+def as_brdf(brdf: CentredBrdf | str | os.PathLike[str]) -> CentredBrdf:
+    """Return a reflectance, or that of a text as of `parse_brdf`."""
+    return brdf if isinstance(brdf, CentredBrdf) else parse_brdf(os.fspath(brdf))

@@ -155,18 +155,22 @@ for _scene in SCENES.values():
 @click.option("--no-thumbnail", is_flag=True, help="Print text alone, also on a terminal that shows pictures.")
 @json_option
 def info(file: str, no_thumbnail: bool, as_json: bool) -> None:
-    """Say what a file of ours holds.
+    """Say what a file of ours holds, or one of other viewers: .ptm, .rti, a folder of relight, a list of lights.
 
     A terminal that can shows a small picture too: kitty, iTerm2 and those with sixels, or any of 24-bit colours.
 
     \b
     Example:
       clrelight info stack.h5
+      clrelight info old.ptm
+      clrelight info dome.lp
     """
     from clrelight.cli.terminal import picture_form
+    from clrelight.jobs.foreign import describe_foreign
     from clrelight.store import describe
 
-    facts = describe(file)
+    foreign = describe_foreign(file)
+    facts = describe(file) if foreign is None else foreign
     if as_json:
         print_json(facts)
         return
@@ -174,7 +178,18 @@ def info(file: str, no_thumbnail: bool, as_json: bool) -> None:
     if form is not None:
         _print_thumbnail(file, form)
     print_notes(facts.pop("notes", []))
-    print_facts(facts)
+    print_facts(facts if foreign is None else _foreign_lines(facts))
+
+
+def _foreign_lines(facts: dict[str, Any]) -> dict[str, Any]:
+    """Return facts of another program's file as people read them: names of images shortened."""
+    lines = dict(facts)
+    if "elevation_range" in lines:
+        low, high = lines.pop("elevation_range")
+        lines["elevation"] = f"{low:.1f}° to {high:.1f}°"
+    if names := lines.pop("images", []):
+        lines["images"] = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+    return lines
 
 
 def _print_thumbnail(file: str, form: str) -> None:

@@ -63,14 +63,17 @@ def picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @brdf.command()
-@click.argument("file", type=click.Path())
+@click.argument("file", metavar="FILE|NAME[:NUMBER]", type=click.Path())
 @json_option
 def info(file: str, as_json: bool) -> None:
     """Say what a .brdf file, or one of estimate, holds, and how its energy falls to orders P of the view.
 
+    Of a name, such as phong:32, the energy alone.
+
     \b
     Example:
       clrelight brdf info krylon_blue.brdf
+      clrelight brdf info microfacet:0.2
     """
     from clrelight.jobs.reflection.plan import describe_brdf
 

@@ -29,23 +29,23 @@ def shrm() -> None:
 
     \b
     Example:
-      clrelight shrm build probe.hdr glossy.h5 --brdf microfacet --sigma 0.2
+      clrelight shrm build probe.hdr glossy.h5 --brdf microfacet:0.2
     """
 
 
 def brdf_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--brdf``, ``--sigma`` and ``--exponent``."""
     for option in (
-        click.option("--exponent", type=float, help="Of phong and kajiya-kay; default 32."),
-        click.option("--sigma", type=float, help="Roughness of microfacet; default 0.2."),
+        click.option("--exponent", type=float, help="Of phong and kajiya-kay, in place of :NUMBER; default 32."),
+        click.option("--sigma", type=float, help="Roughness of microfacet, in place of :NUMBER; default 0.2."),
         click.option(
             "--brdf",
             "name",
             default="microfacet",
             show_default=True,
-            metavar="NAME|FILE",
-            help="lambert, phong, microfacet, kajiya-kay (fibres along meridians), skin, a measured file, or what "
-            "brdf estimate wrote.",
+            metavar="NAME[:NUMBER]|FILE",
+            help="lambert, phong:32, microfacet:0.2, kajiya-kay:32 (fibres along meridians), skin, a measured file, or "
+            "what brdf estimate wrote.",
         ),
     ):
         command = option(command)
@@ -53,9 +53,9 @@ def brdf_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _make(name: str, sigma: float | None, exponent: float | None) -> CentredBrdf:
-    from clrelight.brdf.named import make_brdf
+    from clrelight.brdf.named import parse_brdf
 
-    return make_brdf(name, sigma=sigma, exponent=exponent)
+    return parse_brdf(name, sigma=sigma, exponent=exponent)
 
 
 @shrm.command()
@@ -101,7 +101,7 @@ def build(
 
     \b
     Example:
-      clrelight shrm build probe.hdr --brdf microfacet --sigma 0.2 --epsilon 0.03 glossy.h5
+      clrelight shrm build probe.hdr --brdf microfacet:0.2 --epsilon 0.03 glossy.h5
       clrelight shrm build grace.h5 --brdf paint.brdf --degree 30 --order 5 paint.h5
     """
     from clrelight.jobs.reflection.build import build_reflection
@@ -163,8 +163,8 @@ def plan(
 
     \b
     Example:
-      clrelight shrm plan --brdf microfacet --sigma 0.1 --epsilon 0.03
-      clrelight shrm plan grace.hdr --brdf phong --exponent 32 --chart accuracy.svg
+      clrelight shrm plan --brdf microfacet:0.1 --epsilon 0.03
+      clrelight shrm plan grace.hdr --brdf phong:32 --chart accuracy.svg
     """
     from clrelight.jobs.reflection.plan import plan_reflection
 

@@ -37,7 +37,7 @@ _DEGREE = 63
     "--brdf",
     "names",
     multiple=True,
-    metavar="NAME|FILE.brdf",
+    metavar="NAME[:NUMBER]|FILE",
     help="Of the table peers, several times; default: microfacet, skin and kajiya-kay.",
 )
 @device_option
@@ -55,7 +55,7 @@ def bench(
     \b
     Example:
       clrelight shrm bench grace.hdr --table phong
-      clrelight shrm bench grace.hdr --table peers --brdf skin --brdf krylon_blue.brdf
+      clrelight shrm bench grace.hdr --table peers --brdf phong:32 --brdf krylon_blue.brdf
     """
     from clrelight.device import open_device
     from clrelight.lighting.projection import project_environment
@@ -105,10 +105,10 @@ def _measure(
 
 
 def _peers(names: tuple[str, ...], light: Light) -> tuple[list[str], list[list[str]], Any]:
-    from clrelight.brdf.named import make_brdf
+    from clrelight.brdf.named import parse_brdf
     from clrelight.jobs.reflection.peers import compare_peers
 
-    found = [compare_peers(light, make_brdf(name)) for name in names or ("microfacet", "skin", "kajiya-kay")]
+    found = [compare_peers(light, parse_brdf(name)) for name in names or ("microfacet", "skin", "kajiya-kay")]
     orders = list(found[0]["orders"])
     rows = [
         [each["brdf"], *(f"{v:.4f}" for v in (*_errors(each, orders), each["texture"], each["icosahedron"]))]

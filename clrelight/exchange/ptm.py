@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.exchange.coded_maps import CodedMap, Refit
 from clrelight.exchange.files import MOST_NUMBER, read_start
-from clrelight.exchange.ptm_planes import TERMS, JpegPlanes, StoredRows, map_planes, read_jpeg_planes
+from clrelight.exchange.ptm_planes import TERMS, JpegPlanes, find_jpeg_planes, map_planes, read_jpeg_planes
 from clrelight.images import MAX_PIXELS
 
 _HEADER = re.compile(
@@ -106,10 +107,61 @@ def _put(descriptor: int, content: bytes, place: int) -> None:
         view, place = view[done:], place + done
 
 
+@dataclass(frozen=True)
+class PtmHeader:
+    """What a polynomial texture map says of itself, in text, and how much of it there is.
+
+    Attributes
+    ----------
+    path : Path
+    kind : str
+        Its format, ``PTM_FORMAT_RGB`` or the like.
+    size : (int, int)
+        Height and width.
+    scale_t, bias_t : ndarray, shape (6,), float64
+        As written.
+    start : bytes
+        How the file begins, with all of its text.
+    end : int
+        Where scales and biases end.
+    """
+
+    path: Path
+    kind: str
+    size: tuple[int, int]
+    scale_t: NDArray[np.float64]
+    bias_t: NDArray[np.float64]
+    start: bytes
+    end: int
+
+    @property
+    def planes(self) -> int:
+        """Bytes of a pixel, once its planes are decoded."""
+        return _COMPRESSED[self.kind] if self.is_compressed else sum(_BLOCKS[self.kind])
+
+    @property
+    def is_compressed(self) -> bool:
+        """Whether its planes are JPEGs."""
+        return self.kind in _COMPRESSED
+
+
 def read_ptm(path: str | os.PathLike[str]) -> CodedMap:
     """Read a polynomial texture map; InputError where it is none, is cut short, or predicts planes by motion.
 
     Bytes stay in the file until rows are asked for; planes of a compressed one are held, 18 or 9 bytes a pixel.
+    """
+    head = read_ptm_header(path)
+    if head.is_compressed:
+        rows = read_jpeg_planes(head.path, head.start, head.end, *head.size, head.planes)
+    else:
+        rows = map_planes(head.path, head.end, [(*head.size, count) for count in _BLOCKS[head.kind]])
+    return CodedMap(rows, head.scale_t / 255.0, head.bias_t, polynomial_terms)
+
+
+def read_ptm_header(path: str | os.PathLike[str]) -> PtmHeader:
+    """Read the text of a polynomial texture map, and see that what it tells of is there; InputError as of `read_ptm`.
+
+    JPEGs are not decoded.
     """
     name, content, length = Path(os.fsdecode(path)), *read_start(path, _MOST_HEADER)
     match = _HEADER.match(content)
@@ -124,17 +176,12 @@ def read_ptm(path: str | os.PathLike[str]) -> CodedMap:
         raise InputError(f"{name}: its scales and biases are no numbers") from None
     if not (np.abs([scale_t, bias_t]) <= MOST_NUMBER).all():
         raise InputError(f"{name}: its scales and biases are not finite, or beyond {MOST_NUMBER:g}")
-    rows = _rows(name, kind, (height, width), content, match.end(), length)
-    return CodedMap(rows, scale_t / 255.0, bias_t, polynomial_terms)
-
-
-def _rows(name: Path, kind: str, size: tuple[int, int], content: bytes, at: int, length: int) -> StoredRows:
-    height, width = size
     if not 0 < height * width <= MAX_PIXELS:
         raise InputError(f"{name}: {width} × {height} pixels are no picture, or too many")
-    if kind in _COMPRESSED:
-        return read_jpeg_planes(name, content, at, height, width, _COMPRESSED[kind])
-    wanted = sum(_BLOCKS[kind]) * width * height
-    if wanted > length - at:
-        raise InputError(f"{name}: {width} × {height} pixels take {wanted} bytes, {length - at} are there")
-    return map_planes(name, at, [(height, width, count) for count in _BLOCKS[kind]])
+    head = PtmHeader(name, kind, (height, width), scale_t, bias_t, content, match.end())
+    wanted = head.planes * width * height
+    if head.is_compressed:
+        find_jpeg_planes(name, content, head.end, head.planes)
+    elif wanted > length - head.end:
+        raise InputError(f"{name}: {width} × {height} pixels take {wanted} bytes, {length - head.end} are there")
+    return head

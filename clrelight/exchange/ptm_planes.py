@@ -10,6 +10,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,46 @@ def read_jpeg_planes(path: Path, content: bytes, at: int, height: int, width: in
     height, width, count : int
         Of the planes.
     """
+    found = find_jpeg_planes(path, content, at, count)
+    planes_phw = np.empty((count, height, width), np.uint8)
+    done: set[int] = set()
+    for plane in np.argsort(found.order):
+        start, end = int(found.ends[plane, 0]) - found.sizes[plane], int(found.ends[plane, 0])
+        planes_phw[plane] = read_tile(Place(path, start, end), (height, width), 1)[..., 0]
+        base = found.references[plane]
+        if base >= 0:
+            if base not in done:
+                raise InputError(f"{path}: plane {plane} is predicted from plane {base}, which comes later")
+            known_hw = planes_phw[base]
+            planes_phw[plane] += (255 - known_hw if found.transforms[plane] & _INVERTED else known_hw) - np.uint8(128)
+        _correct(path, planes_phw[plane], end, found.extras[plane])
+        done.add(int(plane))
+    return StoredRows([np.moveaxis(planes_phw, 0, 2)])
+
+
+@dataclass(frozen=True)
+class Compressed:
+    """Where the planes of a compressed file are, and what each is predicted from.
+
+    Attributes
+    ----------
+    transforms, order, references, sizes, extras : list of int
+        One of each plane: how it is predicted, when, and from which (-1 from none), the bytes of its JPEG, and of what
+        corrects it.
+    ends : ndarray, shape (plane, 2), int
+        Where its JPEG and what corrects it end.
+    """
+
+    transforms: list[int]
+    order: list[int]
+    references: list[int]
+    sizes: list[int]
+    extras: list[int]
+    ends: NDArray[np.int_]
+
+
+def find_jpeg_planes(path: Path, content: bytes, at: int, count: int) -> Compressed:
+    """Return where the planes of a compressed file are, of which none is decoded; see `read_jpeg_planes`."""
     told, at = _read_lines(path, content, at, count)
     transforms, motion_x, motion_y, order, references, sizes, extras = told
     if any(each & ~_INVERTED for each in transforms) or any(motion_x) or any(motion_y):
@@ -71,20 +112,7 @@ def read_jpeg_planes(path: Path, content: bytes, at: int, height: int, width: in
     length = path.stat().st_size
     if min(*sizes, *extras) < 0 or ends[-1, 1] > length or any(extra % 5 for extra in extras):
         raise InputError(f"{path}: its planes take {ends[-1, 1]} bytes, {length} are there")
-    planes_phw = np.empty((count, height, width), np.uint8)
-    done: set[int] = set()
-    for plane in np.argsort(order):
-        start, end = int(ends[plane, 0]) - sizes[plane], int(ends[plane, 0])
-        planes_phw[plane] = read_tile(Place(path, start, end), (height, width), 1)[..., 0]
-        base = references[plane]
-        if base >= 0:
-            if base not in done:
-                raise InputError(f"{path}: plane {plane} is predicted from plane {base}, which comes later")
-            known_hw = planes_phw[base]
-            planes_phw[plane] += (255 - known_hw if transforms[plane] & _INVERTED else known_hw) - np.uint8(128)
-        _correct(path, planes_phw[plane], end, extras[plane])
-        done.add(int(plane))
-    return StoredRows([np.moveaxis(planes_phw, 0, 2)])
+    return Compressed(transforms, order, references, sizes, extras, ends)
 
 
 def _read_lines(path: Path, content: bytes, at: int, count: int) -> tuple[list[list[int]], int]:

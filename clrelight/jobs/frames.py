@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
@@ -23,7 +24,7 @@ from clrelight.jobs.region import Part, crop, decode_part, refuse_level
 from clrelight.jobs.report import Progress, Report
 from clrelight.lighting.light import Light, share_below
 from clrelight.lighting.relighting import automatic_exposure, relight_under
-from clrelight.lighting.rotation import rotate_light
+from clrelight.lighting.rotation import rotate_light, rotate_lights
 from clrelight.relight import relight
 from clrelight.surface import surface_facts
 from clrelight.transfer.reflection import OPERATOR
@@ -120,10 +121,9 @@ class LightFrames:
     def _images(self, coefficients: CoefficientMap, device: Device, report: Report) -> Iterator[NDArray[np.float32]]:
         exposure, below = self._exposure, -math.inf  # the largest share of all steps
         is_picture = surface_facts(coefficients.surface, coefficients.config) is None
-        for step in range(self.count):
-            since = time.perf_counter()
-            turn = ("axis", (*self._axis, 360.0 * step / self.count))
-            turned = turn_light(self._light, turn) if step else self._light
+        turns = [rotation_matrix("axis", (*self._axis, 360.0 * step / self.count)) for step in range(1, self.count)]
+        since = time.perf_counter()
+        for turned in chain([self._light], rotate_lights(self._light, np.reshape(turns, (-1, 3, 3)))):
             # Functions of a surface know the whole sphere.
             below = max(below, share_below(turned) if is_picture else 0.0)
             image_hwc = relight_under(coefficients, turned, device=device)
@@ -133,6 +133,7 @@ class LightFrames:
                 image_hwc *= np.float32(2.0**exposure)
             report.add("relight", since)
             yield image_hwc
+            since = time.perf_counter()
         report.facts |= {"exposure": exposure, "below": below}
         if below > 0:
             share = f"{'up to ' if self.count > 1 else ''}{below:.1%}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.jobs.foreign import describe_foreign, open_foreign
 from clrelight.jobs.relight import relight
 from clrelight.jobs.report import Report
 from clrelight.lighting.light import Light
@@ -40,7 +42,7 @@ def thumbnail(path: str | os.PathLike[str], side: int = 256) -> NDArray[np.uint8
     Parameters
     ----------
     path : path
-        A file of ours on this machine.
+        A file of ours on this machine, or of another viewer's, as of `foreign.describe_foreign`.
     side : int
         Pixels of the longer side, at most.
 
@@ -54,6 +56,8 @@ def thumbnail(path: str | os.PathLike[str], side: int = 256) -> NDArray[np.uint8
     InputError, StoreFormatError
         As `open_stack`.
     """
+    if (facts := describe_foreign(path)) is not None:
+        return _of_foreign(path, facts, side)
     match file_schema(path).partition("/")[0]:
         case "stack":
             with open_stack(path) as stack:
@@ -80,6 +84,21 @@ def _of_stack(stack: LightStack, side: int) -> NDArray[np.uint8]:
     values = np.stack([np.asarray(stack.images_ihwc[light, row], np.float64) for row in rows]) / stack.peak
     linear = srgb_to_linear(np.clip(values, 0, 1)) if stack.transfer == "srgb" else values
     return _shown(_columns(linear, side, height))
+
+
+def _of_foreign(path: str | os.PathLike[str], facts: dict[str, Any], side: int) -> NDArray[np.uint8] | None:
+    """Return a picture of what other viewers show, under `LIGHT`; None of lists of lights."""
+    if "shape" not in facts:
+        return None
+    height, width, _ = facts["shape"]
+    is_large = facts["planes"] * height * width > _MOST_VALUES
+    if min(height, width) == 1 or (is_large and facts["stored"] != "bytes"):
+        return None
+    found = open_foreign(path)
+    assert found is not None  # it was described
+    rows = _picked(height, width, side)
+    shown = np.concatenate([found.display_values(LIGHT[None], int(row), int(row) + 1)[0] for row in rows])
+    return _shown(_columns(srgb_to_linear(shown), side, height))
 
 
 def thumbnail_of_fit(fitted: CoefficientMap, side: int = 256) -> NDArray[np.uint8]:

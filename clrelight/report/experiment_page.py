@@ -39,10 +39,8 @@ def experiment_page(results: Results, made: Made, charts: Mapping[str, str], fol
         sections.append(Section(f"Scene {scene}", 2))
         compared, room = _compared(results, scene, room)
         sections += [*compared, *_parts(scene, parts, charts, folder)]
-    whole = data_link("rows.csv", "text/csv", rows_csv(results).encode())
-    sections.append(
-        Section("All columns of all rows", 2, ("As comma-separated values, every digit kept.",), f"<p>{whole}</p>")
-    )
+    whole = f'<p class="downloads">{data_link("rows.csv", "text/csv", rows_csv(results).encode())}</p>'
+    sections.append(Section("All columns of all rows", 2, ("As comma-separated values, every digit kept.",), whole))
     return page("Relighting experiment", list(measured(results)), sections)
 
 

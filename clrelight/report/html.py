@@ -16,6 +16,11 @@ from typing import Any
 from clrelight.report.markup import column_strings, to_csv
 from clrelight.report.tables import Table
 
+_LONGEST_WORD = 16
+"""Characters of a table's words that a sheet of paper has room for; longer ones are broken on it."""
+_MOST_COLUMNS = 12
+"""Of tables that are printed upright."""
+
 
 @dataclass(frozen=True)
 class Section:
@@ -114,13 +119,17 @@ def table_html(table: Table, *, file: str = "") -> str:
         words = any(isinstance(value, str) for value in values)
         mark = ' class="words"' if words else ""
         heads.append(f'<th scope="col"{mark}><button type="button">{plain(column.title)}</button></th>')
-        cells = zip(column_strings(column, values), values, strict=True)
+        strings = column_strings(column, values)
+        if any(len(word) > _LONGEST_WORD for string in strings for word in string.split()):
+            mark = ' class="words long"'
+        cells = zip(strings, values, strict=True)
         columns.append([f'<td{mark} data-value="{_sorted_by(value)}">{plain(string)}</td>' for string, value in cells])
     rows = "\n".join(f"<tr>{''.join(row)}</tr>" for row in zip(*columns, strict=True))
     caption = plain(shown.caption)
     link = f'<p class="downloads">{data_link(file, "text/csv", to_csv(table).encode())}</p>' if file else ""
+    scroll = "scroll wide" if len(heads) > _MOST_COLUMNS else "scroll"
     return (
-        f'<div class="scroll" role="region" tabindex="0" aria-label="{caption}">\n<table class="sortable">'
+        f'<div class="{scroll}" role="region" tabindex="0" aria-label="{caption}">\n<table class="sortable">'
         f"<caption>{caption}</caption>\n<thead><tr>{''.join(heads)}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>"
         f"\n{link}"
     )

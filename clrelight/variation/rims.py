@@ -31,6 +31,8 @@ _OUTSTANDING, _LEAST_CALM = 6.0, 5
 """How far above the others, in spreads of these, a highlight at the outline is; photographs without one, at least."""
 _REACH = 5.0
 """Standard deviations of the blur beyond which nothing comes in."""
+_WRONG, _START_OFF = 60.0, 0.3
+"""How much less than as noise texture tells; pixels that a start is off by."""
 _MOST_OFF, _BARELY = 0.25, 0.3
 """Pixels of standard deviation beyond which the outline is not told; least weight of pixels that tell what is off."""
 
@@ -77,14 +79,9 @@ def radial_functions(radius: float, sigma: float, inner: float, outer: float) ->
     inside_ds = _rings(grid_d, inside_s, inside_weight_s, sigma)
     outside_ds = _rings(grid_d, outside_s, 0.5 * weight_s * (highest - radius), sigma)
     beyond_s = (outside_s - radius) / (outer - radius)
-    columns = [
-        inside_ds.sum(axis=1),
-        inside_ds @ z_s,
-        inside_ds @ z_s**2,
-        outside_ds.sum(axis=1),
-        outside_ds @ beyond_s,
-    ]
-    return CubicSpline(grid_d, np.stack(columns, axis=1))
+    inner_df = inside_ds @ np.stack([np.ones_like(z_s), z_s, z_s**2], axis=1)
+    outer_df = outside_ds @ np.stack([np.ones_like(beyond_s), beyond_s], axis=1)
+    return CubicSpline(grid_d, np.concatenate([inner_df, outer_df], axis=1))
 
 
 def _rings(grid_d: NDArray, ring_s: NDArray, weight_s: NDArray, sigma: float) -> NDArray[np.float64]:
@@ -225,11 +222,17 @@ class _Band:
             share_p1 = np.clip(share_p, 0.0, 1.0)[:, None]
             weight_pm = 1.0 / np.sqrt(share_p1**2 + (1.0 - share_p1) ** 2 * texture_m)
             weight_pm *= self.robust_p[:, None]
-            values_4, left_pm, hessian_44 = self._descend(values_4, start_4, trust_4, turned_mm, weight_pm)
+            values_4, left_pm, slopes_pm4 = self._descend(values_4, start_4, trust_4, turned_mm, weight_pm)
             size_p = np.mean((left_pm / self.robust_p[:, None]) ** 2, axis=1)
             self.robust_p = 1.0 / np.sqrt(1.0 + size_p / (4.0 * np.median(size_p) + 1e-30))
-        variance = float(np.sum(left_pm**2)) / max(left_pm.size - held * sum(2 * each + 1 for each in self.orders), 1)
-        return values_4, np.sqrt(np.diag(np.linalg.inv(hessian_44)) * max(variance, 1.0))
+        free = max(left_pm.size - held * sum(2 * each + 1 for each in self.orders), 1)
+        # Texture is no noise: the same all along, it tells of another outline. What is sure hangs on the ways that are
+        # free of it; the rest is shared with where the outline was.
+        sure_m = 1.0 / (1.0 + _WRONG * np.maximum(texture_m - 1.0, 0.0) / texture_m)
+        sure_44 = np.einsum("pma,m,pmb->ab", slopes_pm4, sure_m, slopes_pm4) / max(np.sum(left_pm**2) / free, 1.0)
+        trust_44 = np.diag([*[_START_OFF**-2] * 3, 1e-6])
+        total_44 = np.linalg.inv(sure_44 + trust_44)
+        return values_4 + total_44 @ trust_44 @ ((start_4 - values_4) * [1, 1, 1, 0]), np.sqrt(np.diag(total_44))
 
     def _descend(
         self, values_4: NDArray, start_4: NDArray, trust_4: NDArray, turned_mm: NDArray, weight_pm: NDArray
@@ -244,7 +247,8 @@ class _Band:
         (energy, solved), damp = left(values_4), 1e-3
         for _ in range(_STEPS):
             slopes = [self._slope(values_4, k, solved) for k in range(4)]
-            slopes_n4 = np.stack([each.ravel() for each in slopes], axis=1)
+            slopes_pm4 = np.stack(slopes, axis=2)
+            slopes_n4 = slopes_pm4.reshape(-1, 4)
             hessian_44 = slopes_n4.T @ slopes_n4 + np.diag(trust_4)
             right_4 = -slopes_n4.T @ solved.left_pm.ravel() - trust_4 * (values_4 - start_4)
             for _ in range(4):
@@ -261,7 +265,7 @@ class _Band:
             values_4, (energy, solved), damp = tried_4, tried, max(damp / 10.0, 1e-6)
             if moved < _NEAR_ENOUGH:
                 break
-        return values_4, solved.left_pm, hessian_44
+        return values_4, solved.left_pm, slopes_pm4
 
     def _slope(self, values_4: NDArray[np.float64], k: int, solved: _Solved) -> NDArray[np.float64]:
         step_4 = np.zeros(4)

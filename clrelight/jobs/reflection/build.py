@@ -9,6 +9,7 @@ import numpy as np
 
 from clrelight.brdf.centred import CentredBrdf
 from clrelight.brdf.coefficients import BrdfCoefficients, brdf_coefficients
+from clrelight.brdf.named import as_brdf
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.jobs.inputs import opened_on, paths_among
@@ -36,7 +37,7 @@ LightLike = Environment | Light | str | os.PathLike[str]
 
 def build_reflection(
     source: LightLike,
-    brdf: CentredBrdf,
+    brdf: CentredBrdf | str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
     *,
     epsilon: float | None = None,
@@ -53,7 +54,7 @@ def build_reflection(
     Parameters
     ----------
     source : Environment, Light or path of a light file
-    brdf : CentredBrdf
+    brdf : CentredBrdf, or a text as of `brdf.named.parse_brdf`
     out : path, optional
     epsilon : float, optional
         Part of the reflectance's energy that may be left out: the least orders are taken; 0.03 by default.
@@ -80,6 +81,7 @@ def build_reflection(
     kept = report_for(report)
     if (degree is None) != (order is None) or (epsilon is not None and degree is not None):
         raise InputError("give orders F and P, both of them, or epsilon")
+    brdf = as_brdf(brdf)
     with claimed([out], paths_among(source), kept), opened_on(device, kept) as opened:
         since = time.perf_counter()
         chosen = _coefficients(brdf, epsilon, degree, order)

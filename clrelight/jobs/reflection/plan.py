@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import time
 from typing import Any
 
 import numpy as np
 
 from clrelight.brdf.centred import CentredBrdf
-from clrelight.brdf.coefficients import brdf_coefficients
+from clrelight.brdf.coefficients import BrdfCoefficients, brdf_coefficients
 from clrelight.brdf.expanded import read_coefficients
 from clrelight.brdf.measured import MeasuredBrdf, read_brdf
+from clrelight.brdf.named import BRDF_NAMES, as_brdf, parse_brdf
 from clrelight.brdf.radial import Phong
 from clrelight.device import Device
 from clrelight.harmonics.index import coefficient_count, degrees_of_coefficients
@@ -38,7 +40,7 @@ _SAMPLES = (2, 3, 5, 10, 20)
 
 
 def plan_reflection(
-    brdf: CentredBrdf,
+    brdf: CentredBrdf | str | os.PathLike[str],
     environment: Environment | None = None,
     *,
     epsilon: float = 0.03,
@@ -55,7 +57,7 @@ def plan_reflection(
 
     Parameters
     ----------
-    brdf : CentredBrdf
+    brdf : CentredBrdf, or a text as of `brdf.named.parse_brdf`
     environment : Environment, optional
     epsilon : float
     degree : int
@@ -63,9 +65,9 @@ def plan_reflection(
     device : Device or str, optional
         Of the projection of maps that are not lat-long.
     """
-    kept = report_for(report)
+    kept, brdf = report_for(report), as_brdf(brdf)
     since = time.perf_counter()
-    told = brdf_coefficients(brdf, degree, 0 if brdf.is_radial else MOST_ORDER)
+    told = _orders_of(brdf, degree)
     least = sufficient_coefficients(brdf, epsilon)
     kept.add("reflectance", since)
     facts: dict[str, Any] = {"config": brdf.to_config(), "epsilon": epsilon}
@@ -79,6 +81,10 @@ def plan_reflection(
             facts |= _under(brdf, environment, degree, least.degree, opened, kept)
     kept.facts = facts
     return kept
+
+
+def _orders_of(brdf: CentredBrdf, degree: int) -> BrdfCoefficients:
+    return brdf_coefficients(brdf, degree, 0 if brdf.is_radial else MOST_ORDER)
 
 
 def _under(
@@ -116,13 +122,15 @@ def accuracy_rows(found: Accuracy, degree: int) -> list[list[float]]:
 def describe_brdf(path: str, *, degree: int = _TOLD_DEGREE, report: Report | None = None) -> Report:
     """Return a report of a ``.brdf`` file: its measurements, and the energy up to each order P.
 
-    Of a ``.json`` file that `reflection_estimate` wrote: its orders, and the energy up to each.
+    Of a ``.json`` file that `reflection_estimate` wrote, or a text as of `brdf.named.parse_brdf`: its orders, and the
+    energy up to each.
     """
     kept = report_for(report)
     since = time.perf_counter()
-    if path.lower().endswith(".json"):
-        held = read_coefficients(path)
-        kept.add("read", since)
+    is_named = path.partition(":")[0] in BRDF_NAMES
+    if is_named or path.lower().endswith(".json"):
+        held = _orders_of(parse_brdf(path), degree) if is_named else read_coefficients(path)
+        kept.add("reflectance" if is_named else "read", since)
         kept.facts = {"file": path, "degree": held.degree, "order": held.order, "centre": held.centre}
         kept.facts |= {"channels": held.channels, "shares": held.shares()[-1], "energy": held.energy_c}
         kept.facts |= {"config": dict(held.config)}
