@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from benchmarks.rti_ways import Coded, Found, Way
 
@@ -129,6 +130,19 @@ def _with_setting(found: Found, setting: str) -> Coded | None:
     return next((coded for coded in found.coded if coded.setting == setting), None)
 
 
+def _where_they_differ(images: Sequence[NDArray], mask_hw: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return the rows and columns of a panel, where images differ most from each other."""
+    spread_hw = np.where(mask_hw, np.var([image.mean(axis=2) for image in images], axis=0), 0.0)
+    around_hw = ndimage.uniform_filter(spread_hw, _PANEL_PIXELS, mode="constant")
+    middle = np.unravel_index(int(np.argmax(around_hw)), around_hw.shape)
+    starts = [
+        min(max(int(at) - _PANEL_PIXELS // 2, 0), max(n - _PANEL_PIXELS, 0))
+        for at, n in zip(middle, mask_hw.shape, strict=True)
+    ]
+    rows, columns = (slice(start, start + _PANEL_PIXELS) for start in starts)
+    return rows, columns
+
+
 def _draw(path: Path, result: StackResult, ways: Sequence[Way]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -146,8 +160,7 @@ def _draw(path: Path, result: StackResult, ways: Sequence[Way]) -> None:
             error = np.square((image - result.photograph)[result.mask_hw]).mean()
             panels.append((f"{way.label}\n{-10 * np.log10(max(error, 1e-12)):.1f} dB", image))
     panels = panels[:_PANELS]
-    height, width = result.photograph.shape[:2]
-    rows, columns = (slice(max(0, (n - _PANEL_PIXELS) // 2), (n + _PANEL_PIXELS + 1) // 2) for n in (height, width))
+    rows, columns = _where_they_differ([image for _, image in panels], result.mask_hw)
     figure = Figure(figsize=(2.3 * len(panels), 2.75), dpi=100)
     FigureCanvasAgg(figure)
     for place, (title, image) in enumerate(panels):
