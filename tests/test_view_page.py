@@ -186,7 +186,8 @@ def test_keys_and_pointers(page):
     assert page.evaluate("[app.dragging, app.state.lamp.direction[0] < -0.6]") == [True, True]
     page.call("Input.dispatchMouseEvent", type="mouseMoved", x=220, y=128, **mouse)
     page.call("Input.dispatchMouseEvent", type="mouseReleased", x=220, y=128, **mouse)
-    page.wait("app.state.lamp.direction[0] > 0.6")  # moves come with the next frame, which waits where there is much to do
+    # Moves come with the next frame, which is late where there is much to do.
+    page.wait("app.state.lamp.direction[0] > 0.6")
     assert page.evaluate("app.dragging") is False
     page.call("Input.dispatchMouseEvent", type="mouseWheel", x=200, y=50, deltaX=0, deltaY=-320)
     page.wait("Math.abs(app.view.zoom - 2) < 0.01")
