@@ -16,6 +16,7 @@ from clrelight.conventions import TRANSFERS
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.experiment.grid import Experiment
+from clrelight.memory import PIECE_BYTES
 from clrelight.passes import stack_rows
 from clrelight.relight import to_display
 from clrelight.store import open_stack
@@ -97,13 +98,13 @@ def survey_stack(stack: LightStack) -> Survey:
     sum32 = zlib.crc32(repr((stack.n_light, stack.image_shape, stack.peak, stack.transfer)).encode())
     for array in (stack.directions_i3, stack.weights_i, stack.mask_hw):
         sum32 = zlib.crc32(b"" if array is None else np.ascontiguousarray(array).tobytes(), sum32)
-    step = max(1, (1 << 26) // (stack.n_light * width * channel * 4))
+    step = max(1, PIECE_BYTES // (stack.n_light * width * channel))
     means, rows = [], []
     with stack_rows(stack, step) as tiles:
         for _, _, tile_ihwc in tiles:
             sum32 = zlib.crc32(tile_ihwc.data.cast("B"), sum32)
             means.append(tile_ihwc.mean(axis=0, dtype=np.float64).ravel())
-        rows.append(tile_ihwc[light].astype(np.float32) / stack.peak)
+            rows.append(tile_ihwc[light].astype(np.float32) / stack.peak)
     mean_p = np.concatenate(means)
     order = np.argsort(mean_p, kind="stable")
     lit = order[mean_p[order] > 0]
