@@ -172,6 +172,7 @@ def test_it_asks_for_nothing_and_nothing_goes_wrong(page, folder):
 
 
 def test_keys_and_pointers(page):
+    shown(page)  # on a canvas of 256 pixels, in which the places below are
     page.evaluate("app = clrelight.app; Object.assign(app.state, { light: 'lamp', compare: 'one' }); app.fit()")
     before = page.evaluate("app.state.lamp.direction")
     page.evaluate("app.canvas.focus()")
