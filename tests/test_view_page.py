@@ -172,7 +172,11 @@ def test_it_asks_for_nothing_and_nothing_goes_wrong(page, folder):
 
 
 def test_keys_and_pointers(page):
-    shown(page)  # on a canvas of 256 pixels, in which the places below are
+    # The places below are on a canvas of 256 pixels, which other tests make, where they come first.
+    page.evaluate(
+        "clrelight.app.canvas.style.cssText = 'position: fixed; left: 0; top: 0; width: 256px; height: 256px';"
+        "clrelight.app.ratio = 1; clrelight.app.resize()"
+    )
     page.evaluate("app = clrelight.app; Object.assign(app.state, { light: 'lamp', compare: 'one' }); app.fit()")
     before = page.evaluate("app.state.lamp.direction")
     page.evaluate("app.canvas.focus()")
