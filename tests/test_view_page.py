@@ -171,6 +171,24 @@ def test_it_asks_for_nothing_and_nothing_goes_wrong(page, folder):
     assert page.evaluate("clrelight.app.store.faults") == []
 
 
+def test_figures_are_of_a_frame_that_was_drawn(page):
+    """A comparison that is asked for has no second picture before its first frame, which may be late."""
+    before = page.faults()
+    page.evaluate("app = clrelight.app; app.set('compare', 'one'); 0")
+    page.wait("app.planned === null && app.renderer.pictures.length === 1 && app.isWhole && app.store.isIdle")
+    page.evaluate("""(async () => {
+        const soon = globalThis.requestAnimationFrame;
+        globalThis.requestAnimationFrame = () => 1;
+        app.planFigures();
+        app.set('compare', 'split');
+        await new Promise((done) => setTimeout(done, 1000));
+        globalThis.requestAnimationFrame = soon;
+        app.planned = null;
+        app.set('compare', 'one');
+    })()""")
+    assert page.faults() == before
+
+
 def test_keys_and_pointers(page):
     # The places below are on a canvas of 256 pixels, which other tests make, where they come first.
     page.evaluate(

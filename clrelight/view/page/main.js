@@ -66,8 +66,9 @@
       this.changed();
     }
 
-    /** Draw a frame soon. */
+    /** Draw a frame soon; what is drawn now has no figures any more. */
     changed() {
+      clearTimeout(this.figures);
       this.planned ??= requestAnimationFrame(() => {
         this.planned = null;
         this.frame();
