@@ -19,6 +19,11 @@ _MARGIN_BYTES = 1 << 16
 """Of a file, beside twice the pixels: more than any encoder makes of them."""
 
 
+def has_memory() -> bool:
+    """Return whether the system has files in memory that encoders find by a name."""
+    return hasattr(os, "memfd_create") and os.path.isdir("/proc/self/fd")
+
+
 @contextmanager
 def sink_for(part: Part, extension: str, n_bytes: int) -> Iterator[str]:
     """Lend the name of a file to write a picture of `n_bytes` to; when the block has ended, `part` holds the file.
@@ -28,7 +33,7 @@ def sink_for(part: Part, extension: str, n_bytes: int) -> Iterator[str]:
     OSError
         What the system says against writing them.
     """
-    if not hasattr(os, "memfd_create") or not os.path.isdir("/proc/self/fd"):
+    if not has_memory():
         yield str(part.path)
     elif extension == ".jpg" and 2 * n_bytes + _MARGIN_BYTES > _most_bytes():
         # Only where memory may end, which libjpeg would not survive: OpenImageIO closes a file without letting other

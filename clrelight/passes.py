@@ -29,9 +29,11 @@ def stack_rows(stack: LightStack, step: int) -> Iterator[Iterator[tuple[int, int
     """
     height, width, channel = stack.image_shape
     tiles = row_tiles((0, height), step)
-    buffers = itertools.cycle([Buffer() for _ in tiles[:2]])
+    buffers = itertools.cycle([Buffer(), Buffer()])
 
     def read(rows: Span) -> NDArray:
+        if len(tiles) == 1:
+            return stack.read_rows(*rows)  # an array in memory as it lies
         shape = (stack.n_light, rows[1] - rows[0], width, channel)
         return stack.read_rows(*rows, next(buffers).lend(shape, stack.images_ihwc.dtype))
 

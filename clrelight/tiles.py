@@ -32,6 +32,16 @@ class Rectangle:
         return self.bottom - self.top, self.right - self.left
 
     @property
+    def n_pixel(self) -> int:
+        """Height times width."""
+        return (self.bottom - self.top) * (self.right - self.left)
+
+    @property
+    def sides(self) -> tuple[int, int, int, int]:
+        """Top, left, bottom and right, from which another is made."""
+        return self.top, self.left, self.bottom, self.right
+
+    @property
     def rows(self) -> slice:
         """As an index."""
         return slice(self.top, self.bottom)

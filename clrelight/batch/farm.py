@@ -20,6 +20,7 @@ from clrelight.batch.task import Outcome, Task
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.jobs.farm import Arrays, Chore, ChoreError, pack_arrays, unpack_arrays
+from clrelight.jobs.held import look_of
 from clrelight.jobs.report import Progress, Report
 
 _DIGITS = 16
@@ -130,11 +131,7 @@ class TaskFarm:
 
     def _known(self, path: str) -> Any:
         """Return the fingerprint of a file, taken once for all workers as long as it looks the same."""
-        try:
-            look = os.stat(path)
-        except OSError as error:
-            raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-        key = (look.st_ino, look.st_size, look.st_mtime_ns)
+        key = look_of(path)
         if self.known.get(path, (None,))[0] != key:
             self.known[path] = key, take_seal(path)
         return self.known[path][1]
@@ -150,11 +147,11 @@ class TaskFarm:
             workers.device,
             workers.keep_going,
             workers.retries,
-            False,
-            self._teller(what),
-            self.report,
+            verify=False,
+            progress=None,
+            report=self.report,
         )
-        driver.progress, kept = None, driver.find_kept()
+        kept = driver.find_kept()  # of which there is nothing to tell
         driver.progress = self._teller(what)
         waiting = deque(task for task in wanted if task.name not in kept or not self._is_whole(task))
         if not waiting:

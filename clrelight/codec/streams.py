@@ -23,7 +23,7 @@ from clrelight.codec.workspace import ArrayPlanes, Planes, Shape, Workspace
 from clrelight.device import Device
 from clrelight.matmul import SampleCurve, multiply_columns
 from clrelight.streaming import Buffer, reading_ahead
-from clrelight.tiles import read_rows_into
+from clrelight.tiles import read_rows_into, row_tiles
 
 if TYPE_CHECKING:
     from clrelight.codec.formats.klt_tiles import TileCoder
@@ -33,7 +33,7 @@ Result = TypeVar("Result")
 
 def parts_of(count: int, step: int) -> list[slice]:
     """Return consecutive slices of ``range(count)``."""
-    return [slice(start, min(start + step, count)) for start in range(0, count, step)]
+    return [slice(*part) for part in row_tiles((0, count), step)]
 
 
 def _row_parts(workspace: Workspace, shape: Shape, multiple: int, row_step: int) -> list[slice]:

@@ -14,6 +14,7 @@ import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
+from clrelight.image_sink import has_memory
 
 MOST_SIDE = 65535
 """Pixels that a JPEG's header can count."""
@@ -43,7 +44,7 @@ class JpegFile:
         self._output: Any = oiio.ImageOutput.create("x.jpg")
         name, self._at = str(file), 0
         self._held: BinaryIO | None = None
-        if hasattr(os, "memfd_create") and os.path.isdir("/proc/self/fd"):
+        if has_memory():
             self._file, self._held = open(file, "wb"), os.fdopen(os.memfd_create("clrelight-jpeg"), "rb")  # noqa: SIM115
             name = f"/proc/self/fd/{self._held.fileno()}"
         if not self._output or not self._output.open(name, spec):

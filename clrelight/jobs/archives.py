@@ -22,6 +22,7 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.sampling import make_pattern
 from clrelight.store import Sink, create_stack
+from clrelight.tiles import row_tiles
 
 LEAST_HEIGHT = 0.15
 """z of the lowest light that an archive is photographed under."""
@@ -105,8 +106,7 @@ def _fill(
 ) -> None:
     height, width, channel = found.image_shape
     step = max(_PIECE_BYTES // (4 * channel * width * len(directions_i3)), 1)
-    for first in range(0, height, step):
+    for first, end in row_tiles((0, height), step):
         tell(first, height)
-        end = min(first + step, height)
         shown = found.display_values(directions_i3, first, end)
         sink[:, first:end] = np.rint(255.0 * shown).astype(np.uint8)

@@ -19,6 +19,7 @@ from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import create_fit
 from clrelight.store.coding import RowTarget
+from clrelight.tiles import row_tiles
 
 
 class _SomeRows(RowTarget):
@@ -30,7 +31,7 @@ class _SomeRows(RowTarget):
         """See `Target`; parts of the wanted rows."""
         first, end = self.wanted
         step = max(part.stop - part.start for part in super().row_parts(multiple))
-        return [slice(row, min(row + step, end)) for row in range(first, end, step)]
+        return [slice(*part) for part in row_tiles((first, end), step)]
 
 
 def decode_rows(

@@ -12,11 +12,10 @@ import numpy as np
 from clrelight.directions import count_duplicates, unit_directions
 from clrelight.dome_files import ENDINGS
 from clrelight.errors import InputError
-from clrelight.exchange.coded_maps import CodedMap
 from clrelight.exchange.files import read_start
-from clrelight.exchange.ptm import read_ptm, read_ptm_header
+from clrelight.exchange.ptm import read_ptm_header
 from clrelight.exchange.relight_folder import INFO
-from clrelight.exchange.relight_reading import RelightFolder, read_relight_folder
+from clrelight.exchange.relight_reading import read_relight_folder
 from clrelight.exchange.rows import ImageRows
 from clrelight.exchange.rti import read_rti
 from clrelight.light_files import read_light_file
@@ -55,12 +54,6 @@ def describe_foreign(path: str | os.PathLike[str]) -> dict[str, Any] | None:
         return None
     kind, facts = summary(place)
     return {"file": str(place), "kind": kind, "bytes_on_disk": _bytes_of(place), **facts}
-
-
-def open_foreign(path: str | os.PathLike[str]) -> CodedMap | RelightFolder | None:
-    """Return the picture in a file of another program; None where its name is not that of one."""
-    reader = _READERS.get(_summary_of(path))
-    return None if reader is None else reader(Path(os.fsdecode(path)))
 
 
 def _summary_of(path: str | os.PathLike[str]) -> Callable[[Path], tuple[str, dict[str, Any]]] | None:
@@ -138,10 +131,4 @@ _SUMMARIES = {
     ".rti": _rti_facts,
     **dict.fromkeys((".lp", ".txt", ".csv", *ENDINGS), _light_facts),
     ".brdf": _brdf_facts,
-}
-
-_READERS: dict[Any, Callable[[Path], CodedMap | RelightFolder]] = {
-    _ptm_facts: read_ptm,
-    _rti_facts: read_rti,
-    _folder_facts: read_relight_folder,
 }

@@ -144,6 +144,13 @@ class Packed:
             refuse_salvage(f"an encoding by {self.encoded.codec}")
         return found
 
+    def regions_of(self, name: str) -> Regions:
+        """Return what decodes parts alone, of a file of a name; InputError where there is no such thing."""
+        found = self.regions()
+        if found is None:
+            raise InputError(f"{name} holds no parts that can be decoded alone")
+        return found
+
 
 def refuse_salvage(what: str) -> NoReturn:
     """Raise InputError: what is no file in units cannot be salvaged."""

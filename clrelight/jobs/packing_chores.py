@@ -20,7 +20,6 @@ from clrelight.codec.views import Region
 from clrelight.codec.workspace import BoundedWorkspace
 from clrelight.dataset import LightStack
 from clrelight.device import Device
-from clrelight.errors import InputError
 from clrelight.fit import PreparedFit, method_class
 from clrelight.fit.plan import make_lighting
 from clrelight.fit.prepare import FitReport
@@ -81,8 +80,7 @@ def code_tile(
     with opened_on(device, kept) as opened:
         view = _view_of(source, plan, memory, opened, kept)
         encoder, planes = view.encoder(transfer), view.planes(axes)
-        top, left, bottom, right = sides
-        tile = tile_of(*view.source.shape[1:3], (top, left, bottom, right))
+        tile = tile_of(*view.source.shape[1:3], Window(*sides).sides)
         streams = encoder.encode_here(tile, planes, step, multiplier).streams
     content = np.frombuffer(b"".join(streams), np.uint8)
     write_arrays(out, {"sizes": np.array([len(each) for each in streams], np.int64), "streams": content})
@@ -116,8 +114,7 @@ def try_pieces(
         view = _view_of(source, plan, memory, opened, kept)
         encoder = view.encoder(transfer)
         tried = [
-            encoder.try_piece(view.piece(encoder, axes, transfer, Window(*_sides(window))), step, count)
-            for window in windows
+            encoder.try_piece(view.piece(encoder, axes, transfer, Window(*window)), step, count) for window in windows
         ]
     write_arrays(
         out,
@@ -165,18 +162,11 @@ def measure_coded(
         lend_stack(source, kept) as stack,
         lend_encoded(coded, kept, parts=True) as packed,
     ):
-        regions = packed.regions()
-        if regions is None:
-            raise InputError(f"{coded} holds no parts that can be decoded alone")
-        places = [Region(*_sides(window)) for window in windows]
+        regions = packed.regions_of(coded)
+        places = [Region(*window) for window in windows]
         sums_wi, counts_w = measure_windows(regions, packed.record, stack, places, opened)
     write_arrays(out, {"sums_wi": sums_wi, "counts_w": counts_w})
     return kept
-
-
-def _sides(numbers: Sequence[int]) -> tuple[int, int, int, int]:
-    top, left, bottom, right = map(int, numbers)
-    return top, left, bottom, right
 
 
 @dataclass

@@ -88,7 +88,7 @@ class PackingFarm:
         """See `clrelight.codec.formats.klt_tiles.TileCoder`."""
         axes = self._axes(planes)
         given = {"axes": axes, "transfer": transfer, "step": step, "count": count}
-        places = [[each.top, each.left, each.bottom, each.right] for each in windows]
+        places = [list(each.sides) for each in windows]
         groups = [places[at : at + _TRIED_TOGETHER] for at in range(0, len(places), _TRIED_TOGETHER)]
         chores = [self._chore(TRY_PIECES, {**given, "windows": group}, axes) for group in groups]
         return [
@@ -114,7 +114,7 @@ class PackingFarm:
 
 def measure_elsewhere(farm: Farm, stack: str, coded: str, windows: Sequence[Region]) -> Sums:
     """Return what `clrelight.jobs.measure_parts.measure_windows` does of an encoded file beside a stack file."""
-    places = [[each.top, each.left, each.bottom, each.right] for each in windows]
+    places = [list(each.sides) for each in windows]
     groups = [places[at : at + _MEASURED_TOGETHER] for at in range(0, len(places), _MEASURED_TOGETHER)]
     chores = [Chore(MEASURE_WINDOWS, stack, {"coded": coded, "windows": group}, (coded,)) for group in groups]
     found = list(farm.do(chores, "measuring"))

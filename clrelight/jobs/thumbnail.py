@@ -16,7 +16,8 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
-from clrelight.jobs.foreign import describe_foreign, open_foreign
+from clrelight.jobs.archives import archive_reader
+from clrelight.jobs.foreign import describe_foreign
 from clrelight.jobs.relight import relight
 from clrelight.jobs.report import Report
 from clrelight.lighting.light import Light
@@ -94,8 +95,9 @@ def _of_foreign(path: str | os.PathLike[str], facts: dict[str, Any], side: int) 
     is_large = facts["planes"] * height * width > _MOST_VALUES
     if min(height, width) == 1 or (is_large and facts["stored"] != "bytes"):
         return None
-    found = open_foreign(path)
-    assert found is not None  # it was described
+    reader = archive_reader(os.fsdecode(path))
+    assert reader is not None  # it was described
+    found = reader(os.fsdecode(path))
     rows = _picked(height, width, side)
     shown = np.concatenate([found.display_values(LIGHT[None], int(row), int(row) + 1)[0] for row in rows])
     return _shown(_columns(srgb_to_linear(shown), side, height))

@@ -185,7 +185,7 @@ class _Unpack:
             Chore(
                 PART,
                 source,
-                {"lights": lights, "transfer": curve, "sides": [part.top, part.left, part.bottom, part.right]},
+                {"lights": lights, "transfer": curve, "sides": list(part.sides)},
                 (lights,),
             )
             for part in parts

@@ -52,13 +52,8 @@ def relight_part(
     """
     kept = report_for(report)
     with opened_on(device, kept) as opened, lend_encoded(source, kept, parts=True) as packed:
-        regions = packed.regions()
-        if regions is None:
-            raise InputError(f"{os.fsdecode(source)} holds no parts that can be decoded alone")
-        top, left, bottom, right = sides
-        relit_ihwc = regions.relight_region(
-            read_arrays(lights)["directions_i3"], Region(top, left, bottom, right), opened
-        )
+        regions, directions_i3 = packed.regions_of(os.fsdecode(source)), read_arrays(lights)["directions_i3"]
+        relit_ihwc = regions.relight_region(directions_i3, Region(*sides), opened)
     shown_ihwc = relit_ihwc if transfer is None else to_display(relit_ihwc, transfer)
     write_arrays(out, {str(light): rows_hwc for light, rows_hwc in enumerate(shown_ihwc)})
     return kept

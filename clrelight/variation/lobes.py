@@ -52,16 +52,14 @@ class FoundLobe:
 
 @dataclass(frozen=True)
 class _Window:
-    """The surroundings of a highlight: samples, weights, and where its finer grid lies."""
+    """The surroundings of a highlight: samples, and where its finer grid lies."""
 
     samples_p: NDArray[np.float64]
-    weight_p: NDArray[np.float64]
     ground_p3: NDArray[np.float64]
     rows: slice
     columns: slice
     fine: int
     margin: int
-    sigma: float
     kept_p: NDArray[np.intp]
 
 
@@ -154,16 +152,15 @@ class LobeFit:
         hessian_33: NDArray[np.float64],
         start: tuple[float, float, float],
     ) -> FoundLobe | None:
-        used_p = window.weight_p > 0.0
-        varied = window.samples_p[used_p] - window.samples_p[used_p].mean()
+        varied = window.samples_p - window.samples_p.mean()
         # Noise of samples is not the lobe's fault; the median of them had none to speak of.
-        excess = found[0] - 1.5 * self.noise**2 * int(used_p.sum())
+        excess = found[0] - 1.5 * self.noise**2 * len(varied)
         energy = max(float(varied @ varied), 1e-30)
         moved = float(np.hypot(values_3[0] - start[0], values_3[1] - start[1]))
         is_alike = excess <= (1.0 - _LEAST_EXPLAINED) * energy
         if not is_alike or found[2][0] <= 0.0 or moved > 0.5 * start[2] + 0.7:
             return None
-        variance = found[0] / max(int(used_p.sum()) - 7, 1)
+        variance = found[0] / max(len(varied) - 7, 1)
         spread_33 = np.linalg.pinv(hessian_33) * variance
         off = float(np.sqrt(max(spread_33[0, 0] + spread_33[1, 1], 0.0) / 2.0))
         return FoundLobe(float(values_3[0]), float(values_3[1]), off, found[0] / energy)
@@ -193,13 +190,11 @@ class LobeFit:
         ground_p3 = np.stack([np.ones_like(x_hw), (x_hw - x) / reach, (y_hw - y) / reach], axis=-1).reshape(-1, 3)
         return _Window(
             moved_hw[rows, columns].ravel()[kept_p].astype(np.float64),
-            np.ones(len(kept_p)),
             ground_p3[kept_p],
             rows,
             columns,
             fine,
             int(np.ceil(3.0 * self.lens)) if fine > 1 else 0,
-            self.lens,
             kept_p,
         )
 
@@ -240,7 +235,7 @@ class LobeFit:
         shape_hw = (1.0 + squared_q / (lobe.tail * np.exp(2.0 * values_3[2]))) ** -lobe.tail
         shape_hw = np.where(np.any(vectors_q3 != 0.0, axis=1), shape_hw, 0.0).reshape(x_hw.shape)
         if fine > 1:
-            shape_hw = ndimage.gaussian_filter(shape_hw, window.sigma * fine, mode="nearest", truncate=3.5)
+            shape_hw = ndimage.gaussian_filter(shape_hw, self.lens * fine, mode="nearest", truncate=3.5)
             height, width = len(sides[0]) // fine, len(sides[1]) // fine
             shape_hw = shape_hw.reshape(height, fine, width, fine).mean(axis=(1, 3))
             shape_hw = shape_hw[margin : height - margin, margin : width - margin]

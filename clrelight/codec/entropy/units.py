@@ -33,11 +33,6 @@ MARGIN = 128
 class Window(Rectangle):
     """A part of an image whose planes are transformed together; it begins at multiples of ``2 ** LEVELS``."""
 
-    @property
-    def n_pixel(self) -> int:
-        """Height times width."""
-        return self.shape[0] * self.shape[1]
-
     def sides_at(self, level: int) -> tuple[int, int]:
         """Return the height and width of its planes at a level."""
         return low_side(self.bottom, level) - (self.top >> level), low_side(self.right, level) - (self.left >> level)

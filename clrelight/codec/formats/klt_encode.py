@@ -96,7 +96,10 @@ class Encoder(TileEncoder):
         """Return the body that fills a budget of bytes best, and what was found; InputError if none is as small."""
         trial = self._find_step(budget)
         tiles = self._tiles(trial.axes)
-        body, step = (self._fit_step if len(tiles) <= 1 else self._fit_multipliers)(budget, trial, tiles)
+        if len(tiles) <= 1:
+            body, step = self._fit_step(budget, trial, tiles)
+        else:
+            body, step = self._fit_multipliers(budget, trial, tiles)
         return body, {"step": step, "planes": float(len(trial.axes.scales_j))}
 
     def _collect(self, streams: list[bytes], tile: Tile, coded: Coded) -> None:

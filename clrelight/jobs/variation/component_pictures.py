@@ -13,6 +13,7 @@ from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.images import write_image
+from clrelight.passes import stack_rows
 from clrelight.surface import Surface
 from clrelight.transfer.cameras import frame_surface
 from clrelight.transfer.rays import RayScene
@@ -111,11 +112,11 @@ def pictures_of_stack(
 
 
 def _grey(stack: LightStack, rows: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    reader, (height, width, channel) = SampleReader(stack), stack.image_shape
-    for first in range(0, height, rows):
-        tile_ihwc = stack.read_rows(first, min(first + rows, height))
-        linear_cip = reader.linear(tile_ihwc.reshape(stack.n_light, -1, channel))
-        yield first, linear_cip.mean(axis=0).reshape(stack.n_light, -1, width)
+    reader, (_, width, channel) = SampleReader(stack), stack.image_shape
+    with stack_rows(stack, rows) as tiles:
+        for first, _, tile_ihwc in tiles:
+            linear_cip = reader.linear(tile_ihwc.reshape(stack.n_light, -1, channel))
+            yield first, linear_cip.mean(axis=0).reshape(stack.n_light, -1, width)
 
 
 def write_pictures(folder: str | os.PathLike[str], pictures: Signed) -> list[str]:

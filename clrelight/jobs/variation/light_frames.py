@@ -21,6 +21,7 @@ from clrelight.image_set import read_headers
 from clrelight.images import BAND_BYTES, read_bands
 from clrelight.jobs.inputs import StackLike, lend_stack, path_text
 from clrelight.jobs.report import Report
+from clrelight.tiles import row_tiles
 from clrelight.variation.maps import SampleReader
 
 
@@ -96,8 +97,8 @@ class Frames:
             return
         _, width, channel = self.stack.image_shape
         step = max(1, BAND_BYTES // (width * channel * self.stack.n_light * self.stack.images_ihwc.dtype.itemsize))
-        for row in range(first, end, step):
-            rows_ihwc = self.stack.read_rows(row, min(row + step, end))
+        for row, stop in row_tiles((first, end), step):
+            rows_ihwc = self.stack.read_rows(row, stop)
             yield slice(0, len(lights)), row, rows_ihwc[lights]
 
 
