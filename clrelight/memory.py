@@ -15,5 +15,8 @@ ARRAY_MEMORY = 1 << 30
 """Of the parts that a codec makes of a map which is in memory anyway. Payloads of `klt` hang on it: a map that takes
 more is coded in tiles."""
 
+TILE_BYTES = 1 << 26
+"""Of a tile where no budget is asked for: coefficients or pictures of some rows, made and gone again."""
+
 PIECE_BYTES = 1 << 24
 """Of rows that pass while they are converted or measured: less than a tile, and enough to make a call worth while."""

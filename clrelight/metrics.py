@@ -14,14 +14,13 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
 from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, tile_defines
+from clrelight.memory import PIECE_BYTES
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.streaming import Buffer, reading_ahead
 from clrelight.tiles import row_tiles
 
 _SEGMENT, _GROUP = 4096, 256
 """Columns that a GPU's group sums, and its work-items."""
-_TILE_BYTES = 1 << 24
-"""Coefficients and relit images of one tile of rows."""
 _IN_PLACE = 16
 """Times as much is taken at a time of arrays that are in memory: nothing is copied."""
 
@@ -127,7 +126,7 @@ def measure_errors(
     dtype = np.dtype(coefficients.coeffs_khwc.dtype)
     column_bytes = 4 * stack.n_light + dtype.itemsize * coefficients.n_coeff
     whole = _arrays_in_place(device, coefficients, stack)
-    step = max(1, _TILE_BYTES * (1 if whole is None else _IN_PLACE) // (column_bytes * width * channel))
+    step = max(1, PIECE_BYTES * (1 if whole is None else _IN_PLACE) // (column_bytes * width * channel))
     tiles = row_tiles((0, height), step)
     coeffs_of, samples_of = (itertools.cycle([Buffer(), Buffer()]) for _ in range(2))
     sum_tile = _SumOfErrors(device, basis, stack)

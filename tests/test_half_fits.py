@@ -453,8 +453,8 @@ def test_tiles_of_halves_hold_what_they_are_counted_for(method):
 
 def test_memory_does_not_grow_with_the_view(tmp_path, monkeypatch):
     monkeypatch.setattr(writing, "IN_MEMORY_BYTES", 0)
-    for module in ("clrelight.relight", "clrelight.metrics"):
-        monkeypatch.setattr(importlib.import_module(module), "_TILE_BYTES", 1 << 18)
+    for module, name in (("clrelight.relight", "_TILE_BYTES"), ("clrelight.metrics", "PIECE_BYTES")):
+        monkeypatch.setattr(importlib.import_module(module), name, 1 << 18)
     peaks = {}
     for height in (340, 340, 1020):  # the first builds kernels
         store.write_stack(tmp_path / "s.h5", make_stack(20, (height, 64, 3)))

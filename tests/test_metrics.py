@@ -79,7 +79,7 @@ def test_any_width(device, width):
 
 
 def test_several_tiles(device, monkeypatch):
-    monkeypatch.setattr("clrelight.metrics._TILE_BYTES", 4 * (9 + 9) * 37 * 3 * 2)
+    monkeypatch.setattr("clrelight.metrics.PIECE_BYTES", 4 * (9 + 9) * 37 * 3 * 2)
     monkeypatch.setattr("clrelight.metrics._IN_PLACE", 1)
     fitted, stack = make_case("uint8", (13, 37, 3))
     done = []

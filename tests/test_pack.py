@@ -224,7 +224,7 @@ def large(tmp_path_factory):
 
 def test_parts_together_are_the_whole(large, device, monkeypatch):
     path, stack = large
-    monkeypatch.setattr(parts_module, "_TILE_BYTES", 1 << 20)
+    monkeypatch.setattr(parts_module, "TILE_BYTES", 1 << 20)
     encoded, record = cr.read_encoded(path)
     split = (np.arange(12)[np.arange(12) % 4 != 3], np.arange(12)[np.arange(12) % 4 == 3])
     found = measure_parts(decode_regions(encoded), record, stack, split, device, sampled=False)

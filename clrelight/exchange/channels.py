@@ -12,9 +12,9 @@ import OpenImageIO as oiio
 from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
+from clrelight.memory import PIECE_BYTES
 from clrelight.tiles import row_tiles
 
-_PIECE_BYTES = 1 << 25
 _MOST_CHANNELS = 1023
 _LETTERS = {1: "Y", 3: "RGB"}
 
@@ -58,7 +58,7 @@ def write_channels(
     spec.attribute("clrelight:basis", "real spherical harmonics, no Condon-Shortley sign; k = l (l + 1) + m")
     spec.attribute("clrelight:axes", "light direction: x right, y up, z to the camera")
     spec.attribute("clrelight:degree", coefficients.degree)
-    step = max(_PIECE_BYTES // (4 * len(names) * width), 1)
+    step = max(PIECE_BYTES // (4 * len(names) * width), 1)
     with replacing(out) as part, naming(out):
         _write(coefficients, part.path, spec, step, progress)
 

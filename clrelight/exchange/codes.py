@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from clrelight.conventions import linear_to_srgb, srgb_to_linear
 from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
+from clrelight.memory import TILE_BYTES
 from clrelight.surface import surface_facts
 from clrelight.tiles import row_tiles
-
-PIECE_BYTES = 1 << 26
-"""Of display values that are held at a time."""
 
 
 def check_picture(coefficients: CoefficientMap, what: str) -> None:
@@ -28,7 +26,7 @@ def check_picture(coefficients: CoefficientMap, what: str) -> None:
 def row_pieces(coefficients: CoefficientMap, n_light: int) -> Iterator[tuple[int, int]]:
     """Yield rows, from the first to before the end, whose display values under so many lights fit a piece."""
     height, width, _ = coefficients.image_shape
-    step = max(PIECE_BYTES // (4 * 3 * max(n_light, coefficients.n_coeff) * width), 1)
+    step = max(TILE_BYTES // (4 * 3 * max(n_light, coefficients.n_coeff) * width), 1)
     yield from row_tiles((0, height), step)
 
 

@@ -20,6 +20,7 @@ from clrelight.exchange.rti import read_rti
 from clrelight.jobs.inputs import path_text, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.memory import TILE_BYTES
 from clrelight.sampling import make_pattern
 from clrelight.store import Sink, create_stack
 from clrelight.tiles import row_tiles
@@ -27,7 +28,6 @@ from clrelight.tiles import row_tiles
 LEAST_HEIGHT = 0.15
 """z of the lowest light that an archive is photographed under."""
 _MOST_LIGHTS = 1000
-_PIECE_BYTES = 1 << 26
 _READERS: dict[str, Callable[[str], CodedMap | RelightFolder]] = {".ptm": read_ptm, ".rti": read_rti}
 
 
@@ -105,7 +105,7 @@ def _fill(
     found: CodedMap | RelightFolder, directions_i3: NDArray[np.float64], sink: Sink, tell: Callable[[int, int], None]
 ) -> None:
     height, width, channel = found.image_shape
-    step = max(_PIECE_BYTES // (4 * channel * width * len(directions_i3)), 1)
+    step = max(TILE_BYTES // (4 * channel * width * len(directions_i3)), 1)
     for first, end in row_tiles((0, height), step):
         tell(first, height)
         shown = found.display_values(directions_i3, first, end)

@@ -25,13 +25,12 @@ from clrelight.jobs.report import Progress, Report
 from clrelight.lighting.light import Light, share_below
 from clrelight.lighting.relighting import automatic_exposure, relight_under
 from clrelight.lighting.rotation import rotate_light, rotate_lights
+from clrelight.memory import TILE_BYTES
 from clrelight.relight import relight
 from clrelight.surface import surface_facts
 from clrelight.transfer.reflection import OPERATOR
 
 MAX_STEPS = 1 << 16
-_PICTURE_BYTES = 1 << 26
-"""So many bytes of pictures, and one at least, are made in one pass through the coefficients."""
 
 Rotation = float | tuple[str, Sequence[float]]
 """Degrees about z, or a form of `rotation_matrix` and its numbers."""
@@ -80,7 +79,7 @@ class DirectedFrames:
             yield self._images(view, report), view.transfer
 
     def _images(self, view: _View, report: Report) -> Iterator[NDArray[np.float32]]:
-        step = max(1, _PICTURE_BYTES // view.picture_bytes)
+        step = max(1, TILE_BYTES // view.picture_bytes)
         for first in range(0, self.count, step):
             since = time.perf_counter()
             pictures_ihwc = view.light(self._directions_i3[first : first + step])

@@ -17,6 +17,7 @@ from clrelight.jobs.bands import Bands, bands_of
 from clrelight.jobs.region import list_tiles
 from clrelight.jobs.report import Progress, stage
 from clrelight.jobs.split_quality import Split, summarize_split
+from clrelight.memory import TILE_BYTES
 from clrelight.metrics import measure_errors
 from clrelight.streaming import reading_ahead
 
@@ -26,7 +27,6 @@ MeasureWindows = Callable[[Sequence[Region]], Sums]
 SAMPLED_FROM = 1 << 20
 """Pixels from which an image is measured at a sample where nothing else is said."""
 _WINDOW, _WINDOWS, _FEW = 256, 30, 8
-_TILE_BYTES = 1 << 26
 
 
 def measure_parts(
@@ -62,7 +62,7 @@ def measure_parts(
     """
     height, width, channel = stack.image_shape
     pixel_bytes = 4 * coefficient_count(record.degree) * channel
-    windows = sample_windows(stack) if sampled else list_tiles(height, width, pixel_bytes, _TILE_BYTES)
+    windows = sample_windows(stack) if sampled else list_tiles(height, width, pixel_bytes, TILE_BYTES)
     if elsewhere is not None:
         sums_wi, counts_w = elsewhere(windows)
     else:

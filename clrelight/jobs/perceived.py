@@ -16,13 +16,13 @@ from clrelight.jobs.measure_parts import sample_windows
 from clrelight.jobs.report import Progress, stage
 from clrelight.jobs.split_quality import Split
 from clrelight.matmul import multiply_columns
+from clrelight.memory import PIECE_BYTES
 from clrelight.perception import colour_difference, display_of, flip_of
 
 MOST_LIGHTS = 8
 """Of those fitted, and of those held out."""
 _FIGURES = ("flip", "colour")
 _MOST_PIXELS = 1 << 18
-_TILE_BYTES = 1 << 25
 
 Relit = Callable[[NDArray[np.float64], Region], NDArray[np.float32]]
 """Linear radiance (n_light, height, width, channel) of a part of the image under some lights."""
@@ -41,7 +41,7 @@ def relit_map(coefficients: CoefficientMap, device: Device) -> Relit:
     def relight(directions_i3: NDArray[np.float64], region: Region) -> NDArray[np.float32]:
         factor_ik = coefficients.functions_at(directions_i3)
         relit_ihwc = np.empty((len(factor_ik), *region.shape, channel), np.float32)
-        step = max(1, _TILE_BYTES // row_bytes)
+        step = max(1, PIECE_BYTES // row_bytes)
         for first in range(region.top, region.bottom, step):
             end = min(first + step, region.bottom)
             rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)

@@ -18,10 +18,9 @@ from clrelight.jobs.inputs import FittedLike, decoded_of, lend_fitted, opened_on
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.matmul import multiply_columns
+from clrelight.memory import TILE_BYTES
 from clrelight.store import create_fit
 from clrelight.tiles import row_tiles
-
-_PIECE_BYTES = 1 << 26
 
 
 def to_sh(
@@ -68,7 +67,7 @@ def to_sh(
         config = {name: value for name, value in held.config.items() if name != "basis"}
         record = replace(FitRecord.of(held), config={**config, "fitted_basis": held.basis})
         since, (height, width, channel) = time.perf_counter(), held.image_shape
-        step = max(1, _PIECE_BYTES // (4 * held.n_coeff * width * channel))
+        step = max(1, TILE_BYTES // (4 * held.n_coeff * width * channel))
 
         def rows_of(first: int, end: int) -> np.ndarray:
             shape = (held.n_coeff, end - first, width, channel)

@@ -22,6 +22,7 @@ from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.store import create_fit
+from clrelight.tiles import row_tiles
 
 
 def update_fit(
@@ -157,8 +158,7 @@ def _tiles(
             f"one row of this update takes {column * width * channel} bytes, more than the budget {budget}"
         )
     rows = max(rows - rows % step, 1) if rows >= step else rows
-    for first in range(0, height, rows):
-        end = min(first + rows, height)
+    for first, end in row_tiles((0, height), rows):
         held_khwc = old.read_rows(first, end, np.empty((n_coeff, end - first, width, channel), np.float32))
         samples_ip = stack.read_rows(first, end).reshape(n_light, -1) / np.float64(stack.peak)
         radiance_ip = srgb_to_linear(samples_ip) if stack.transfer == "srgb" else samples_ip

@@ -23,6 +23,7 @@ from clrelight.store.schemas import FIT, FIT_OF_BASIS, Schema
 from clrelight.store.shards import opening_fit
 from clrelight.store.surfaces import surface_bytes, surface_of, write_surface
 from clrelight.store.writing import Draft, Sink, chunk_shape, config_text, drafting, padded_bytes
+from clrelight.tiles import row_tiles
 
 _IMAGE_AXES = ("height", "width", "channel")
 _MAX_DEGREE = 1 << 15  # far beyond use; keeps the count of coefficients within every integer
@@ -167,17 +168,16 @@ def write_fit(
     with sinking as sink, rounding as round_rows:  # which may refuse the whole map before the file stands
         height, width, channel = coefficients.image_shape
         step = sink.coeffs_khwc.chunks[1]
-        for row in range(0, height, step):
-            rows = slice(row, min(row + step, height))
-            shape = (coefficients.n_coeff, rows.stop - row, width, channel)
-            coeffs_khwc = coefficients.read_rows(row, rows.stop, np.empty(shape, held if rounds else stored))
+        for first, end in row_tiles((0, height), step):
+            shape = (coefficients.n_coeff, end - first, width, channel)
+            coeffs_khwc = coefficients.read_rows(first, end, np.empty(shape, held if rounds else stored))
             if round_rows is not None:
-                coeffs_khwc = round_rows(coeffs_khwc, np.empty(shape, stored), row)
+                coeffs_khwc = round_rows(coeffs_khwc, np.empty(shape, stored), first)
             sink.write_rows(
-                row,
+                first,
                 coeffs_khwc,
-                None if coefficients.lambda_hwc is None else coefficients.lambda_hwc[rows],
-                None if coefficients.rank_hwc is None else coefficients.rank_hwc[rows],
+                None if coefficients.lambda_hwc is None else coefficients.lambda_hwc[first:end],
+                None if coefficients.rank_hwc is None else coefficients.rank_hwc[first:end],
             )
 
 

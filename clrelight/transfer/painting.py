@@ -12,6 +12,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.surface import Surface
+from clrelight.tiles import row_tiles
 from clrelight.transfer.cameras import Camera, picture_size
 from clrelight.transfer.lit_functions import Functions
 from clrelight.transfer.rays import RayScene
@@ -102,8 +103,8 @@ class Painter:
             eyes_v3 = camera.towards(self.surface.vertices_v3)
             radiance_vc = shade_views(self.coefficients, eyes_v3, surface=self.surface)
         bands, coverage, behind, outside = [], [], [], False
-        for first in range(0, height, self._rows):
-            view = self._view(camera, (first, min(first + self._rows, height)))
+        for rows in row_tiles((0, height), self._rows):
+            view = self._view(camera, rows)
             bands.append(self._paint_band(view, radiance_vc, at_pixels, camera))
             coverage.append(view.coverage_hw)
             behind.append(view.behind * view.coverage_p.sum())
@@ -168,8 +169,7 @@ def put_on(picture: Picture, background: Background, camera: Camera, rows_at_onc
     """Return a picture on a background, (height, width, channel) float32; a gray one becomes coloured where that is."""
     height, width = picture.coverage_hw.shape
     bands = []
-    for first in range(0, height, rows_at_once):
-        end = min(first + rows_at_once, height)
+    for first, end in row_tiles((0, height), rows_at_once):
         down_h, across_w = np.arange(first, end) + 0.5, np.arange(width) + 0.5
         y_n, x_n = np.meshgrid(0.5 - down_h / height, (across_w - 0.5 * width) / height, indexing="ij")
         behind_nc = np.asarray(background(camera.rays(x_n.ravel(), y_n.ravel())[1]))

@@ -15,6 +15,7 @@ from clrelight.harmonics.index import coefficient_count
 from clrelight.harmonics.rotation_batch import rotate_many
 from clrelight.memory import PIECE_BYTES
 from clrelight.surface import surface_facts
+from clrelight.tiles import row_tiles
 
 OPERATOR = "operator"
 """Of maps of operators, in place of a fit."""
@@ -92,8 +93,7 @@ def reflected_coefficients(operators: CoefficientMap, light_kc: NDArray[np.float
     frames_v33 = _light_frames(operators)
     made_khwc = np.empty((n_out, height, width, max(own, light.shape[1])), np.float32)
     step = max(1, PIECE_BYTES // (4 * n_in * n_out * width * own))
-    for first in range(0, height, step):
-        end = min(first + step, height)
+    for first, end in row_tiles((0, height), step):
         part_dhwc = operators.read_rows(first, end, np.empty((n_in * n_out, end - first, width, own), np.float32))
         part_oipc = part_dhwc.reshape(n_out, n_in, -1, own)
         if frames_v33 is None:

@@ -13,12 +13,11 @@ from clrelight.errors import InputError
 from clrelight.fit import method_ids
 from clrelight.harmonics.index import coefficient_count
 from clrelight.lighting.light import Light
+from clrelight.memory import TILE_BYTES
 from clrelight.surface import Surface, surface_facts
+from clrelight.tiles import row_tiles
 from clrelight.transfer.lit_functions import Functions, seen_degree
 from clrelight.transfer.sources import DistantLight, Source, shade_by
-
-_AT_ONCE_BYTES = 1 << 26
-"""Of what is made of functions while they are lit, tile by tile."""
 
 
 def is_hemispherical(coefficients: CoefficientMap | FitRecord) -> bool:
@@ -31,7 +30,7 @@ def is_hemispherical(coefficients: CoefficientMap | FitRecord) -> bool:
     return facts.get("frame") == "local" and coefficients.method in method_ids()
 
 
-def tiles_of(coefficients: CoefficientMap, surface: Surface, memory: int = _AT_ONCE_BYTES) -> Iterator[Functions]:
+def tiles_of(coefficients: CoefficientMap, surface: Surface, memory: int = TILE_BYTES) -> Iterator[Functions]:
     """Yield the functions of a map's vertices from first to last, in tiles that take so many bytes to light."""
     height, width, channel = coefficients.image_shape
     n_coeff = coefficients.n_coeff
@@ -39,8 +38,7 @@ def tiles_of(coefficients: CoefficientMap, surface: Surface, memory: int = _AT_O
     wide = coefficient_count(seen_degree(coefficients.degree)) if hemispherical else n_coeff
     step = max(1, memory // (width * 8 * 3 * (4 * wide + n_coeff)))
     frames_v33 = None if surface.tangents_v3 is None else surface.frames()
-    for first in range(0, height, step):
-        end = min(first + step, height)
+    for first, end in row_tiles((0, height), step):
         rows_khwc = coefficients.read_rows(first, end, np.empty((n_coeff, end - first, width, channel), np.float32))
         held = slice(first * width, end * width)
         yield Functions(
@@ -56,7 +54,7 @@ def shade_vertices(
     sources: Sequence[Source],
     *,
     surface: Surface | None = None,
-    memory: int = _AT_ONCE_BYTES,
+    memory: int = TILE_BYTES,
 ) -> NDArray[np.float32]:
     """Return the radiance that each vertex reflects under several lights together, (n_vertex, channel) float32.
 

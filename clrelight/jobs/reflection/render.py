@@ -25,7 +25,7 @@ from clrelight.jobs.written import count_bytes, count_stops
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
 from clrelight.lighting.lookup import look_up
-from clrelight.memory import DEFAULT_MEMORY
+from clrelight.memory import DEFAULT_MEMORY, PIECE_BYTES
 from clrelight.shrm.painting import Clock, Mesh, Sphere, distant_view
 from clrelight.shrm.prefilter import to_global
 from clrelight.shrm.record import Shrm
@@ -39,9 +39,6 @@ VIEW = (0.0, -1.0, 0.3)
 
 PAPER_TEXELS, PAPER_RATE = 6 * 64 * 64, 30.0
 """Texels of the paper's dynamic maps, and how many of them it made a second (frequency-space-environment-maps, 7.5)."""
-
-_MAP_BYTES = 1 << 24
-"""Of dynamic maps that are made together."""
 
 
 def render_reflection(
@@ -201,7 +198,7 @@ def _steps(
 
 def _paint(subject: Sphere | Mesh, shrm: Shrm, steps: Iterator[_Step], report: Report) -> Iterator[Placed]:
     """Yield pictures, the camera of each, and what lies behind it; dynamic maps of many views are made together."""
-    at_once = max(1, _MAP_BYTES // shrm.maps_khwc[0].nbytes)
+    at_once = max(1, PIECE_BYTES // shrm.maps_khwc[0].nbytes)
     while batch := list(itertools.islice(steps, at_once)):
         since = time.perf_counter()
         maps: list[NDArray[np.floating] | None] = [None] * len(batch)
