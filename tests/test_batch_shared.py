@@ -5,6 +5,7 @@ import os
 import numpy as np
 import pytest
 
+from clrelight import metrics
 from clrelight.batch import make_tasks, read_listing
 from clrelight.batch.single import run_single
 from clrelight.batch.tiles import run_tiles
@@ -14,8 +15,10 @@ from clrelight.codec.formats.wavelet import Wavelet
 from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError
+from clrelight.jobs import fitting
 from clrelight.jobs import measure as measuring
 from clrelight.jobs.decode import decode
+from clrelight.jobs.fit import fit
 from clrelight.jobs.measure import measure
 from clrelight.jobs.report import Report
 from clrelight.jobs.unpack import unpack
@@ -105,3 +108,24 @@ def test_quality_from_windows(files, tmp_path, monkeypatch):
     (outcome,) = run_tiles(tasks, tmp_path / "out", engine=Here(), report=Report()).outcomes
     assert dict(outcome.psnr) == report.psnr
     assert not [*(tmp_path / "out").glob("*.shards")]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"method": "cls", "degree": 2, "holdout": 3},
+        {"method": "ceb", "degree": 1, "store": "float16", "measure": False},
+    ],
+)
+def test_fits_of_parts(files, tmp_path, monkeypatch, options):
+    monkeypatch.setattr(fitting, "_PART_BYTES", 1 << 20)
+    monkeypatch.setattr(metrics, "_TILE_BYTES", 1 << 20)
+    stack, alone, report = files.parent / "stack.h5", Report(), Report()
+    fit(stack, out=tmp_path / "one.h5", report=alone, **options)
+    engine = Here()
+    run_single("fit", stack, tmp_path / "two.h5", options=options, engine=engine, report=report)
+    assert len(engine.begun) > 1
+    assert sorted(os.listdir(tmp_path)) == ["one.h5", "two.h5"]
+    assert (tmp_path / "two.h5").read_bytes() == (tmp_path / "one.h5").read_bytes()
+    assert report.psnr == alone.psnr
+    assert {**report.facts, "file": ""} == {**alone.facts, "file": ""}

@@ -9,15 +9,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from clrelight.batch.engine import Engine
 from clrelight.batch.farmed import FOLDER, run_farmed
 from clrelight.batch.journal import Journal
 from clrelight.batch.run import JOURNAL, check_engine
 from clrelight.batch.task import Task
 from clrelight.batch.tiles import FARMED, run_tiles
-from clrelight.batch.verbs import find_verb
+from clrelight.batch.verbs import Verb, find_verb
 from clrelight.durable import check_output
 from clrelight.errors import InputError
+from clrelight.fit import FitMethod
 from clrelight.jobs.farm import ChoreError
 from clrelight.jobs.inputs import path_text
 from clrelight.jobs.report import Progress, Report, report_for
@@ -69,8 +72,8 @@ def run_single(
         As of the job; or if a part fails, a worker's end among them, or the engine cannot be had.
     """
     kept = report_for(report)
-    verb, given = find_verb(job), {name: _plain(value) for name, value in (options or {}).items()}
-    given = {name: value for name, value in given.items() if value is not None and value is not False}
+    verb = find_verb(job)
+    given = _plain_options(verb, options or {})
     verb.check(given)
     place = path_text(source, "a file or folder")
     _check_here([place, *(given[name] for name in verb.reads if isinstance(given.get(name), str))])
@@ -125,11 +128,19 @@ def _check_here(paths: Sequence[str]) -> None:
             raise InputError(f"there is no file or folder {os.path.abspath(path)}")
 
 
-def _plain(value: Any) -> Any:
-    """Return an option as JSON has it."""
-    if isinstance(value, os.PathLike):
-        return os.fsdecode(value)
-    return list(value) if isinstance(value, tuple) else value
+def _plain_options(verb: Verb, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those options that are given, as JSON has them."""
+    given: dict[str, Any] = {}
+    for name, value in options.items():
+        if isinstance(value, FitMethod):
+            given |= {name: value.id, **_plain_options(verb, value.to_config())}
+        elif isinstance(value, os.PathLike):
+            given[name] = os.fsdecode(value)
+        elif isinstance(value, tuple | np.ndarray):
+            given[name] = np.asarray(value).tolist()
+        elif value is not None and (value is not False or verb.is_on(name)):
+            given[name] = value
+    return given
 
 
 def _leave(folder: Path, report: Report) -> None:

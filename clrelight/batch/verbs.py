@@ -99,6 +99,11 @@ class Verb:
         """Return the names of all options."""
         return sorted(_parameters(self.function()) | self.more())
 
+    def is_on(self, name: str) -> bool:
+        """Return whether an option stands for yes, or for as is best, where it is not given: then no has to be said."""
+        given = inspect.signature(self.function()).parameters.get(name)
+        return given is not None and given.default in (True, None)
+
     def check(self, options: Mapping[str, Any]) -> None:
         """Raise InputError where an option is not one of the job's."""
         known = self.options()
@@ -247,6 +252,7 @@ _EVERY = (
 _OF_TILES = (
     Verb("fit-rows", "clrelight.jobs.shards:fit_rows", "rows of a fit", ".h5", ("stack",), more=_of_methods),
     Verb("fit-join", "clrelight.jobs.shards:join_rows", "a fit of its rows", ".h5", ("stack",)),
+    Verb("fit-part", "clrelight.jobs.fit_chores:fit_part", "rows of a fit and their errors", ".npz", ("stack",)),
     Verb("decode-rows", "clrelight.jobs.decoding_rows:decode_rows", "rows of a decoded fit", ".h5", ("encoded",)),
     Verb("decode-join", "clrelight.jobs.shards:join_rows", "a decoded fit of its rows", ".h5", ("encoded",)),
     Verb("unpack-part", "clrelight.jobs.unpacking_chores:relight_part", "a part under lights", ".npz", ("encoded",)),

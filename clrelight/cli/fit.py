@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.options import (
     DegreeType,
     basis_option,
@@ -22,9 +23,10 @@ from clrelight.cli.progress import progress_bar
 from clrelight.cli.psnr import psnr_lines
 from clrelight.errors import InputError
 
-_BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "confidence", "memory", "device", "as_json")
+_HOW = ("stack", "out", "measured", "memory", "device", "as_json")
+_BESIDE_CONFIG = (*_HOW, "config", "within", "store", "confidence", "engine", "jobs")
 """What a file that says what to fit leaves open."""
-_BESIDE_UPDATE = ("stack", "out", "update", "measured", "memory", "device", "as_json")
+_BESIDE_UPDATE = (*_HOW, "update")
 """What a fit that is to grow leaves open."""
 
 
@@ -90,6 +92,7 @@ _BESIDE_UPDATE = ("stack", "out", "update", "measured", "memory", "device", "as_
     help="Picture of the PSNR expected under each light (spectrum): decibels in .exr, 5 code values each in .png.",
 )
 @memory_option("256MiB", "one tile of the fit")
+@engine_options
 @device_option
 @json_option
 @click.pass_context
@@ -102,6 +105,8 @@ def fit(
     holdout_by: str | None,
     measured: bool,
     confidence: str | None,
+    engine: str | None,
+    jobs: int | None,
     device: str | None,
     as_json: bool,
     **asked: Any,
@@ -117,6 +122,7 @@ def fit(
       clrelight fit stack.h5 fit.h5 --method spline --basis hsh
       clrelight fit stack.h5 fit.h5 --method constrained --bound-at ring
       clrelight fit more.h5 grown.h5 --update fit.h5
+      clrelight fit large.h5 fit.h5 --jobs 2
     """
     from clrelight.fit import method_class
     from clrelight.fit.value_bounds import check_places
@@ -144,8 +150,11 @@ def fit(
                 update, stack, out=out, measure=measured, memory=memory, device=device, progress=bar, report=report
             )
         else:
-            asked.update(measure=measured, confidence=confidence, device=device)
-            run_fit(stack, out=out, progress=bar, report=report, **asked)
+            asked.update(measure=measured, confidence=confidence)
+            if is_shared(engine, jobs):
+                run_shared("fit", stack, out, asked, engine, jobs, device, bar, report)
+            else:
+                run_fit(stack, out=out, device=device, progress=bar, report=report, **asked)
     if as_json:
         print_json(report.to_json())
         return
