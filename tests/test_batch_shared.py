@@ -20,10 +20,12 @@ from clrelight.jobs import measure as measuring
 from clrelight.jobs.decode import decode
 from clrelight.jobs.fit import fit
 from clrelight.jobs.measure import measure
+from clrelight.jobs.relight import relight
 from clrelight.jobs.report import Report
 from clrelight.jobs.unpack import unpack
+from clrelight.lighting.light import Light
 from clrelight.sampling import make_pattern
-from clrelight.store import read_fit, write_encoded, write_stack
+from clrelight.store import read_fit, write_encoded, write_light, write_stack
 from tests.batches import strays_in
 from tests.commands import succeed
 from tests.test_batch import Here
@@ -129,3 +131,37 @@ def test_fits_of_parts(files, tmp_path, monkeypatch, options):
     assert (tmp_path / "two.h5").read_bytes() == (tmp_path / "one.h5").read_bytes()
     assert report.psnr == alone.psnr
     assert {**report.facts, "file": ""} == {**alone.facts, "file": ""}
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("a%02d.png", {"lights": "dirs.txt"}),
+        ("a.exr", {"light": (0.1, -0.2, 0.9), "exposure": 1.0, "region": (3, 5, 60, 50)}),
+        ("a%d.exr", {"light": "sky.h5", "turntable": 10, "exposure": "auto", "rotate": ("axis", (0, 1, 0, 30))}),
+        ("a.gif", {"light": "sky.h5", "turntable": 9, "level": 2}),
+    ],
+)
+def test_pictures_by_workers(files, tmp_path, name, options):
+    if name.endswith(".gif"):
+        pytest.importorskip("PIL", reason="animations: pip install 'clrelight[codecs]'")
+    directions = np.vstack([make_pattern("uniform", 10), [0.0, 0.6, -0.8]])
+    np.savetxt(tmp_path / "dirs.txt", directions)
+    write_light(tmp_path / "sky.h5", Light(np.linspace(0.9, -0.3, 9)[:, None], "sky"))
+    source = files / "klt.h5"
+    options = {
+        key: tmp_path / value if isinstance(value, str) and "." in value else value for key, value in options.items()
+    }
+    found = {}
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        report, out = Report(), tmp_path / folder / name
+        if folder == "one":
+            relight(source, out=out, report=report, **options)
+        else:
+            run_single("relight", source, out, options=options, engine=Here(), report=report)
+        facts = {key: value for key, value in report.facts.items() if key not in ("files", "file")}
+        contents = {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()}
+        found[folder] = contents, facts, sorted(report.notes)
+    assert found["one"] == found["two"]
+    assert found["two"][0]

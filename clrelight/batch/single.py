@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -76,18 +77,17 @@ def run_single(
     given = _plain_options(verb, options or {})
     verb.check(given)
     place = path_text(source, "a file or folder")
-    _check_here([place, *(given[name] for name in verb.reads if isinstance(given.get(name), str))])
+    files = [name for name in (*verb.reads, *verb.writes) if isinstance(given.get(name), str)]
+    _check_here([place, *(given[name] for name in files if name in verb.reads)])
     if isinstance(engine, str):
         check_engine(engine, workers)
     target = "" if out is None else os.path.abspath(path_text(out, "a file to write"))
-    for name in (*verb.reads, *verb.writes):
-        if isinstance(given.get(name), str):
-            given[name] = os.path.abspath(given[name])
+    given |= {name: os.path.abspath(given[name]) for name in files}
     if target and os.path.splitext(target)[1] == FOLDER:
         raise InputError(f"{target}: parts of the work lie in a folder of such a name, choose another ending")
     if target and verb.ending:
         check_output(target, [] if os.path.isdir(place) else [place])
-    inputs = (os.path.abspath(place), *(given[name] for name in verb.reads if name in given))
+    inputs = (os.path.abspath(place), *(given[name] for name in files if name in verb.reads))
     beside = os.path.splitext(target or inputs[0])[0]
     folder, task = Path(beside + FOLDER), Task(os.path.basename(beside), job, inputs[0], target, given, inputs)
     settings: dict[str, Any] = {
@@ -136,8 +136,10 @@ def _plain_options(verb: Verb, options: Mapping[str, Any]) -> dict[str, Any]:
             given |= {name: value.id, **_plain_options(verb, value.to_config())}
         elif isinstance(value, os.PathLike):
             given[name] = os.fsdecode(value)
-        elif isinstance(value, tuple | np.ndarray):
-            given[name] = np.asarray(value).tolist()
+        elif isinstance(value, np.ndarray):
+            given[name] = value.tolist()
+        elif isinstance(value, tuple):
+            given[name] = json.loads(json.dumps(value))
         elif value is not None and (value is not False or verb.is_on(name)):
             given[name] = value
     return given

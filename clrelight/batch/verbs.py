@@ -73,6 +73,8 @@ class Verb:
         Options that name more files to write, in the folder of results.
     is_measure : bool
         Whether it writes nothing.
+    writes_many : bool
+        Whether the name of its file may have a number field, for several.
     more : callable
         Returns names of options that do not stand in the function's signature.
     """
@@ -87,6 +89,7 @@ class Verb:
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     is_measure: bool = False
+    writes_many: bool = False
     more: Callable[[], set[str]] = _none
 
     def function(self) -> Callable[..., Any]:
@@ -213,7 +216,8 @@ _EVERY = (
         ".png",
         ("fit", "tiles", "encoded"),
         endings=(".exr", ".hdr", ".tif", ".jpg"),
-        reads=("light",),
+        reads=("light", "lights"),
+        writes_many=True,
     ),
     Verb(
         "export",
@@ -255,6 +259,13 @@ _OF_TILES = (
     Verb("fit-part", "clrelight.jobs.fit_chores:fit_part", "rows of a fit and their errors", ".npz", ("stack",)),
     Verb("decode-rows", "clrelight.jobs.decoding_rows:decode_rows", "rows of a decoded fit", ".h5", ("encoded",)),
     Verb("decode-join", "clrelight.jobs.shards:join_rows", "a decoded fit of its rows", ".h5", ("encoded",)),
+    Verb(
+        "relight-some",
+        "clrelight.jobs.relighting_chores:relight_some",
+        "some pictures",
+        ".npz",
+        ("fit", "tiles", "encoded"),
+    ),
     Verb("unpack-part", "clrelight.jobs.unpacking_chores:relight_part", "a part under lights", ".npz", ("encoded",)),
     Verb("unpack-light", "clrelight.jobs.unpacking_chores:write_light", "a photograph", "", ("encoded",)),
     Verb("pack-tile", "clrelight.jobs.packing_chores:code_tile", "streams of a tile", ".npz", ("stack",)),
