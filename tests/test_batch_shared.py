@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clrelight import metrics
-from clrelight.batch import make_tasks, read_listing
+from clrelight.batch import cluster, farmed, make_tasks, read_listing
 from clrelight.batch.single import run_single
 from clrelight.batch.tiles import run_tiles
 from clrelight.codec import encode
@@ -73,7 +73,7 @@ def test_decoding_by_its_command(files, tmp_path):
     succeed("decode", files / "klt.h5", tmp_path / "two.h5", "--jobs", 1)
     assert (tmp_path / "two.h5").read_bytes() == (tmp_path / "one.h5").read_bytes()
     assert sorted(os.listdir(tmp_path)) == ["one.h5", "two.h5"]
-    with pytest.raises(InputError, match="region is no option of a decode in tiles"):
+    with pytest.raises(InputError, match="region is not for a decode that several workers share"):
         run_single("decode", files / "klt.h5", tmp_path / "x.h5", options={"region": (0, 0, 9, 9)}, engine=Here())
 
 
@@ -165,3 +165,12 @@ def test_pictures_by_workers(files, tmp_path, name, options):
         found[folder] = contents, facts, sorted(report.notes)
     assert found["one"] == found["two"]
     assert found["two"][0]
+
+
+def test_a_scheduler_that_does_not_answer_is_told_of_first(files, tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="the engines of Dask: pip install 'clrelight[cluster]'")
+    monkeypatch.setattr(cluster, "_PATIENCE", "1s")
+    monkeypatch.setattr(farmed, "_run", lambda *given: pytest.fail("the job was begun"))
+    with pytest.raises(InputError, match="no scheduler answers at tcp://127.0.0.1:9"):
+        run_single("fit", files.parent / "stack.h5", tmp_path / "x.h5", engine="tcp://127.0.0.1:9", report=Report())
+    assert not list(tmp_path.iterdir())

@@ -104,7 +104,7 @@ def run_single(
             made = run_farmed([task], folder, reports={task.name: kept}, redo=True, **settings)
         else:
             made = run_tiles([task], folder, **settings)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, InputError):
         _leave(folder, kept)
         raise
     if made.failed:

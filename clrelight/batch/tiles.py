@@ -78,7 +78,7 @@ def run_tiles(
             raise InputError(f"tiles are for the jobs {', '.join((*_JOINS, *FARMED))}, not for {task.job}")
         refused = _NOT_OF_ROWS[:3] if task.job == "fit" else ("region", "level", "salvage")
         if other := [name for name in refused if name in task.options]:
-            raise InputError(f"{other[0]} is no option of a {task.job} in tiles")
+            raise InputError(f"{other[0]} is not for a {task.job} that several workers share: let one process do it")
         try:
             joins.append(_JOINS[task.job](task, rows, virtual, shards(task)))
         except InputError:
