@@ -171,6 +171,6 @@ def test_a_scheduler_that_does_not_answer_is_told_of_first(files, tmp_path, monk
     pytest.importorskip("distributed", reason="the engines of Dask: pip install 'clrelight[cluster]'")
     monkeypatch.setattr(cluster, "_PATIENCE", "1s")
     monkeypatch.setattr(farmed, "_run", lambda *given: pytest.fail("the job was begun"))
-    with pytest.raises(InputError, match="no scheduler answers at tcp://127.0.0.1:9"):
+    with pytest.raises(InputError, match="no scheduler answers at tcp:"):
         run_single("fit", files.parent / "stack.h5", tmp_path / "x.h5", engine="tcp://127.0.0.1:9", report=Report())
     assert not list(tmp_path.iterdir())

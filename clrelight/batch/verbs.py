@@ -254,6 +254,21 @@ _EVERY = (
     ),
 )
 _OF_TILES = (
+    Verb(
+        "transfer",
+        "clrelight.jobs.surface.transfer:transfer",
+        "a mesh to its transfer functions",
+        ".h5",
+        (),
+        reads=("lights",),
+    ),
+    Verb(
+        "transfer-part",
+        "clrelight.jobs.surface.transfer_chores:transfer_part",
+        "functions of some vertices",
+        ".npz",
+        (),
+    ),
     Verb("fit-rows", "clrelight.jobs.shards:fit_rows", "rows of a fit", ".h5", ("stack",), more=_of_methods),
     Verb("fit-join", "clrelight.jobs.shards:join_rows", "a fit of its rows", ".h5", ("stack",)),
     Verb("fit-part", "clrelight.jobs.fit_chores:fit_part", "rows of a fit and their errors", ".npz", ("stack",)),
