@@ -42,11 +42,6 @@ class Part:
             while rest:
                 rest = rest[os.write(self.descriptor, rest) :]
 
-    def append(self, content: bytes) -> None:
-        """Write bytes behind what is there; errors as of `write`."""
-        os.lseek(self.descriptor, 0, os.SEEK_END)
-        self.write(content)
-
     def reserve(self, n_bytes: int) -> None:
         """Make sure that the disk has room for a file of `n_bytes`, and keep it; OSError if it has not."""
         system = os.fstatvfs(self.descriptor)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -22,6 +22,9 @@ from clrelight.cli.output import decibel, print_facts, print_json, print_notes, 
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.psnr import psnr_lines
 from clrelight.errors import InputError
+
+if TYPE_CHECKING:
+    from clrelight.jobs.report import Report
 
 _HOW = ("stack", "out", "measured", "memory", "device", "as_json")
 _BESIDE_CONFIG = (*_HOW, "config", "within", "store", "confidence", "engine", "jobs")
@@ -124,7 +127,6 @@ def fit(
       clrelight fit more.h5 grown.h5 --update fit.h5
       clrelight fit large.h5 fit.h5 --jobs 2
     """
-    from clrelight.fit import method_class
     from clrelight.fit.value_bounds import check_places
     from clrelight.jobs.fit import fit as run_fit
     from clrelight.jobs.inputs import read_directions
@@ -159,20 +161,25 @@ def fit(
         print_json(report.to_json())
         return
     print_notes(report.notes)
+    print_facts(_lines(out, report))
+
+
+def _lines(out: str, report: Report) -> dict[str, str | None]:
+    """Return what people are told of a fit."""
+    from clrelight.fit import method_class
+
     facts = report.facts
-    print_facts(
-        {
-            "fit": out,
-            "method": f"{method_class(facts['method']).title}, degree {facts['degree']}, {facts['n_light']} lights",
-            **({"basis": facts["config"]["basis"]} if "basis" in facts["config"] else {}),
-            "stored": f"{facts['dtype']}, {facts['bytes_on_disk']} bytes",
-            "condition": f"{facts['condition']:.3g}",
-            **_confidence_line(facts),
-            **psnr_lines(report.psnr),
-            "time": seconds_line(report.seconds),
-            "device": report.device,
-        }
-    )
+    return {
+        "fit": out,
+        "method": f"{method_class(facts['method']).title}, degree {facts['degree']}, {facts['n_light']} lights",
+        **({"basis": facts["config"]["basis"]} if "basis" in facts["config"] else {}),
+        "stored": f"{facts['dtype']}, {facts['bytes_on_disk']} bytes",
+        "condition": f"{facts['condition']:.3g}",
+        **_confidence_line(facts),
+        **psnr_lines(report.psnr),
+        "time": seconds_line(report.seconds),
+        "device": report.device,
+    }
 
 
 def _confidence_line(facts: dict[str, Any]) -> dict[str, str]:

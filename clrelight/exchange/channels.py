@@ -65,7 +65,8 @@ def write_channels(
             _write(coefficients, part.path, spec, step, progress)
         except RuntimeError as error:
             # OpenEXR does not say why; the system does, to whoever writes there next.
-            part.append(bytes(_PROBE_BYTES))
+            os.lseek(part.descriptor, 0, os.SEEK_END)
+            part.write(bytes(_PROBE_BYTES))
             raise InputError(f"cannot write {part.target}: {' '.join(str(error).split())}") from None
 
 

@@ -182,9 +182,7 @@ def fit(
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         with stage(progress, "choosing a model" if AUTO in (model, wanted) else "preparing"):
             prepared = prepare_fit(
-                chosen,
-                model,
-                wanted,
+                *(chosen, model, wanted),
                 options={name: value for name, value in options.items() if value is not None},
                 weights=weights,
                 sampling=sampling,
