@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -25,6 +26,23 @@ def has_memory() -> bool:
 
 
 @contextmanager
+def named_content(content: bytes, ending: str) -> Iterator[str]:
+    """Lend the name of a file, in memory where the system has such, that holds bytes: decoders open names alone."""
+    if not has_memory():
+        with tempfile.NamedTemporaryFile(suffix=ending) as copy:
+            copy.write(content)
+            copy.flush()
+            yield copy.name
+        return
+    descriptor = os.memfd_create("clrelight-image")
+    with os.fdopen(descriptor, "wb", buffering=0) as held:
+        rest = memoryview(content)
+        while rest:
+            rest = rest[held.write(rest) :]
+        yield f"/proc/self/fd/{descriptor}"
+
+
+@contextmanager
 def sink_for(part: Part, extension: str, n_bytes: int) -> Iterator[str]:
     """Lend the name of a file to write a picture of `n_bytes` to; when the block has ended, `part` holds the file.
 
@@ -35,14 +53,13 @@ def sink_for(part: Part, extension: str, n_bytes: int) -> Iterator[str]:
     """
     if not has_memory():
         yield str(part.path)
-    elif extension == ".jpg" and 2 * n_bytes + _MARGIN_BYTES > _most_bytes():
+    elif extension == ".jpg" and not is_allowed(n_bytes):
         # Only where memory may end, which libjpeg would not survive: OpenImageIO closes a file without letting other
         # threads of Python run, so that a pipe that is full then stays so for ever.
         with _pipe(part) as name:
             yield name
     else:
-        if 2 * n_bytes + _MARGIN_BYTES > _most_bytes():
-            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+        check_allowed(n_bytes)
         with _memory(part) as name:
             yield name
 
@@ -73,8 +90,15 @@ def _pipe(part: Part) -> Iterator[str]:
         part.write(content.result())
 
 
-def _most_bytes() -> float:
+def check_allowed(n_bytes: int) -> None:
+    """Raise OSError where files of this process may get too small for a picture of so many bytes of pixels."""
+    if not is_allowed(n_bytes):
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+
+
+def is_allowed(n_bytes: int) -> bool:
+    """Return whether files of this process may hold a picture of so many bytes of pixels, however it is coded."""
     import resource  # not on Windows, which has no such memory either
 
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
-    return float("inf") if limit == resource.RLIM_INFINITY else limit
+    return limit == resource.RLIM_INFINITY or 2 * n_bytes + _MARGIN_BYTES <= limit

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, open_device
@@ -114,20 +114,55 @@ def measure_errors(
     InputError
         If the coefficients are not of this view, or no pixel counts.
     """
-    device = device or open_device()
-    check_view(coefficients, stack)
+    total_i, count = np.zeros(stack.n_light), count_values(stack)
+    for sum_i in errors_of_rows(coefficients, stack, device=device, progress=progress):
+        total_i += sum_i
+    return total_i / count
+
+
+def count_values(stack: LightStack) -> int:
+    """Return how many values of each image count; InputError where none does."""
     height, width, channel = stack.image_shape
-    mask_hw = np.ones((height, width), bool) if stack.mask_hw is None else stack.mask_hw
-    count = int(mask_hw.sum()) * channel
+    count = (height * width if stack.mask_hw is None else int(stack.mask_hw.sum())) * channel
     if count == 0:
         raise InputError("the mask leaves no pixel to measure")
+    return count
+
+
+def rows_from_files(stack: LightStack, n_coeff: int, dtype: DTypeLike) -> int:
+    """Return how many rows `errors_of_rows` takes at a time where coefficients and images are not arrays in memory."""
+    _, width, channel = stack.image_shape
+    column_bytes = 4 * stack.n_light + np.dtype(dtype).itemsize * n_coeff
+    return max(1, PIECE_BYTES // (column_bytes * width * channel))
+
+
+def errors_of_rows(
+    coefficients: CoefficientMap,
+    stack: LightStack,
+    *,
+    device: Device | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    rows: tuple[int, int] | None = None,
+) -> Iterator[NDArray[np.float64]]:
+    """Yield each light's sum of squared errors over some rows after others; else as `measure_errors`.
+
+    With `rows`, coefficients are of rows first..end alone, and where first is a multiple of `rows_from_files`, sums
+    are those of the whole from files, bit for bit.
+    """
+    device = device or open_device()
+    height, width, channel = stack.image_shape
+    top, bottom = rows or (0, height)
+    if rows is None:
+        check_view(coefficients, stack)
+    mask_hw = np.ones((height, width), bool) if stack.mask_hw is None else stack.mask_hw
     basis = pack_operator(device, coefficients.functions_at(stack.directions_i3))
-    total_i = np.zeros(stack.n_light)
     dtype = np.dtype(coefficients.coeffs_khwc.dtype)
-    column_bytes = 4 * stack.n_light + dtype.itemsize * coefficients.n_coeff
-    whole = _arrays_in_place(device, coefficients, stack)
-    step = max(1, PIECE_BYTES * (1 if whole is None else _IN_PLACE) // (column_bytes * width * channel))
-    tiles = row_tiles((0, height), step)
+    whole = _arrays_in_place(device, coefficients, stack) if rows is None else None
+    step = rows_from_files(stack, coefficients.n_coeff, dtype)
+    if whole is not None:
+        column_bytes = 4 * stack.n_light + dtype.itemsize * coefficients.n_coeff
+        step = max(1, PIECE_BYTES * _IN_PLACE // (column_bytes * width * channel))
+    tiles = row_tiles((top, bottom), step)
     coeffs_of, samples_of = (itertools.cycle([Buffer(), Buffer()]) for _ in range(2))
     sum_tile = _SumOfErrors(device, basis, stack)
 
@@ -136,23 +171,23 @@ def measure_errors(
 
     every_p = None if whole is None else weigh(slice(0, height))
 
-    def read(rows: tuple[int, int]) -> tuple[NDArray, NDArray]:
+    def read(part: tuple[int, int]) -> tuple[NDArray, NDArray]:
         if whole is not None:
-            stack.check_rows(*rows)
+            stack.check_rows(*part)
             return whole
-        tile_shape = (rows[1] - rows[0], width, channel)
+        tile_shape = (part[1] - part[0], width, channel)
         coeffs_khwc = next(coeffs_of).lend((coefficients.n_coeff, *tile_shape), dtype)
         samples_ihwc = next(samples_of).lend((stack.n_light, *tile_shape), stack.images_ihwc.dtype)
-        return coefficients.read_rows(*rows, coeffs_khwc), stack.read_rows(*rows, samples_ihwc)
+        coefficients.read_rows(part[0] - top, part[1] - top, coeffs_khwc)
+        return coeffs_khwc, stack.read_rows(*part, samples_ihwc)
 
     with reading_ahead(read, tiles) as pieces:
         for (first, end), (coeffs_khwc, samples_ihwc) in zip(tiles, pieces, strict=True):
             held = slice(0, height) if whole is not None else slice(first, end)
             columns = slice((first - held.start) * width * channel, (end - held.start) * width * channel)
-            total_i += sum_tile(coeffs_khwc, samples_ihwc, weigh(held) if every_p is None else every_p, columns)
+            yield sum_tile(coeffs_khwc, samples_ihwc, weigh(held) if every_p is None else every_p, columns)
             if progress is not None:
                 progress(end, height)
-    return total_i / count
 
 
 def _arrays_in_place(device: Device, coefficients: CoefficientMap, stack: LightStack) -> tuple[NDArray, NDArray] | None:

@@ -9,6 +9,8 @@ import time
 
 import pytest
 
+from clrelight.batch.fingerprint import code_digest
+from clrelight.batch.task import Task
 from tests.batches import (
     FIT,
     are_gone,
@@ -197,3 +199,13 @@ def test_a_clock_that_is_set_while_a_batch_runs(stacks, made, tmp_path, seconds)
     ended, told, complaint = finish_batch(*words, **changes)
     assert (ended, json.loads(told)["kept"]) == (0, 4), complaint
     assert strays_in(out) == []
+
+
+def test_a_worker_whose_driver_is_gone_begins_nothing(stacks, tmp_path):
+    out = tmp_path / "a.h5"
+    task = Task("a", "fit", str(stacks / "a.h5"), str(out), {"degree": 1}, (str(stacks / "a.h5"),)).to_json()
+    code = "from clrelight.batch import child, perform; child.main()"
+    line = json.dumps({"task": task, "key": "k", "code": code_digest(), "device": None})
+    ended = subprocess.run([sys.executable, "-c", code], input=line + "\n", capture_output=True, text=True, timeout=60)
+    assert (ended.stdout, ended.stderr) == ("", "")
+    assert not out.exists()

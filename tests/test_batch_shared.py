@@ -5,7 +5,8 @@ import os
 import numpy as np
 import pytest
 
-from clrelight.batch import make_tasks, read_listing
+from clrelight import metrics
+from clrelight.batch import cluster, farmed, make_tasks, read_listing
 from clrelight.batch.single import run_single
 from clrelight.batch.tiles import run_tiles
 from clrelight.codec import encode
@@ -14,13 +15,17 @@ from clrelight.codec.formats.wavelet import Wavelet
 from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError
+from clrelight.jobs import fitting
 from clrelight.jobs import measure as measuring
 from clrelight.jobs.decode import decode
+from clrelight.jobs.fit import fit
 from clrelight.jobs.measure import measure
+from clrelight.jobs.relight import relight
 from clrelight.jobs.report import Report
 from clrelight.jobs.unpack import unpack
+from clrelight.lighting.light import Light
 from clrelight.sampling import make_pattern
-from clrelight.store import read_fit, write_encoded, write_stack
+from clrelight.store import read_fit, write_encoded, write_light, write_stack
 from tests.batches import strays_in
 from tests.commands import succeed
 from tests.test_batch import Here
@@ -68,7 +73,7 @@ def test_decoding_by_its_command(files, tmp_path):
     succeed("decode", files / "klt.h5", tmp_path / "two.h5", "--jobs", 1)
     assert (tmp_path / "two.h5").read_bytes() == (tmp_path / "one.h5").read_bytes()
     assert sorted(os.listdir(tmp_path)) == ["one.h5", "two.h5"]
-    with pytest.raises(InputError, match="region is no option of a decode in tiles"):
+    with pytest.raises(InputError, match="region is not for a decode that several workers share"):
         run_single("decode", files / "klt.h5", tmp_path / "x.h5", options={"region": (0, 0, 9, 9)}, engine=Here())
 
 
@@ -105,3 +110,67 @@ def test_quality_from_windows(files, tmp_path, monkeypatch):
     (outcome,) = run_tiles(tasks, tmp_path / "out", engine=Here(), report=Report()).outcomes
     assert dict(outcome.psnr) == report.psnr
     assert not [*(tmp_path / "out").glob("*.shards")]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"method": "cls", "degree": 2, "holdout": 3},
+        {"method": "ceb", "degree": 1, "store": "float16", "measure": False},
+    ],
+)
+def test_fits_of_parts(files, tmp_path, monkeypatch, options):
+    monkeypatch.setattr(fitting, "_PART_BYTES", 1 << 20)
+    monkeypatch.setattr(metrics, "_TILE_BYTES", 1 << 20)
+    stack, alone, report = files.parent / "stack.h5", Report(), Report()
+    fit(stack, out=tmp_path / "one.h5", report=alone, **options)
+    engine = Here()
+    run_single("fit", stack, tmp_path / "two.h5", options=options, engine=engine, report=report)
+    assert len(engine.begun) > 1
+    assert sorted(os.listdir(tmp_path)) == ["one.h5", "two.h5"]
+    assert (tmp_path / "two.h5").read_bytes() == (tmp_path / "one.h5").read_bytes()
+    assert report.psnr == alone.psnr
+    assert {**report.facts, "file": ""} == {**alone.facts, "file": ""}
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("a%02d.png", {"lights": "dirs.txt"}),
+        ("a.exr", {"light": (0.1, -0.2, 0.9), "exposure": 1.0, "region": (3, 5, 60, 50)}),
+        ("a%d.exr", {"light": "sky.h5", "turntable": 10, "exposure": "auto", "rotate": ("axis", (0, 1, 0, 30))}),
+        ("a.gif", {"light": "sky.h5", "turntable": 9, "level": 2}),
+    ],
+)
+def test_pictures_by_workers(files, tmp_path, name, options):
+    if name.endswith(".gif"):
+        pytest.importorskip("PIL", reason="animations: pip install 'clrelight[codecs]'")
+    directions = np.vstack([make_pattern("uniform", 10), [0.0, 0.6, -0.8]])
+    np.savetxt(tmp_path / "dirs.txt", directions)
+    write_light(tmp_path / "sky.h5", Light(np.linspace(0.9, -0.3, 9)[:, None], "sky"))
+    source = files / "klt.h5"
+    options = {
+        key: tmp_path / value if isinstance(value, str) and "." in value else value for key, value in options.items()
+    }
+    found = {}
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        report, out = Report(), tmp_path / folder / name
+        if folder == "one":
+            relight(source, out=out, report=report, **options)
+        else:
+            run_single("relight", source, out, options=options, engine=Here(), report=report)
+        facts = {key: value for key, value in report.facts.items() if key not in ("files", "file")}
+        contents = {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()}
+        found[folder] = contents, facts, sorted(report.notes)
+    assert found["one"] == found["two"]
+    assert found["two"][0]
+
+
+def test_a_scheduler_that_does_not_answer_is_told_of_first(files, tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="the engines of Dask: pip install 'clrelight[cluster]'")
+    monkeypatch.setattr(cluster, "_PATIENCE", "1s")
+    monkeypatch.setattr(farmed, "_run", lambda *given: pytest.fail("the job was begun"))
+    with pytest.raises(InputError, match="no scheduler answers at tcp:"):
+        run_single("fit", files.parent / "stack.h5", tmp_path / "x.h5", engine="tcp://127.0.0.1:9", report=Report())
+    assert not list(tmp_path.iterdir())

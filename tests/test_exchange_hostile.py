@@ -1,13 +1,18 @@
 """Archives of others whose numbers make no sense, and results that would replace what they are made of."""
 
 import json
+import resource
+import tempfile
 import warnings
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 import clrelight as cr
+from clrelight.device import open_device
 from clrelight.exchange.relight_reading import read_relight_folder
+from clrelight.images import write_image
 from clrelight.store import write_fit
 from tests.commands import call, contents, succeed
 from tests.test_exchange import folder_of, made_fit
@@ -53,6 +58,45 @@ def test_what_is_no_json_is_refused_in_a_short_line(folder, content):
     (folder / "info.json").write_bytes(content)
     with pytest.raises(cr.InputError, match=r"info\.json is no JSON$"):
         read_relight_folder(folder)
+
+
+def test_planes_of_another_size_are_refused_before_they_are_decoded(folder, tmp_path):
+    write_image(folder / "plane_0.png", np.zeros((600, 700, 3), np.uint8))
+    change(folder, {"width": 2, "height": 2})
+    ended = call("import", folder, tmp_path / "y.h5")
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "its planes have 700 × 600 pixels, info.json says 2 × 2" in ended.err
+
+
+@contextmanager
+def small_files(n_bytes):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize(
+    "words", [("a", "relight"), ("a.ptm", "ptm", "--quality", 80), ("a.exr", "channels"), ("a", "deepzoom")]
+)
+def test_files_that_may_not_get_so_large(tmp_path, words):
+    write_fit(tmp_path / "fit.h5", made_fit(1, 120, 130))
+    (tmp_path / "out").mkdir()
+    name, kind, *more = words
+    open_device()
+    with small_files(9000):
+        ended = call("export", tmp_path / "fit.h5", tmp_path / "out" / name, "--format", kind, *more)
+    assert (ended.code, ended.err) == (2, f"clrelight: cannot write {tmp_path / 'out' / name}: File too large\n")
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_compressed_planes_need_no_temporary_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
+    write_fit(tmp_path / "fit.h5", made_fit(1, 8, 9))
+    succeed("export", tmp_path / "fit.h5", tmp_path / "a.ptm", "--format", "ptm", "--quality", 90)
+    succeed("import", tmp_path / "a.ptm", tmp_path / "b.h5")
 
 
 def test_scales_beyond_float32_are_refused(tmp_path):

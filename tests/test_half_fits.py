@@ -23,7 +23,7 @@ from clrelight.experiment.grid import CodecSetting
 from clrelight.fit import prepare_fit
 from clrelight.fit.run import fit_tiles, rows_per_tile
 from clrelight.jobs.fit import fit
-from clrelight.jobs.half_tiles import float16_tiles
+from clrelight.jobs.half_tiles import tiles_of
 from clrelight.jobs.target import encode_to_quality
 from clrelight.metrics import measure_errors
 from clrelight.relight import relight
@@ -440,7 +440,7 @@ def test_tiles_of_halves_hold_what_they_are_counted_for(method):
     memory = 4 * 64 * 3 * column - 1
     assert rows_per_tile(prepared, memory + 1, beside=beside) == 4
     assert rows_per_tile(prepared, memory) == 4  # it is the halves that do not fit
-    with contextlib.closing(float16_tiles(prepared, memory, 1)) as tiles:
+    with contextlib.closing(tiles_of(prepared, np.dtype(np.float16), memory)) as tiles:
         found = [(tile, tile.coeffs_khwc.copy()) for tile in tiles]
     assert [(tile.first, tile.end) for tile, _ in found[:2]] == [(0, 3), (3, 6)]
     for (tile, _), (following, _) in itertools.pairwise(found):
@@ -476,7 +476,7 @@ def test_memory_does_not_grow_with_the_view(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("store", ["float32", "float16"])
 def test_a_budget_below_one_row_is_refused_before_any_file_is_begun(store, tmp_path, monkeypatch):
-    monkeypatch.setattr("clrelight.jobs.fit.create_fit", lambda *given, **options: pytest.fail("a file was begun"))
+    monkeypatch.setattr("clrelight.jobs.fitting.create_fit", lambda *given, **options: pytest.fail("a file was begun"))
     picture = tmp_path / "c.exr"
     with pytest.raises(InputError, match="one row of this fit takes"):
         fit(

@@ -3,11 +3,13 @@
 import json
 import os
 import random
+import resource
 import subprocess
 import sys
 
 import pytest
 
+from clrelight.errors import DeviceError
 from clrelight.opencl import folder, kernel_cache
 
 JOB = """
@@ -115,6 +117,20 @@ def test_a_full_disk_costs_the_archive(run, monkeypatch, tmp_path):
     assert len(said) == 1
     assert "No space left on device" in said[0]
     folder.cache_folder.cache_clear()
+
+
+def test_where_compiled_files_would_not_fit(monkeypatch):
+    """Else LLVM ends the process."""
+    monkeypatch.setattr(kernel_cache, "_has_room", lambda folder: False)
+    with pytest.raises(DeviceError, match="there is no such room in"):
+        kernel_cache._make_run_folder()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, before[1]))
+    try:
+        with pytest.raises(DeviceError, match="may have 1048576 bytes: raise ulimit -f"):
+            kernel_cache._make_run_folder()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_folder_that_the_user_named_is_left_to_him(run, tmp_path):

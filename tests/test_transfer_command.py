@@ -7,10 +7,14 @@ import pytest
 
 import clrelight as cr
 from clrelight import store
+from clrelight.batch.single import run_single
+from clrelight.jobs.surface import tracing
+from clrelight.transfer import gathering
 from clrelight.transfer.transport import transfer_vertices
 from tests.commands import call, succeed
 from tests.meshes import icosphere, open_box, quad
 from tests.surfaces import make_grid, surface_content
+from tests.test_batch import Here
 
 pytest.importorskip("trimesh")
 CONSTANT = np.sqrt(4 * np.pi)
@@ -196,3 +200,27 @@ def test_a_mesh_seen_from_behind_is_told_of(tmp_path):
     assert any("from behind" in note for note in report.notes)
     assert report.facts["from_behind"] > 0.9
     assert json.dumps(report.to_json())
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"frame": "local", "albedo": (0.9, 0.5, 0.1), "samples": 64, "order": "morton"},
+        {"kind": "unshadowed", "samples": 100, "memory": 1 << 20},
+    ],
+)
+def test_parts_by_workers(box, tmp_path, monkeypatch, asked):
+    monkeypatch.setattr(gathering, "_TILE_VALUES", 1000)
+    monkeypatch.setattr(tracing, "_PART_RAYS", 2000)
+    one, two, engine = cr.Report(), cr.Report(), Here()
+    cr.transfer(box, out=tmp_path / "one.h5", report=one, **asked)
+    run_single("transfer", box, tmp_path / "two.h5", options=asked, engine=engine, report=two)
+    assert (tmp_path / "two.h5").read_bytes() == (tmp_path / "one.h5").read_bytes()
+    assert len(engine.begun) > 2
+    skipped = ("file", "rays_per_second")
+    assert [{k: v for k, v in each.facts.items() if k not in skipped} for each in (one, two)] == 2 * [
+        {k: v for k, v in one.facts.items() if k not in skipped}
+    ]
+    with pytest.raises(cr.InputError, match="interreflected transfer is made by one process"):
+        run_single("transfer", box, tmp_path / "x.h5", options={"kind": "interreflected"}, engine=Here())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.h5", "two.h5"]

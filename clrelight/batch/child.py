@@ -44,6 +44,7 @@ def _work(telling: IO[str], lines: queue.Queue[str | None]) -> None:
     # Now, for NumPy's threads would take signals that only the watching one is to get.
     from clrelight.batch.perform import perform
 
+    _loaded.set()
     last = 0.0
 
     def tell(done: int, total: int | None, what: str) -> None:
@@ -56,13 +57,16 @@ def _work(telling: IO[str], lines: queue.Queue[str | None]) -> None:
     while (line := lines.get()) is not None:
         work = json.loads(line)
         _busy.set()
+        if _left.is_set():  # who gave it does not wait for it
+            return
         outcome = perform(work["task"], work["key"], work["code"], work["device"], tell)
         raise_if_interrupted()
         _busy.clear()
         _print(telling, {"outcome": outcome})
 
 
-_busy = threading.Event()
+_loaded, _busy, _left = threading.Event(), threading.Event(), threading.Event()
+"""Whether there is something that could be unfinished, whether there is, and whether the driver is gone."""
 
 
 def _print(telling: IO[str], message: dict[str, Any]) -> None:
@@ -77,6 +81,9 @@ def _lines_of(stream: IO[str]) -> queue.Queue[str | None]:
     def read() -> None:
         for line in stream:
             lines.put(line)
+        if not _loaded.is_set():
+            os._exit(1)  # loading what nobody will ask for takes seconds
+        _left.set()  # before it is looked whether there is a task: one that begins now sees it
         lines.put(None)
         while _busy.is_set():
             os.kill(os.getpid(), signal.SIGTERM)

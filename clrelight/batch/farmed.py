@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from clrelight.batch.cluster import is_address
 from clrelight.batch.driver import Driver
 from clrelight.batch.engine import Engine
 from clrelight.batch.farm import TaskFarm, Workers
@@ -70,6 +71,8 @@ def run_farmed(
             *(journal, folder, device, keep_going, retries),
         )
         try:
+            if isinstance(engine, str) and is_address(engine):
+                hands.opened()  # one that does not answer is told of before the work
             return _run(
                 tasks, hands, verify, progress, told, {} if reports is None else reports, shards or shards_of, redo
             )

@@ -15,6 +15,7 @@ from clrelight.batch.task import DONE, FAILED, Outcome, Task
 from clrelight.batch.verbs import find_verb
 from clrelight.errors import BusyError, DeviceError, InputError, KernelBuildError
 from clrelight.jobs.farm import ChoreError, Farm
+from clrelight.jobs.pictures import pictures_of
 from clrelight.jobs.report import Progress, Report
 
 _WAIT_SECONDS = 10.0
@@ -119,10 +120,12 @@ def _run(task: Task, device: str | None, report: Report, progress: Progress | No
 
 def outputs_of(task: Task) -> list[str]:
     """Return every file and folder that a task writes."""
-    more = [str(task.options[name]) for name in find_verb(task.job).writes if task.options.get(name)]
+    verb = find_verb(task.job)
+    more = [str(task.options[name]) for name in verb.writes if task.options.get(name)]
     # A fit in tiles that stay where they are is not whole without them.
     tiles = [str(task.options["shards"])] if task.options.get("virtual") else []
-    return [*([task.out] if task.out else []), *more, *tiles]
+    outs = [task.out] if task.out else []
+    return [*(pictures_of(task.out) if verb.writes_many and task.out else outs), *more, *tiles]
 
 
 def _make_folders(task: Task) -> None:

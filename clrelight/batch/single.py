@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -9,15 +10,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from clrelight.batch.engine import Engine
 from clrelight.batch.farmed import FOLDER, run_farmed
 from clrelight.batch.journal import Journal
 from clrelight.batch.run import JOURNAL, check_engine
 from clrelight.batch.task import Task
 from clrelight.batch.tiles import FARMED, run_tiles
-from clrelight.batch.verbs import find_verb
+from clrelight.batch.verbs import Verb, find_verb
 from clrelight.durable import check_output
 from clrelight.errors import InputError
+from clrelight.fit import FitMethod
 from clrelight.jobs.farm import ChoreError
 from clrelight.jobs.inputs import path_text
 from clrelight.jobs.report import Progress, Report, report_for
@@ -69,22 +73,21 @@ def run_single(
         As of the job; or if a part fails, a worker's end among them, or the engine cannot be had.
     """
     kept = report_for(report)
-    verb, given = find_verb(job), {name: _plain(value) for name, value in (options or {}).items()}
-    given = {name: value for name, value in given.items() if value is not None and value is not False}
+    verb = find_verb(job)
+    given = _plain_options(verb, options or {})
     verb.check(given)
     place = path_text(source, "a file or folder")
-    _check_here([place, *(given[name] for name in verb.reads if isinstance(given.get(name), str))])
+    files = [name for name in (*verb.reads, *verb.writes) if isinstance(given.get(name), str)]
+    _check_here([place, *(given[name] for name in files if name in verb.reads)])
     if isinstance(engine, str):
         check_engine(engine, workers)
     target = "" if out is None else os.path.abspath(path_text(out, "a file to write"))
-    for name in (*verb.reads, *verb.writes):
-        if isinstance(given.get(name), str):
-            given[name] = os.path.abspath(given[name])
+    given |= {name: os.path.abspath(given[name]) for name in files}
     if target and os.path.splitext(target)[1] == FOLDER:
         raise InputError(f"{target}: parts of the work lie in a folder of such a name, choose another ending")
     if target and verb.ending:
         check_output(target, [] if os.path.isdir(place) else [place])
-    inputs = (os.path.abspath(place), *(given[name] for name in verb.reads if name in given))
+    inputs = (os.path.abspath(place), *(given[name] for name in files if name in verb.reads))
     beside = os.path.splitext(target or inputs[0])[0]
     folder, task = Path(beside + FOLDER), Task(os.path.basename(beside), job, inputs[0], target, given, inputs)
     settings: dict[str, Any] = {
@@ -101,7 +104,7 @@ def run_single(
             made = run_farmed([task], folder, reports={task.name: kept}, redo=True, **settings)
         else:
             made = run_tiles([task], folder, **settings)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, InputError):
         _leave(folder, kept)
         raise
     if made.failed:
@@ -125,11 +128,21 @@ def _check_here(paths: Sequence[str]) -> None:
             raise InputError(f"there is no file or folder {os.path.abspath(path)}")
 
 
-def _plain(value: Any) -> Any:
-    """Return an option as JSON has it."""
-    if isinstance(value, os.PathLike):
-        return os.fsdecode(value)
-    return list(value) if isinstance(value, tuple) else value
+def _plain_options(verb: Verb, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those options that are given, as JSON has them."""
+    given: dict[str, Any] = {}
+    for name, value in options.items():
+        if isinstance(value, FitMethod):
+            given |= {name: value.id, **_plain_options(verb, value.to_config())}
+        elif isinstance(value, os.PathLike):
+            given[name] = os.fsdecode(value)
+        elif isinstance(value, np.ndarray):
+            given[name] = value.tolist()
+        elif isinstance(value, tuple):
+            given[name] = json.loads(json.dumps(value))
+        elif value is not None and (value is not False or verb.is_on(name)):
+            given[name] = value
+    return given
 
 
 def _leave(folder: Path, report: Report) -> None:

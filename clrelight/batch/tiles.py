@@ -22,7 +22,7 @@ from clrelight.store.schemas import ENCODED
 from clrelight.store.shards import MOST_SHARDS, shard_name
 from clrelight.store.writing import IN_MEMORY_BYTES
 
-FARMED = ("pack", "unpack", "psnr")
+FARMED = ("pack", "fit", "unpack", "relight", "psnr", "transfer")
 """Jobs that go their own way, and have parts done."""
 _ROWS_OF = {"fit-join": "fit-rows", "decode-join": "decode-rows"}
 _NOT_OF_ROWS = ("store", "confidence", "basis", "measure")
@@ -66,7 +66,7 @@ def run_tiles(
         As of `run.run_batch`; or if the job is another one, or an option is not for tiles.
     """
     told = report_for(report)
-    if tasks and tasks[0].job in FARMED:
+    if tasks and tasks[0].job in FARMED and not (tasks[0].job in _JOINS and (rows or virtual)):
         if rows or virtual:
             raise InputError(
                 f"rows of tiles, and leaving them, are for the jobs fit and decode, not for {tasks[0].job}"
@@ -78,7 +78,7 @@ def run_tiles(
             raise InputError(f"tiles are for the jobs {', '.join((*_JOINS, *FARMED))}, not for {task.job}")
         refused = _NOT_OF_ROWS[:3] if task.job == "fit" else ("region", "level", "salvage")
         if other := [name for name in refused if name in task.options]:
-            raise InputError(f"{other[0]} is no option of a {task.job} in tiles")
+            raise InputError(f"{other[0]} is not for a {task.job} that several workers share: let one process do it")
         try:
             joins.append(_JOINS[task.job](task, rows, virtual, shards(task)))
         except InputError:

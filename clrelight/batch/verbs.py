@@ -73,6 +73,8 @@ class Verb:
         Options that name more files to write, in the folder of results.
     is_measure : bool
         Whether it writes nothing.
+    writes_many : bool
+        Whether the name of its file may have a number field, for several.
     more : callable
         Returns names of options that do not stand in the function's signature.
     """
@@ -87,6 +89,7 @@ class Verb:
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     is_measure: bool = False
+    writes_many: bool = False
     more: Callable[[], set[str]] = _none
 
     def function(self) -> Callable[..., Any]:
@@ -98,6 +101,11 @@ class Verb:
     def options(self) -> list[str]:
         """Return the names of all options."""
         return sorted(_parameters(self.function()) | self.more())
+
+    def is_on(self, name: str) -> bool:
+        """Return whether an option stands for yes, or for as is best, where it is not given: then no has to be said."""
+        given = inspect.signature(self.function()).parameters.get(name)
+        return given is not None and given.default in (True, None)
 
     def check(self, options: Mapping[str, Any]) -> None:
         """Raise InputError where an option is not one of the job's."""
@@ -208,7 +216,8 @@ _EVERY = (
         ".png",
         ("fit", "tiles", "encoded"),
         endings=(".exr", ".hdr", ".tif", ".jpg"),
-        reads=("light",),
+        reads=("light", "lights"),
+        writes_many=True,
     ),
     Verb(
         "export",
@@ -245,10 +254,33 @@ _EVERY = (
     ),
 )
 _OF_TILES = (
+    Verb(
+        "transfer",
+        "clrelight.jobs.surface.transfer:transfer",
+        "a mesh to its transfer functions",
+        ".h5",
+        (),
+        reads=("lights",),
+    ),
+    Verb(
+        "transfer-part",
+        "clrelight.jobs.surface.transfer_chores:transfer_part",
+        "functions of some vertices",
+        ".npz",
+        (),
+    ),
     Verb("fit-rows", "clrelight.jobs.shards:fit_rows", "rows of a fit", ".h5", ("stack",), more=_of_methods),
     Verb("fit-join", "clrelight.jobs.shards:join_rows", "a fit of its rows", ".h5", ("stack",)),
+    Verb("fit-part", "clrelight.jobs.fit_chores:fit_part", "rows of a fit and their errors", ".npz", ("stack",)),
     Verb("decode-rows", "clrelight.jobs.decoding_rows:decode_rows", "rows of a decoded fit", ".h5", ("encoded",)),
     Verb("decode-join", "clrelight.jobs.shards:join_rows", "a decoded fit of its rows", ".h5", ("encoded",)),
+    Verb(
+        "relight-some",
+        "clrelight.jobs.relighting_chores:relight_some",
+        "some pictures",
+        ".npz",
+        ("fit", "tiles", "encoded"),
+    ),
     Verb("unpack-part", "clrelight.jobs.unpacking_chores:relight_part", "a part under lights", ".npz", ("encoded",)),
     Verb("unpack-light", "clrelight.jobs.unpacking_chores:write_light", "a photograph", "", ("encoded",)),
     Verb("pack-tile", "clrelight.jobs.packing_chores:code_tile", "streams of a tile", ".npz", ("stack",)),

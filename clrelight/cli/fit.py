@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.options import (
     DegreeType,
     basis_option,
@@ -22,9 +23,13 @@ from clrelight.cli.progress import progress_bar
 from clrelight.cli.psnr import psnr_lines
 from clrelight.errors import InputError
 
-_BESIDE_CONFIG = ("stack", "out", "config", "within", "store", "measured", "confidence", "memory", "device", "as_json")
+if TYPE_CHECKING:
+    from clrelight.jobs.report import Report
+
+_HOW = ("stack", "out", "measured", "memory", "device", "as_json")
+_BESIDE_CONFIG = (*_HOW, "config", "within", "store", "confidence", "engine", "jobs")
 """What a file that says what to fit leaves open."""
-_BESIDE_UPDATE = ("stack", "out", "update", "measured", "memory", "device", "as_json")
+_BESIDE_UPDATE = (*_HOW, "update")
 """What a fit that is to grow leaves open."""
 
 
@@ -90,6 +95,7 @@ _BESIDE_UPDATE = ("stack", "out", "update", "measured", "memory", "device", "as_
     help="Picture of the PSNR expected under each light (spectrum): decibels in .exr, 5 code values each in .png.",
 )
 @memory_option("256MiB", "one tile of the fit")
+@engine_options
 @device_option
 @json_option
 @click.pass_context
@@ -102,6 +108,8 @@ def fit(
     holdout_by: str | None,
     measured: bool,
     confidence: str | None,
+    engine: str | None,
+    jobs: int | None,
     device: str | None,
     as_json: bool,
     **asked: Any,
@@ -117,8 +125,8 @@ def fit(
       clrelight fit stack.h5 fit.h5 --method spline --basis hsh
       clrelight fit stack.h5 fit.h5 --method constrained --bound-at ring
       clrelight fit more.h5 grown.h5 --update fit.h5
+      clrelight fit large.h5 fit.h5 --jobs 2
     """
-    from clrelight.fit import method_class
     from clrelight.fit.value_bounds import check_places
     from clrelight.jobs.fit import fit as run_fit
     from clrelight.jobs.inputs import read_directions
@@ -144,26 +152,34 @@ def fit(
                 update, stack, out=out, measure=measured, memory=memory, device=device, progress=bar, report=report
             )
         else:
-            asked.update(measure=measured, confidence=confidence, device=device)
-            run_fit(stack, out=out, progress=bar, report=report, **asked)
+            asked.update(measure=measured, confidence=confidence)
+            if is_shared(engine, jobs):
+                run_shared("fit", stack, out, asked, engine, jobs, device, bar, report)
+            else:
+                run_fit(stack, out=out, device=device, progress=bar, report=report, **asked)
     if as_json:
         print_json(report.to_json())
         return
     print_notes(report.notes)
+    print_facts(_lines(out, report))
+
+
+def _lines(out: str, report: Report) -> dict[str, str | None]:
+    """Return what people are told of a fit."""
+    from clrelight.fit import method_class
+
     facts = report.facts
-    print_facts(
-        {
-            "fit": out,
-            "method": f"{method_class(facts['method']).title}, degree {facts['degree']}, {facts['n_light']} lights",
-            **({"basis": facts["config"]["basis"]} if "basis" in facts["config"] else {}),
-            "stored": f"{facts['dtype']}, {facts['bytes_on_disk']} bytes",
-            "condition": f"{facts['condition']:.3g}",
-            **_confidence_line(facts),
-            **psnr_lines(report.psnr),
-            "time": seconds_line(report.seconds),
-            "device": report.device,
-        }
-    )
+    return {
+        "fit": out,
+        "method": f"{method_class(facts['method']).title}, degree {facts['degree']}, {facts['n_light']} lights",
+        **({"basis": facts["config"]["basis"]} if "basis" in facts["config"] else {}),
+        "stored": f"{facts['dtype']}, {facts['bytes_on_disk']} bytes",
+        "condition": f"{facts['condition']:.3g}",
+        **_confidence_line(facts),
+        **psnr_lines(report.psnr),
+        "time": seconds_line(report.seconds),
+        "device": report.device,
+    }
 
 
 def _confidence_line(facts: dict[str, Any]) -> dict[str, str]:

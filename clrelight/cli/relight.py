@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.lamps import ROTATION_HELP, Rotation, Turn
 from clrelight.cli.options import (
     Exposure,
@@ -66,6 +67,7 @@ class LightOrDirection(Numbers):
 @region_option
 @level_option
 @salvage_option
+@engine_options
 @device_option
 @json_option
 def relight(
@@ -82,6 +84,8 @@ def relight(
     region: tuple[int, int, int, int] | None,
     level: int,
     salvage: bool,
+    engine: str | None,
+    jobs: int | None,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -97,6 +101,7 @@ def relight(
       clrelight relight enc.h5 detail.png --light 0,0,1 --region 1200,800,512,512
       clrelight relight https://host/enc.h5 small.png --light 0,0,1 --level 3
       clrelight relight fit.h5 grace.png --light grace.h5 --rotate 90 --exposure auto
+      clrelight relight large.h5 frame%03d.exr --lights turntable.lp --jobs 2
     """
     from clrelight.jobs.relight import relight as run_relight
     from clrelight.jobs.report import Report
@@ -107,25 +112,23 @@ def relight(
             raise InputError("a light file is light from everywhere: give one --light, and no --lights beside it")
         under = str(light[0])
     report = Report()
+    asked: dict[str, Any] = {
+        "lights": lights,
+        "exposure": "auto" if exposure is None else exposure,
+        "rotate": rotate,
+        "turntable": turntable,
+        "about": about,
+        "tonemap": tonemap,
+        "transfer": transfer,
+        "region": region,
+        "salvage": salvage,
+    }
     with progress_bar("relighting") as bar:
-        run_relight(
-            fitted,
-            under,
-            lights=lights,
-            out=image,
-            exposure="auto" if exposure is None else exposure,
-            rotate=rotate,
-            turntable=turntable,
-            about=about,
-            tonemap=tonemap,
-            transfer=transfer,
-            region=region,
-            level=level,
-            salvage=salvage,
-            device=device,
-            progress=bar,
-            report=report,
-        )
+        if is_shared(engine, jobs):
+            shared = {"light": under, **asked, "level": level or None}
+            run_shared("relight", fitted, image, shared, engine, jobs, device, bar, report)
+        else:
+            run_relight(fitted, under, out=image, **asked, level=level, device=device, progress=bar, report=report)
     files = report.facts["files"]
     facts = {"image": ", ".join(files[:3]) + (" ..." if len(files) > 3 else "")}
     if "exposure" in report.facts:

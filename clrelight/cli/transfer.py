@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.options import Numbers, is_given, json_option, memory_option, order_option, whole_number
 from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
@@ -76,10 +77,19 @@ class Albedo(click.ParamType):
 @order_option
 @click.option("--seed", type=whole_number(0), default=0, show_default=True, help="Of the stratified directions.")
 @memory_option("256MiB", "rays and what they meet")
+@engine_options
 @json_option
 @click.pass_context
 def transfer(
-    context: click.Context, mesh: str, out: str, is_gathered: bool, kind: str, as_json: bool, **asked: Any
+    context: click.Context,
+    mesh: str,
+    out: str,
+    is_gathered: bool,
+    kind: str,
+    engine: str | None,
+    jobs: int | None,
+    as_json: bool,
+    **asked: Any,
 ) -> None:
     """Make transfer functions of a mesh (.ply, .obj, .stl, .off, .glb).
 
@@ -91,6 +101,7 @@ def transfer(
       clrelight transfer bunny.obj bunny.h5
       clrelight transfer bunny.obj bunny.h5 --type interreflected --bounces 3 --albedo 0.8,0.6,0.5
       clrelight transfer bunny.obj bunny.h5 --frame local --samples 4096 --degree 6
+      clrelight transfer statue.ply statue.h5 --samples 4096 --jobs 2
     """
     from clrelight.jobs.surface.transfer import transfer as run_transfer
 
@@ -101,7 +112,10 @@ def transfer(
                 raise InputError(f"{option}: for --type interreflected")
     report, way = make_report(as_json), "gather" if is_gathered else "shoot"
     with progress_bar("reading the mesh") as bar:
-        run_transfer(mesh, out=out, kind=kind, way=way, progress=bar, report=report, **asked)
+        if is_shared(engine, jobs):
+            run_shared("transfer", mesh, out, {**asked, "kind": kind, "way": way}, engine, jobs, None, bar, report)
+        else:
+            run_transfer(mesh, out=out, kind=kind, way=way, progress=bar, report=report, **asked)
     facts = report.facts
     lines = {
         "transfer": out,

@@ -15,6 +15,7 @@ from clrelight.errors import InputError
 from clrelight.memory import PIECE_BYTES
 from clrelight.tiles import row_tiles
 
+_PROBE_BYTES = 1 << 20
 _MOST_CHANNELS = 1023
 _LETTERS = {1: "Y", 3: "RGB"}
 
@@ -60,7 +61,13 @@ def write_channels(
     spec.attribute("clrelight:degree", coefficients.degree)
     step = max(PIECE_BYTES // (4 * len(names) * width), 1)
     with replacing(out) as part, naming(out):
-        _write(coefficients, part.path, spec, step, progress)
+        try:
+            _write(coefficients, part.path, spec, step, progress)
+        except RuntimeError as error:
+            # OpenEXR does not say why; the system does, to whoever writes there next.
+            os.lseek(part.descriptor, 0, os.SEEK_END)
+            part.write(bytes(_PROBE_BYTES))
+            raise InputError(f"cannot write {part.target}: {' '.join(str(error).split())}") from None
 
 
 def _write(
@@ -73,7 +80,7 @@ def _write(
     height, width, channel = coefficients.image_shape
     output = oiio.ImageOutput.create("x.exr")  # the name that it has until it is whole ends otherwise
     if not output or not output.open(str(path), spec):
-        raise InputError(f"cannot write the EXR image: {oiio.geterror()}")
+        raise RuntimeError(oiio.geterror())
     for first, end in row_tiles((0, height), step):
         if progress is not None:
             progress(first, height)
@@ -81,6 +88,6 @@ def _write(
         coefficients.read_rows(first, end, rows_khwc)
         pixels = np.ascontiguousarray(np.moveaxis(rows_khwc, 0, 2).reshape(end - first, width, -1))
         if not output.write_scanlines(first, end, 0, pixels):
-            raise InputError(f"cannot write the EXR image: {output.geterror()}")
+            raise RuntimeError(output.geterror())
     if not output.close():
-        raise InputError(f"cannot write the EXR image: {output.geterror()}")
+        raise RuntimeError(output.geterror())

@@ -14,7 +14,7 @@ import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.image_sink import has_memory
+from clrelight.image_sink import check_allowed, has_memory
 
 MOST_SIDE = 65535
 """Pixels that a JPEG's header can count."""
@@ -45,6 +45,7 @@ class JpegFile:
         name, self._at = str(file), 0
         self._held: BinaryIO | None = None
         if has_memory():
+            check_allowed(spec.image_bytes())
             self._file, self._held = open(file, "wb"), os.fdopen(os.memfd_create("clrelight-jpeg"), "rb")  # noqa: SIM115
             name = f"/proc/self/fd/{self._held.fileno()}"
         if not self._output or not self._output.open(name, spec):

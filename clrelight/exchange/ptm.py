@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap
-from clrelight.durable import naming, replacing
+from clrelight.durable import folder_aside, naming, replacing
 from clrelight.errors import InputError
 from clrelight.exchange.coded_maps import CodedMap, Refit
 from clrelight.exchange.files import MOST_NUMBER, read_start
@@ -92,7 +91,8 @@ def _write_compressed(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     height, width, _ = refit.coefficients.image_shape
-    with replacing(out) as part, naming(out), closing(JpegPlanes(height, width, 3 * TERMS, quality)) as planes:
+    with replacing(out) as part, naming(out), folder_aside(part.target) as folder:
+        planes = JpegPlanes(folder, height, width, 3 * TERMS, quality)
         for _, _, codes_hwp in refit.pieces(*quantiser, progress, from_bottom=True):
             planes.add(codes_hwp[::-1])
         part.write(head)

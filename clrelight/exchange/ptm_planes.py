@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -135,12 +134,14 @@ def _correct(path: Path, plane_hw: NDArray[np.uint8], at: int, size: int) -> Non
 
 
 class JpegPlanes:
-    """Planes that are compressed while their rows come, in the order that they shall have in the file."""
+    """Planes that are compressed while their rows come, in the order that they shall have in the file.
 
-    def __init__(self, height: int, width: int, count: int, quality: int) -> None:
-        self._place = tempfile.TemporaryDirectory(prefix="clrelight.")
+    Meanwhile they lie in a folder of their own.
+    """
+
+    def __init__(self, folder: Path, height: int, width: int, count: int, quality: int) -> None:
         self._quality, self._row = quality, 0
-        self._files = [Path(self._place.name) / f"{plane}.jpg" for plane in range(count)]
+        self._files = [folder / f"{plane}.jpg" for plane in range(count)]
         self._outputs = [open_jpeg(file, height, width, quality, 1) for file in self._files]
 
     def add(self, rows_hwp: NDArray[np.uint8]) -> None:
@@ -160,7 +161,3 @@ class JpegPlanes:
         yield "\n".join([str(self._quality), none, none, none, numbers, alone, sizes, none, ""]).encode("ascii")
         for file in self._files:
             yield file.read_bytes()
-
-    def close(self) -> None:
-        """Remove what is on the disk meanwhile."""
-        self._place.cleanup()

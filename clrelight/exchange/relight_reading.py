@@ -143,8 +143,8 @@ def read_relight_folder(path: str | os.PathLike[str]) -> RelightFolder:
     try:
         info = json.loads(read_bytes(folder / INFO))
         scale_p, bias_p = (np.array(info["materials"][0][name], np.float64).ravel() for name in ("scale", "bias"))
-        kind, space, planes = str(info["type"]), str(info["colorspace"]), len(scale_p)
-        _check(info, kind, space, planes, len(bias_p))
+        kind, space, n_plane = str(info["type"]), str(info["colorspace"]), len(scale_p)
+        _check(info, kind, space, n_plane, len(bias_p))
         ending = str(info.get("format", "jpg"))
         size = (int(info["height"]), int(info["width"])) if "height" in info and "width" in info else None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError):
@@ -153,8 +153,12 @@ def read_relight_folder(path: str | os.PathLike[str]) -> RelightFolder:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{folder / INFO} does not say what a relight folder says: {error!r}") from None
-    images = [f"plane_{number}" for number in range(-(-planes // 3))]
-    return RelightFolder(find_planes(folder, images, ending, size), scale_p, bias_p, info)
+    images = [f"plane_{number}" for number in range(-(-n_plane // 3))]
+    planes = find_planes(folder, images, ending, size)
+    if size is not None and planes.shape[:2] != size:  # before anything is decoded
+        sides = f"{planes.shape[1]} × {planes.shape[0]} pixels, {INFO} says {size[1]} × {size[0]}"
+        raise InputError(f"{folder}: its planes have {sides}")
+    return RelightFolder(planes, scale_p, bias_p, info)
 
 
 def _check(info: dict[str, Any], kind: str, space: str, planes: int, biases: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.exchange.pyramid import Cut
+from clrelight.image_sink import named_content
 from clrelight.images import read_bands, read_header, read_image
 
 _BAND_BYTES = 1 << 20
@@ -157,13 +157,11 @@ def read_tile(place: Place, size: tuple[int, int], channels: int = 3) -> NDArray
             content = whole.read(place.end - place.start)
     except OSError as error:
         raise InputError(f"cannot read {place.file}: {error.strerror or error}") from None
-    with tempfile.NamedTemporaryFile(suffix=".jpg") as copy:  # OpenImageIO reads from no memory in Python
-        copy.write(content)
-        copy.flush()
+    with named_content(content, ".jpg") as name:  # OpenImageIO reads from no memory in Python
         try:
-            return _checked(Path(copy.name), what, size, channels)
+            return _checked(Path(name), what, size, channels)
         except InputError as error:
-            raise InputError(str(error).replace(f"image {copy.name}", what).replace(copy.name, what)) from None
+            raise InputError(str(error).replace(f"image {name}", what).replace(name, what)) from None
 
 
 def _checked(file: Path, what: str, size: tuple[int, int], channels: int) -> NDArray[np.uint8]:

@@ -35,8 +35,9 @@ class Bands:
         height, width, channel = stack.image_shape
         row_bytes = stack.n_light * width * channel * np.dtype(stack.images_ihwc.dtype).itemsize
         chunks = getattr(stack.images_ihwc, "chunks", None)
-        together = chunk_rows(stack.images_ihwc)
-        self._rows = min(max(_BAND_BYTES // row_bytes // together, 1) * together, height)
+        self._together = chunk_rows(stack.images_ihwc)
+        self._rows = min(max(_BAND_BYTES // row_bytes // self._together, 1) * self._together, height)
+        self._alone: tuple[int, NDArray] | None = None
         self._stack, self._pool, self._height = stack, pool, height
         self._held: dict[int, NDArray] = {}
         self._coming: tuple[int, Future[NDArray]] | None = None
@@ -65,6 +66,20 @@ class Bands:
             within = slice(max(first - top, 0), end - top)
             pieces.append(self._band(number)[:, within, slice(*columns)])
         return np.concatenate(pieces, axis=1, out=found)  # a copy in any case
+
+    def row(self, row: int) -> NDArray:
+        """Return all samples of a row, (n_light, 1, width, channel), of rows that lie far from each other.
+
+        Of what is stored in chunks those are read that hold it, where its band is not there already.
+        """
+        number, top = row // self._rows, row // self._together * self._together
+        if not self._has_chunks or number in self._held or (self._coming is not None and self._coming[0] == number):
+            return self.part((row, row + 1), (0, self._width))
+        if self._alone is None or self._alone[0] != top:
+            images, bottom = self._stack.images_ihwc, min(top + self._together, self._height)
+            shape = (images.shape[0], bottom - top, *images.shape[2:])
+            self._alone = top, self._stack.load_rows(top, bottom, empty(shape, images.dtype))
+        return np.ascontiguousarray(self._alone[1][:, row - top : row - top + 1])
 
     def _whole_rows(self, first: int, end: int) -> NDArray:
         if self._ahead is not None and self._ahead[0] == (first, end):

@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Generator
-from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, overload
 
-import numpy as np
-
 from clrelight.bases import SH
-from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
-from clrelight.fit import FitMethod, FittedTile, PreparedFit, fit_tiles, prepare_fit
+from clrelight.errors import InputError
+from clrelight.fit import FitMethod, prepare_fit
 from clrelight.fit.precision import MIXED
-from clrelight.fit.run import collect_tiles
 from clrelight.fit.selection import AUTO, WITHIN
-from clrelight.harmonics.index import coefficient_count
-from clrelight.holdout import HoldoutRule, describe_duplicates, note_distance
+from clrelight.holdout import HoldoutRule
 from clrelight.jobs.confidence import write_confidence
-from clrelight.jobs.half_tiles import WRITTEN, check_rows, float16_tiles
+from clrelight.jobs.farm import Farm
+from clrelight.jobs.fitting import Fitting
+from clrelight.jobs.half_tiles import check_rows
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
-from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.jobs.split_quality import Split
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
-from clrelight.store import FitSink, create_fit
+from clrelight.remote import is_remote
 from clrelight.store.fits import coefficient_dtype
-from clrelight.streaming import writing_behind
 
 
 @overload
@@ -82,6 +75,7 @@ def fit(
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
+    farm: Farm | None = None,
     **options: Any,
 ) -> Report: ...
 
@@ -107,6 +101,7 @@ def fit(
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
+    farm: Farm | None = None,
     **options: Any,
 ) -> CoefficientMap | Report:
     """Fit coefficients of spherical harmonics, or of another basis, to every pixel and channel of a stack.
@@ -153,6 +148,8 @@ def fit(
         Told (done, total or None, stage).
     report : Report, optional
         Filled; without one, notes become warnings (`Note`).
+    farm : Farm, optional
+        Other processes that fit rows of the stack, with the same result; it is a file then, and `out` is given.
     **options
         Of the method: ``energy``, ``iterations`` and ``solver`` (cls), ``energy`` (ceb), ``fill`` (project), ``lam``
         and ``per`` (spline), ``level``, ``slope``, ``edge``, ``heat``, ``noise``, ``azimuth``, ``tilt``, ``limit`` and
@@ -171,6 +168,7 @@ def fit(
         than `memory`, the device cannot compute in this precision, or `out` cannot be written.
     """
     kept, budget, dtype = report_for(report), count_bytes(memory), coefficient_dtype(store)
+    path = "" if farm is None else _shared_path(source, out)
     model = method if isinstance(method, str | FitMethod) else str(method)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     every, count = (None if n is None else whole(n, name) for n, name in ((holdout, "holdout"), (lights, "lights")))
@@ -184,9 +182,7 @@ def fit(
         chosen = stack if len(split[0]) == stack.n_light else stack.select(split[0])
         with stage(progress, "choosing a model" if AUTO in (model, wanted) else "preparing"):
             prepared = prepare_fit(
-                chosen,
-                model,
-                wanted,
+                *(chosen, model, wanted),
                 options={name: value for name, value in options.items() if value is not None},
                 weights=weights,
                 sampling=sampling,
@@ -197,7 +193,7 @@ def fit(
                 unseen_t3=stack.directions_i3[split[1]] if len(split[1]) else None,
             )
         prepared = replace(prepared, config={**prepared.config, **rule.to_config()})
-        job = _Fit(stack, split, prepared, dtype, budget, kept, progress)
+        job = Fitting(stack, split, prepared, dtype, budget, kept, progress, farm, path)
         job.tell_facts()
         if out is not None:
             check_rows(prepared, dtype, budget)
@@ -209,90 +205,8 @@ def fit(
         return job.to_map(report is not None if measure is None else measure)
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """A fit that is prepared, and how it shall run."""
-
-    stack: LightStack
-    split: Split
-    prepared: PreparedFit
-    dtype: np.dtype
-    memory: int
-    report: Report
-    progress: Progress | None
-
-    def tell_facts(self) -> None:
-        """Report what is known before the work."""
-        prepared, facts = self.prepared, self.report.facts
-        facts |= {
-            "method": prepared.method.id,
-            "degree": prepared.degree,
-            "n_coeff": coefficient_count(prepared.degree),
-            "n_light": len(self.split[0]),
-            "n_holdout": len(self.split[1]),
-            "config": dict(prepared.config),
-            "dtype": self.dtype.name,
-            "condition": prepared.report.condition,
-        }
-        if prepared.choice is not None:
-            facts["choice"] = prepared.choice.to_config()
-        self.report.seconds = prepared.report.seconds
-        self.report.note(*prepared.report.notes)
-        if (duplicates := describe_duplicates(self.stack)) is not None:
-            facts["duplicates"] = duplicates[0]
-            self.report.note(duplicates[1])
-        if (near := note_distance(self.stack.directions_i3, *self.split)) is not None:
-            self.report.note(near)
-
-    def to_file(self, out: str | os.PathLike[str], measured: bool) -> None:
-        """Write the fit tile by tile."""
-        prepared = self.prepared
-        has_lambda, has_rank = prepared.method.has_lambda, prepared.method.has_rank
-        creating = create_fit(
-            out, prepared.record, self.stack.image_shape, has_lambda=has_lambda, has_rank=has_rank, dtype=self.dtype
-        )
-        with creating as sink:
-            self._fill(sink)
-            # Before the file stands: where measuring fails, or is interrupted, an old file stays.
-            if measured:
-                self._measure(prepared.record.to_map(sink.coeffs_khwc))
-            since = time.perf_counter()
-        self.report.add("write", since)
-        self.report.facts = {"file": os.fsdecode(out), **self.report.facts, "bytes_on_disk": os.stat(out).st_size}
-
-    def to_map(self, measured: bool) -> CoefficientMap:
-        """Return the fit."""
-        with stage(self.progress, self._title) as tell, closing(self._tiles()) as tiles:
-            fitted = collect_tiles(self.prepared, tiles, dtype=self.dtype, progress=tell)
-        if measured:
-            self._measure(fitted)
-        return fitted
-
-    def _measure(self, fitted: CoefficientMap) -> None:
-        since = time.perf_counter()
-        device = self.prepared.device
-        self.report.psnr = measure_split(fitted, self.stack, device, self.split, progress=self.progress)
-        self.report.add("measure", since)
-
-    @property
-    def _title(self) -> str:
-        return f"fitting {self.prepared.method.title}"
-
-    def _tiles(self, held: int = 1, row_step: int = 1) -> Generator[FittedTile, None, None]:
-        if self.dtype == np.float16:
-            return float16_tiles(self.prepared, self.memory, row_step)
-        return fit_tiles(self.prepared, memory_bytes=self.memory, held=held, row_step=row_step)
-
-    def _fill(self, sink: FitSink) -> None:
-        def write(tile: FittedTile) -> None:
-            sink.write_rows(tile.first, tile.coeffs_khwc, tile.lambda_hwc, tile.rank_hwc)
-
-        tiles = self._tiles(held=WRITTEN, row_step=sink.coeffs_khwc.chunks[1])
-        with stage(self.progress, self._title) as tell, closing(tiles):
-            with writing_behind(write) as put:
-                for tile in tiles:
-                    since = time.perf_counter()
-                    put(tile)
-                    since = self.report.add("write", since)
-                    tell(tile.end, self.stack.image_shape[0])
-            self.report.add("write", since)
+def _shared_path(source: StackLike, out: str | os.PathLike[str] | None) -> str:
+    """Return the name of a stack's file that other processes read; InputError where there is none."""
+    if out is None or not isinstance(source, str | os.PathLike) or is_remote(os.fsdecode(source)):
+        raise InputError("other processes read the stack too: give the path of its file, and one to write")
+    return os.path.abspath(os.fsdecode(source))

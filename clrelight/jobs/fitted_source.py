@@ -59,7 +59,7 @@ class FittedSource(Source):
     def read_some(self, row: int, columns: slice) -> NDArray[np.float32]:
         """See `Source`."""
         since, rows = time.perf_counter(), (row, row + 1)
-        samples_ihwc = self._bands.part(rows, (0, self.shape[2]))
+        samples_ihwc = self._bands.row(row)
         if samples_ihwc.dtype.kind == "f":  # of which those that are no radiance are named by their places
             coeffs_khwc = self._fitted(samples_ihwc, rows, slice(None), since)
             self.check(coeffs_khwc, row)

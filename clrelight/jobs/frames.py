@@ -46,6 +46,10 @@ class Frames(Protocol):
         """How many."""
         ...
 
+    def only(self, first: int, end: int) -> Frames:
+        """Return the images first..end alone."""
+        ...
+
     def lend(
         self, source: FittedLike, device: Device, report: Report, progress: Progress | None
     ) -> AbstractContextManager[Shown]:
@@ -57,22 +61,32 @@ class DirectedFrames:
     """Images under one distant light each."""
 
     def __init__(
-        self, directions_i3: NDArray[np.float64], exposure: float, part: Part | None = None, salvage: bool = False
+        self,
+        directions_i3: NDArray[np.float64],
+        exposure: float,
+        part: Part | None = None,
+        salvage: bool = False,
+        first: int = 0,
     ) -> None:
         self._directions_i3, self._exposure, self._part = directions_i3, exposure, part or Part()
-        self._salvage = salvage
+        self._salvage, self._first = salvage, first
 
     @property
     def count(self) -> int:
         """How many."""
         return len(self._directions_i3)
 
+    def only(self, first: int, end: int) -> DirectedFrames:
+        """See `Frames`."""
+        chosen_i3, number = self._directions_i3[first:end], self._first + first
+        return DirectedFrames(chosen_i3, self._exposure, self._part, self._salvage, number)
+
     @contextmanager
     def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
         """See `Frames`."""
         with _lend_view(source, self._part, self._salvage, device, report, progress) as view:
             if view.is_picture:  # functions of a surface may know the whole sphere
-                below = np.flatnonzero(self._directions_i3[:, 2] < 0)
+                below = self._first + np.flatnonzero(self._directions_i3[:, 2] < 0)
                 report.note(
                     *(f"light {i} is below the horizon, where a hemispherical fit knows nothing" for i in below)
                 )
@@ -100,12 +114,23 @@ class LightFrames:
         axis: Sequence[float],
         part: Part | None = None,
         salvage: bool = False,
+        some: tuple[int, int] | None = None,
     ) -> None:
         if not 1 <= steps <= MAX_STEPS:
             raise InputError(f"turntable must be 1 to {MAX_STEPS}, got {steps}")
-        self.count = steps
+        self._steps, self._some = steps, some or (0, steps)
         self._light, self._exposure, self._axis, self._part = light, exposure, axis, part or Part()
         self._salvage = salvage
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return self._some[1] - self._some[0]
+
+    def only(self, first: int, end: int) -> LightFrames:
+        """See `Frames`."""
+        some = self._some[0] + first, self._some[0] + end
+        return LightFrames(self._light, self._exposure, self._steps, self._axis, self._part, self._salvage, some)
 
     @contextmanager
     def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
@@ -120,9 +145,12 @@ class LightFrames:
     def _images(self, coefficients: CoefficientMap, device: Device, report: Report) -> Iterator[NDArray[np.float32]]:
         exposure, below = self._exposure, -math.inf  # the largest share of all steps
         is_picture = surface_facts(coefficients.surface, coefficients.config) is None
-        turns = [rotation_matrix("axis", (*self._axis, 360.0 * step / self.count)) for step in range(1, self.count)]
+        turns = [
+            rotation_matrix("axis", (*self._axis, 360.0 * step / self._steps)) for step in range(*self._some) if step
+        ]
+        still = [] if self._some[0] else [self._light]
         since = time.perf_counter()
-        for turned in chain([self._light], rotate_lights(self._light, np.reshape(turns, (-1, 3, 3)))):
+        for turned in chain(still, rotate_lights(self._light, np.reshape(turns, (-1, 3, 3)))):
             # Functions of a surface know the whole sphere.
             below = max(below, share_below(turned) if is_picture else 0.0)
             image_hwc = relight_under(coefficients, turned, device=device)
@@ -134,9 +162,15 @@ class LightFrames:
             yield image_hwc
             since = time.perf_counter()
         report.facts |= {"exposure": exposure, "below": below}
-        if below > 0:
-            share = f"{'up to ' if self.count > 1 else ''}{below:.1%}"
-            report.note(f"{share} of the light comes from below the horizon, where the fit knows nothing: it is cut")
+        if self.count == self._steps:
+            tell_below(below, self.count, report)
+
+
+def tell_below(below: float, count: int, report: Report) -> None:
+    """Note the largest share of the light of so many images that comes from below the horizon."""
+    if below > 0:
+        share = f"{'up to ' if count > 1 else ''}{below:.1%}"
+        report.note(f"{share} of the light comes from below the horizon, where the fit knows nothing: it is cut")
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,26 @@ def _beside(prepared: PreparedFit) -> int:
     return 2 * 2 * coefficient_count(prepared.degree) + map_bytes
 
 
-def float16_tiles(prepared: PreparedFit, memory: int, row_step: int) -> Generator[FittedTile, None, None]:
+def tiles_of(
+    prepared: PreparedFit,
+    dtype: np.dtype,
+    memory: int,
+    held: int = 1,
+    row_step: int = 1,
+    rows: tuple[int, int] | None = None,
+) -> Generator[FittedTile, None, None]:
+    """Return the tiles of a fit whose coefficients are of type `dtype`; else as `fit_tiles`."""
+    if dtype == np.float16:
+        return _float16_tiles(prepared, memory, row_step, rows)
+    return fit_tiles(prepared, memory_bytes=memory, held=held, row_step=row_step, rows=rows)
+
+
+def _float16_tiles(
+    prepared: PreparedFit, memory: int, row_step: int, rows: tuple[int, int] | None
+) -> Generator[FittedTile, None, None]:
     """Yield each tile rounded to halves: of one tile the float32 are held, of two, one being written, the halves."""
     halves_of = itertools.cycle([Buffer(), Buffer()])
-    tiles = fit_tiles(prepared, memory_bytes=memory, row_step=row_step, beside=_beside(prepared))
+    tiles = fit_tiles(prepared, memory_bytes=memory, row_step=row_step, beside=_beside(prepared), rows=rows)
     with rounding_rows(prepared.device) as round_rows, closing(tiles):
         for tile in tiles:
             since = time.perf_counter()

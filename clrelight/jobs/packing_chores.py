@@ -5,33 +5,28 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.bases import SH
-from clrelight.codec.entropy.units import Window, tile_of
+from clrelight.codec.entropy.units import Tile, Window, tile_of
 from clrelight.codec.formats.klt_tiles import TileEncoder
 from clrelight.codec.formats.klt_trials import Part
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.views import Region
 from clrelight.codec.workspace import BoundedWorkspace
-from clrelight.dataset import LightStack
 from clrelight.device import Device
-from clrelight.fit import PreparedFit, method_class
-from clrelight.fit.plan import make_lighting
-from clrelight.fit.prepare import FitReport
 from clrelight.jobs.farm import read_arrays, write_arrays
 from clrelight.jobs.fitted_source import FittedSource, fitted_source
 from clrelight.jobs.held import Held, look_of
 from clrelight.jobs.inputs import lend_encoded, lend_stack, opened_on
 from clrelight.jobs.measure_parts import measure_windows
-from clrelight.jobs.packing_farm import chosen_of, facts_of
 from clrelight.jobs.report import Report, report_for
+from clrelight.jobs.shared_fits import shared_fit
 
-_MOST_PIECES = 64
+_MOST_PIECES, _MOST_TILES = 64, 2
 _held = Held()
 Kept = TypeVar("Kept")
 
@@ -47,6 +42,7 @@ def code_tile(
     step: float,
     multiplier: float,
     memory: int,
+    again: bool = False,
     device: Device | str | None = None,
     report: Report | None = None,
 ) -> Report:
@@ -68,6 +64,8 @@ def code_tile(
         Of the quantiser, and what a bit must save.
     memory : int
         Bytes for parts.
+    again : bool
+        Keep its wavelet coefficients, as another multiplier may be tried.
     device, report
         As of `clrelight.jobs.fit.fit`.
 
@@ -79,9 +77,12 @@ def code_tile(
     kept = report_for(report)
     with opened_on(device, kept) as opened:
         view = _view_of(source, plan, memory, opened, kept)
-        encoder, planes = view.encoder(transfer), view.planes(axes)
-        tile = tile_of(*view.source.shape[1:3], Window(*sides).sides)
-        streams = encoder.encode_here(tile, planes, step, multiplier).streams
+        encoder = view.encoder(transfer)
+        if again:
+            part = view.tile(encoder, axes, transfer, sides)
+            streams = encoder.encode_part(part, step, multiplier, keep=True).streams
+        else:
+            streams = encoder.encode_here(view.tile_of(sides), view.planes(axes), step, multiplier).streams
     content = np.frombuffer(b"".join(streams), np.uint8)
     write_arrays(out, {"sizes": np.array([len(each) for each in streams], np.int64), "streams": content})
     return kept
@@ -177,6 +178,7 @@ class _View:
     encoders: dict[str, TileEncoder] = field(default_factory=dict)
     axes: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=dict)
     pieces: dict[tuple[Any, ...], Part] = field(default_factory=dict)
+    tiles: dict[tuple[Any, ...], Part] = field(default_factory=dict)
 
     def encoder(self, transfer: str) -> TileEncoder:
         return _remember(self.encoders, transfer, lambda: TileEncoder(Pixels(self.source, transfer)), 2)
@@ -187,6 +189,19 @@ class _View:
             return found["operator_jq"], found["offset_j"]
 
         return _remember(self.axes, path, read, 4)
+
+    def tile_of(self, sides: Sequence[int]) -> Tile:
+        return tile_of(*self.source.shape[1:3], Window(*sides).sides)
+
+    def tile(self, encoder: TileEncoder, axes: str, transfer: str, sides: Sequence[int]) -> Part:
+        """Return a tile's wavelet coefficients, which one multiplier after another is tried on."""
+        self.pieces.clear()  # their memory is that of tiles now
+
+        def take() -> Part:
+            made = self.tile_of(sides)
+            return encoder.take_part(made.window, made, self.planes(axes))
+
+        return _remember(self.tiles, (axes, transfer, tuple(sides)), take, _MOST_TILES)
 
     def piece(self, encoder: TileEncoder, axes: str, transfer: str, window: Window) -> Part:
         """Return a piece's wavelet coefficients, which one step after another is tried on."""
@@ -210,26 +225,8 @@ def _view_of(source: str | os.PathLike[str], plan: str, memory: int, device: Dev
     path = os.path.abspath(os.fsdecode(source))
 
     def make(opened: ExitStack) -> _View:
-        prepared = _prepared(opened.enter_context(lend_stack(path, report)), plan, device)
+        prepared = shared_fit(opened.enter_context(lend_stack(path, report)), plan, device)
         return _View(opened.enter_context(fitted_source(prepared, BoundedWorkspace(memory))))
 
     found: _View = _held.get((look_of(path, plan), memory, id(device)), make)
     return found
-
-
-def _prepared(stack: LightStack, plan: str, device: Device) -> PreparedFit:
-    """Return the fit that the driver has prepared, with its very matrices: other processors may find others."""
-    arrays = read_arrays(plan)
-    facts = facts_of(arrays)
-    chosen, config = chosen_of(stack, arrays["lights"]), facts["config"]
-    method = method_class(facts["method"]).from_config(facts["options"])
-    lighting = make_lighting(chosen, config["weights"], config["sampling"], config.get("basis", SH))
-    made = replace(
-        method.plan(lighting, facts["degree"]),
-        analysis_ri=arrays["analysis_ri"],
-        synthesis_kr=arrays.get("synthesis_kr"),
-        singular_r=arrays["singular_r"],
-        energy_i=arrays["energy_i"],
-        condition=facts["condition"],
-    )
-    return PreparedFit(chosen, method, facts["degree"], config, made, device, FitReport(), precision=facts["precision"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,10 +15,10 @@ from clrelight.codec.entropy.units import Tile, Window
 from clrelight.codec.formats.klt_tiles import Tried, sides_of
 from clrelight.codec.transforms.whitening import Planes
 from clrelight.codec.views import Region
-from clrelight.dataset import LightStack
 from clrelight.fit import PreparedFit
-from clrelight.jobs.farm import Arrays, Chore, Farm
+from clrelight.jobs.farm import Chore, Farm
 from clrelight.jobs.measure_parts import Sums
+from clrelight.jobs.shared_fits import share_fit
 from clrelight.store import write_encoded
 
 _TRIED_TOGETHER = 6
@@ -50,32 +49,21 @@ class PackingFarm:
     @classmethod
     def of(cls, farm: Farm, source: str, prepared: PreparedFit, lights: NDArray[np.intp], memory: int) -> PackingFarm:
         """Return what packs a stack file, of which some lights are fitted."""
-        plan, config = prepared.plan, prepared.config
-        facts = {
-            "method": prepared.method.id,
-            "options": prepared.method.to_config(),
-            "degree": prepared.degree,
-            "precision": prepared.precision,
-            "config": dict(config),
-            "condition": plan.condition,
-        }
-        arrays: dict[str, NDArray] = {
-            "facts": _text(facts),
-            "lights": np.asarray(lights, np.int64),
-            "analysis_ri": plan.analysis_ri,
-            "singular_r": plan.singular_r,
-            "energy_i": plan.energy_i,
-        }
-        if plan.synthesis_kr is not None:
-            arrays["synthesis_kr"] = plan.synthesis_kr
-        return cls(farm, source, farm.share("plan", arrays), memory)
+        return cls(farm, source, share_fit(farm, prepared, lights), memory)
 
     def code(
-        self, tiles: Sequence[Tile], planes: Planes, transfer: str, step: float, multiplier: float
+        self,
+        tiles: Sequence[Tile],
+        planes: Planes,
+        transfer: str,
+        step: float,
+        multiplier: float,
+        *,
+        again: bool = False,
     ) -> Iterator[list[bytes]]:
         """See `clrelight.codec.formats.klt_tiles.TileCoder`."""
         axes = self._axes(planes)
-        given = {"axes": axes, "transfer": transfer, "step": step, "multiplier": multiplier}
+        given = {"axes": axes, "transfer": transfer, "step": step, "multiplier": multiplier, "again": again}
         chores = [self._chore(CODE_TILE, {**given, "sides": list(sides_of(tile))}, axes) for tile in tiles]
         for made in self.farm.do(chores, "coding"):
             ends = np.cumsum(made["sizes"]).tolist()
@@ -119,17 +107,3 @@ def measure_elsewhere(farm: Farm, stack: str, coded: str, windows: Sequence[Regi
     chores = [Chore(MEASURE_WINDOWS, stack, {"coded": coded, "windows": group}, (coded,)) for group in groups]
     found = list(farm.do(chores, "measuring"))
     return np.concatenate([each["sums_wi"] for each in found]), np.concatenate([each["counts_w"] for each in found])
-
-
-def facts_of(arrays: Arrays) -> dict[str, Any]:
-    """Return what stands beside the arrays of a plan."""
-    return json.loads(arrays["facts"].tobytes())
-
-
-def _text(facts: dict[str, Any]) -> NDArray[np.uint8]:
-    return np.frombuffer(json.dumps(facts, sort_keys=True).encode("ascii"), np.uint8)
-
-
-def chosen_of(stack: LightStack, lights: NDArray[np.int64]) -> LightStack:
-    """Return a stack of the lights that are fitted."""
-    return stack if len(lights) == stack.n_light else stack.select(lights)

@@ -3,36 +3,23 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Sequence, Sized
-from dataclasses import dataclass
-from typing import overload
+from collections.abc import Sequence
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clrelight.arrays import check_transfer
 from clrelight.device import Device
-from clrelight.directions import unit_directions
-from clrelight.errors import InputError
-from clrelight.jobs.frames import DirectedFrames, Frames, LightFrames, Rotation, turn_light
-from clrelight.jobs.inputs import FittedLike, Path, opened_on, path_text, paths_among, read_directions, whole
+from clrelight.jobs.farm import Farm
+from clrelight.jobs.frames import Rotation
+from clrelight.jobs.inputs import FittedLike, opened_on, path_text, paths_among
 from clrelight.jobs.outputs import claimed
-from clrelight.jobs.pictures import (
-    check_animation,
-    holds_floats,
-    is_animation,
-    name_pictures,
-    show,
-    write_animation,
-    write_view,
-)
-from clrelight.jobs.region import Part, take_part
-from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.region import take_part
+from clrelight.jobs.relighting import How, name_frames, show_frames
+from clrelight.jobs.relighting_farm import SharedFrames
+from clrelight.jobs.report import Progress, Report, report_for
 from clrelight.jobs.written import count_stops
 from clrelight.lighting.light import Light
-from clrelight.lighting.relighting import TONEMAPS
-from clrelight.store import read_light
 
 
 @overload
@@ -76,6 +63,7 @@ def relight(
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
+    farm: Farm | None = None,
 ) -> Report: ...
 
 
@@ -97,6 +85,7 @@ def relight(
     device: Device | str | None = None,
     progress: Progress | None = None,
     report: Report | None = None,
+    farm: Farm | None = None,
 ) -> NDArray[np.float32] | Report:
     """Return, or write, the view under a direction, under several, or under light from everywhere.
 
@@ -138,6 +127,8 @@ def relight(
         Told (done, total or None, stage).
     report : Report, optional
         Filled; without one, notes become warnings (`Note`).
+    farm : Farm, optional
+        Other processes that make some of the pictures each; `source` and light files are files then.
 
     Returns
     -------
@@ -152,133 +143,21 @@ def relight(
         If a direction has no length, a file is damaged or none of ours, or `out` cannot be written.
     """
     target = None if out is None else path_text(out, "an image to write")
-    how = _How(count_stops(exposure), rotate, turntable, about, tonemap, transfer, take_part(region, level), salvage)
+    how = How(count_stops(exposure), rotate, turntable, about, tonemap, transfer, take_part(region, level), salvage)
     how.check(target)
     kept = report_for(report)
-    frames: Frames
-    if isinstance(light, Light | str | os.PathLike):
-        if lights is not None:
-            raise InputError("a light file is light from everywhere: give one --light, and no --lights beside it")
-        how.check_turntable()
-        frames, flat = how.frames_of(light), turntable is None
-    else:
-        how.refuse_turns()
-        directions_i3, flat = _directions(light, lights, kept)
-        frames = DirectedFrames(directions_i3, how.exposure or 0.0, how.part, salvage)
-    names = _name(target, frames)
+    frames, flat = how.frames(light, lights, kept)
+    names = name_frames(target, frames)
+    if farm is not None:
+        given: dict[str, Any] = {"rotate": rotate, "turntable": turntable, "about": about, "region": region}
+        given |= {"level": level or None, "tonemap": tonemap, "transfer": transfer, "salvage": salvage or None}
+        with claimed(names, paths_among(source, light, lights), kept):
+            SharedFrames.of(farm, source, light, lights, names, given).write(frames, how.exposure, kept)
+        kept.facts = {"files": names, **kept.facts}
+        return kept
     with claimed(names, paths_among(source, light, lights), kept), opened_on(device, kept) as opened:
-        images_ihwc = _show(frames, source, names, how, opened, kept, progress)
+        images_ihwc = show_frames(frames, source, names, how, opened, kept, progress)
     if target is not None:
         kept.facts = {"files": names, **kept.facts}
         return kept
     return images_ihwc[0] if flat else images_ihwc
-
-
-@dataclass(frozen=True)
-class _How:
-    """How images are asked for: stops (None is auto), turns, and what becomes of them in 8-bit files."""
-
-    exposure: float | None
-    rotate: Rotation | None
-    turntable: int | None
-    about: Sequence[float] | None
-    tonemap: str | None
-    transfer: str | None
-    part: Part
-    salvage: bool
-
-    def check(self, target: str | None) -> None:
-        """Raise InputError if the file that is written, if any, is none for these options, or one is unknown."""
-        if self.transfer is not None:
-            check_transfer(self.transfer)
-        if self.tonemap is not None and self.tonemap not in TONEMAPS:
-            raise InputError(f"tone mapping must be one of {', '.join(TONEMAPS)}, got {self.tonemap!r}")
-        for option, value in (("--transfer", self.transfer), ("--tonemap", self.tonemap)):
-            if value is not None and (target is None or holds_floats(target)):
-                told = "what is returned" if target is None else target
-                raise InputError(f"{option} is for 8-bit files, but {told} holds linear radiance: leave it out")
-
-    def check_turntable(self) -> None:
-        """Raise InputError if an axis comes without a turntable, or is none."""
-        if self.about is not None and (self.turntable is None or not np.any(_numbers(self.about))):
-            raise InputError("--about X,Y,Z is the axis of --turntable N, and not all zero")
-
-    def frames_of(self, light: Light | str | os.PathLike[str]) -> LightFrames:
-        """Return the images under light from everywhere."""
-        steps = 1 if self.turntable is None else whole(self.turntable, "turntable")
-        lit = light if isinstance(light, Light) else read_light(light)
-        turned = lit if self.rotate is None else turn_light(lit, self.rotate)
-        axis = (0.0, 0.0, 1.0) if self.about is None else tuple(float(v) for v in self.about)
-        return LightFrames(turned, self.exposure, steps, axis, self.part, self.salvage)
-
-    def refuse_turns(self) -> None:
-        """Raise InputError if something is asked for that directions do not have."""
-        if self.exposure is None or any(v is not None for v in (self.rotate, self.turntable, self.about, self.tonemap)):
-            raise InputError(
-                "--exposure auto, --rotate, --turntable, --about and --tonemap are for light files (--light LIGHT.h5)"
-            )
-
-
-def _show(
-    frames: Frames,
-    source: FittedLike,
-    names: list[str],
-    how: _How,
-    device: Device,
-    report: Report,
-    progress: Progress | None,
-) -> NDArray[np.float32]:
-    """Write all images where they have names; return them where they have none."""
-    kept_ihwc, pictures = np.empty((0,), np.float32), []
-    with frames.lend(source, device, report, progress) as (images, transfer), stage(progress, "relighting") as tell:
-        for index, image_hwc in enumerate(images):
-            since = time.perf_counter()
-            if not names:
-                if index == 0:
-                    kept_ihwc = np.empty((frames.count, *image_hwc.shape), np.float32)
-                kept_ihwc[index] = image_hwc
-            elif is_animation(names[0]):
-                pictures.append(show(image_hwc, how.tonemap, how.transfer or transfer))
-            else:
-                write_view(names[index], image_hwc, how.tonemap, how.transfer or transfer)
-            if names:
-                report.add("write", since)
-            tell(index + 1, frames.count)
-        if pictures:
-            since = time.perf_counter()
-            write_animation(names[0], pictures)
-            report.add("write", since)
-    return kept_ihwc
-
-
-def _directions(light: ArrayLike | None, lights: Path | None, report: Report) -> tuple[NDArray[np.float64], bool]:
-    """Return unit vectors from numbers of any length or from a file, and whether it was one direction's numbers."""
-    given = light is not None and not (isinstance(light, Sized) and len(light) == 0)
-    if given == (lights is not None):
-        raise InputError("give the light by --light X,Y,Z or by --lights FILE")
-    if lights is None:
-        numbers = _numbers(light)
-        return unit_directions(numbers.reshape(-1, 3), "light {}".format, allow_below=True), numbers.ndim == 1
-    return read_directions(lights, report), False
-
-
-def _numbers(light: ArrayLike | None) -> NDArray[np.float64]:
-    """Return three numbers, or rows of them, as float64, whatever real numbers they come in."""
-    wanted = "expected a direction as three numbers, or rows of three"
-    try:
-        given = np.asarray(light)
-    except ValueError:
-        raise InputError(f"{wanted}, got rows of different lengths") from None
-    if given.dtype.kind not in "fiu" or given.ndim not in (1, 2) or given.shape[-1] != 3:
-        raise InputError(f"{wanted}, got {given.dtype} of shape {given.shape}")
-    return given.astype(np.float64)
-
-
-def _name(target: str | None, frames: Frames) -> list[str]:
-    """Return the files to write; none where images are returned."""
-    if target is None:
-        return []
-    if isinstance(frames, LightFrames) and is_animation(target):
-        check_animation()
-        return [target]
-    return name_pictures(target, frames.count)

@@ -20,12 +20,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from clrelight.errors import DeviceError
 from clrelight.opencl.folder import cache_folder, log, write_whole
 
 POCL_VARIABLE = "POCL_CACHE_DIR"
 MOST_BYTES = 256 << 20
 """All archives together; those that were not used for longest go first."""
 
+_FILE_BYTES, _ROOM_BYTES = 4 << 20, 32 << 20
+"""Of what LLVM writes for the programs of a command: the largest file, and all of them, at most about."""
 _DIGEST = hashlib.sha256
 _STALE_SECONDS = 7 * 86400.0
 _building = threading.RLock()
@@ -52,20 +55,44 @@ _run_folder: Path | None = None
 
 
 def _make_run_folder() -> Path:
+    _check_limit()
     place = cache_folder()
     if place is not None:
         place /= "run"
         try:
             place.mkdir(exist_ok=True)
             _remove_stale(place)
-            folder = Path(tempfile.mkdtemp(prefix=f"{os.getpid()}-", dir=place))
+            folder = Path(tempfile.mkdtemp(prefix=f"{os.getpid()}-", dir=place)) if _has_room(place) else None
         except OSError:
-            place = None
-    if place is None:
+            folder = None
+    if place is None or folder is None:
+        other = Path(tempfile.gettempdir())
+        if not _has_room(other):
+            raise DeviceError(
+                f"kernels are compiled into files, which take some {_ROOM_BYTES >> 20} MB: there is no such room in "
+                f"{f'{place.parent} nor in ' if place else ''}{other}"
+            )
         folder = Path(tempfile.mkdtemp(prefix="clrelight-kernels-"))
     # Registered before the driver starts, so it runs after its last kernel.
     atexit.register(_remove_own, folder, os.getpid())
     return folder
+
+
+def _check_limit() -> None:
+    """Raise DeviceError where LLVM would end the process, as its files may not get as large as they do."""
+    import resource  # not on Windows, where PoCL keeps nothing
+
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    if limit != resource.RLIM_INFINITY and limit < _FILE_BYTES:
+        raise DeviceError(
+            f"kernels are compiled into files of up to {_FILE_BYTES >> 20} MB, those of this process may have {limit} "
+            "bytes: raise ulimit -f"
+        )
+
+
+def _has_room(folder: Path) -> bool:
+    system = os.statvfs(folder)
+    return not system.f_blocks or system.f_bavail * system.f_frsize >= _ROOM_BYTES
 
 
 def _remove_own(folder: Path, owner: int) -> None:

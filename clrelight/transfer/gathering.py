@@ -74,6 +74,11 @@ class Points:
         return len(self.normals_n3)
 
 
+def points_at_once(count: int, degree: int, memory: int) -> int:
+    """Return how many points are looked at together in so many directions."""
+    return max(1, min(_TILE_VALUES // count, memory // check_memory(count, degree, memory)))
+
+
 class Gatherer:
     """Looks at visibility around points, and projects what is seen.
 
@@ -97,14 +102,13 @@ class Gatherer:
         self.is_whole = samples.is_whole
         self.directions_s3 = np.ascontiguousarray(samples.directions_s3, np.float32)
         self._turned_3s = np.ascontiguousarray(self.directions_s3.T)
-        point_bytes = check_memory(samples.count, degree, memory)
         self._share_s = (samples.weights_s / np.pi).astype(np.float32)
         self._basis_sk = np.empty((samples.count, coefficient_count(degree)), np.float32)
         for first in range(0, samples.count, _TILE_VALUES):
             part = slice(first, first + _TILE_VALUES)
             basis_sk = evaluate_basis(samples.directions_s3[part], degree)
             self._basis_sk[part] = basis_sk * (samples.weights_s[part] / np.pi)[:, None]
-        self.step = max(1, min(_TILE_VALUES // samples.count, memory // point_bytes))
+        self.step = points_at_once(samples.count, degree, memory)
 
     def tiles(self, first: int, end: int) -> Iterator[tuple[int, int]]:
         """Yield parts of some points that are looked at together."""
@@ -234,17 +238,19 @@ def direct_tiles(
     memory: int = DEFAULT_MEMORY,
     tally: Tally | None = None,
     tell: Callable[[int, int], object] | None = None,
+    part: tuple[int, int] | None = None,
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Yield transfer without bounces: the number of the first vertex, and (n, channel, n_coeff) of up to `block`.
 
-    Without a scene nothing is in the way; without samples too, the function is exact.
+    Without a scene nothing is in the way; without samples too, the function is exact. Of a `part` of the vertices,
+    functions are those of all, bit for bit, where it begins a multiple of `points_at_once` behind a block.
     """
-    albedo_vc, count = albedo_of(surface), surface.n_vertex
+    albedo_vc, (top, count) = albedo_of(surface), part or (0, surface.n_vertex)
     gatherer = None
     if samples is not None:
         points = points_of(surface, scene)
         gatherer = Gatherer(points, samples, degree, scene, memory, Tally() if tally is None else tally)
-    for first in range(0, count, block):
+    for first in range(top, count, block):
         end = min(first + block, count)
         if gatherer is None:
             coeffs_vk = cosine_transfer(surface.normals_v3[first:end], degree)

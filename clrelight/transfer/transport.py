@@ -73,17 +73,19 @@ class Transport:
         tally: Tally | None = None,
         tell: Callable[[int, int], object] | None = None,
         tell_bounces: Callable[[int, int], object] | None = None,
+        part: tuple[int, int] | None = None,
     ) -> Iterator[tuple[int, NDArray[np.float32]]]:
         """Yield the number of the first vertex, and the transfer of up to `block` in the surface's frames.
 
         Of shape (n_coeff, n, channel). The scene, of the same surface or of one that it is points of (its texels), is
-        needed unless transfer is unshadowed.
+        needed unless transfer is unshadowed. A `part` of the vertices is for transfer without bounces, see
+        `direct_tiles`.
         """
         seen = None if self.kind == "unshadowed" else scene
-        for first, coeffs_vck in self._tiles(surface, seen, block, tally, tell, tell_bounces):
+        for first, coeffs_vck in self._tiles(surface, seen, block, tally, tell, tell_bounces, part):
             if surface.tangents_v3 is not None:
-                part = slice(first, first + len(coeffs_vck))
-                coeffs_vck = turn_into_frames(coeffs_vck, surface.frames()[part])
+                vertices = slice(first, first + len(coeffs_vck))
+                coeffs_vck = turn_into_frames(coeffs_vck, surface.frames()[vertices])
             yield first, coeffs_vck.transpose(2, 0, 1)
 
     def _tiles(
@@ -94,10 +96,19 @@ class Transport:
         tally: Tally | None,
         tell: Callable[[int, int], object] | None,
         tell_bounces: Callable[[int, int], object] | None,
+        part: tuple[int, int] | None,
     ) -> Iterator[tuple[int, NDArray[np.float32]]]:
         if self.kind != "interreflected":
             yield from direct_tiles(
-                surface, self.degree, self.samples, scene, block=block, memory=self.memory, tally=tally, tell=tell
+                surface,
+                self.degree,
+                self.samples,
+                scene,
+                block=block,
+                memory=self.memory,
+                tally=tally,
+                tell=tell,
+                part=part,
             )
             return
         if scene is None or self.samples is None:

@@ -132,11 +132,14 @@ class Encoder(TileEncoder):
             self._pieces = [self.take_part(window, None, planes) for window in self._windows]
         self._prepared = count
 
-    def _encode_tiles(self, tiles: list[Tile], planes: Planes, step: float, multiplier: float) -> Iterator[Coded]:
+    def _encode_tiles(
+        self, tiles: list[Tile], planes: Planes, step: float, multiplier: float, again: bool = False
+    ) -> Iterator[Coded]:
         """Return the streams of tiles, one after another; where others help, parts of all are begun at once."""
         coder, sides = self._pixels.elsewhere, (self._shape[1], self._shape[2])
         if coder is not None and not is_together(self._shape):
-            return encode_elsewhere(coder, tiles, sides, planes, self._pixels.transfer, step, multiplier)
+            curve = self._pixels.transfer
+            return encode_elsewhere(coder, tiles, sides, planes, curve, step, multiplier, again=again)
         strips = self._strips(planes, tiles)
         return (self.encode_here(tile, planes, step, multiplier, strips) for tile in tiles)
 
@@ -290,7 +293,7 @@ class Encoder(TileEncoder):
     def _trying(self, tile: Tile, planes: Planes, step: float) -> Callable[[float], Coded]:
         """Return what codes a tile at any multiplier."""
         if self._pixels.elsewhere is not None:
-            return functools.partial(self._encode_tile, tile, planes, step, strips=None)
+            return lambda multiplier: next(self._encode_tiles([tile], planes, step, multiplier, again=True))
         self._pixels.forget()  # indices of this one take as much again as its values
         part = self.take_part(tile.window, tile, planes, lent=True)
         return functools.partial(self.encode_part, part, step, keep=True)

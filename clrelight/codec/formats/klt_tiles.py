@@ -33,7 +33,7 @@ from clrelight.codec.transforms.whitening import Planes, reshaped, with_type
 MULTIPLIER = 0.12
 """Lagrange multiplier of rate–distortion optimisation: squared steps of error that a bit must save."""
 PART_PIXELS = 3 << 19
-"""Pixels of a part, about: a second or two of work. Smaller ones have more of what they read in their margins."""
+"""Pixels of a part, at most: a second or two of work. Smaller ones have more of what they read in their margins."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,16 @@ class TileCoder(Protocol):
     """Codes tiles in other processes."""
 
     def code(
-        self, tiles: Sequence[Tile], planes: Planes, transfer: str, step: float, multiplier: float
+        self,
+        tiles: Sequence[Tile],
+        planes: Planes,
+        transfer: str,
+        step: float,
+        multiplier: float,
+        *,
+        again: bool = False,
     ) -> Iterator[list[bytes]]:
-        """Return the streams of each tile, in the order of the tiles."""
+        """Return the streams of each tile, in the order of the tiles; they may be asked for `again`, at others."""
 
     def try_pieces(
         self, windows: Sequence[Window], planes: Planes, transfer: str, step: float, count: int
@@ -77,10 +84,16 @@ def sides_of(tile: Tile) -> tuple[int, int, int, int]:
 
 
 def cut_tile(tile: Tile, height: int, width: int, most: int = PART_PIXELS) -> list[Tile]:
-    """Return parts of a tile, of whole precincts and of about so many pixels, rows first."""
+    """Return parts of a tile, of whole precincts and of so many pixels at most, rows first.
+
+    Of a row of precincts there are two, or a multiple of two, of about one size: tiles are coded one after another,
+    and two workers are to end together.
+    """
     top, left, bottom, right = sides_of(tile)
     among = list(zip(tile.streams, tile.units, strict=True))
-    columns = max(most // PRECINCT**2, 1) * PRECINCT
+    precincts = -(-(right - left) // PRECINCT)
+    pairs = -(-precincts // (2 * max(most // PRECINCT**2, 1)))
+    columns = -(-precincts // (2 * pairs)) * PRECINCT
     return [
         tile_of(height, width, (row, column, min(row + PRECINCT, bottom), min(column + columns, right)), among)
         for row in range(top, bottom, PRECINCT)
@@ -96,10 +109,15 @@ def encode_elsewhere(
     transfer: str,
     step: float,
     multiplier: float,
+    *,
+    again: bool = False,
 ) -> Iterator[Coded]:
-    """Return the streams of tiles of an image of some height and width, one after another, which are begun at once."""
+    """Return the streams of tiles of an image of some height and width, one after another, which are begun at once.
+
+    They may be asked for `again`, at another multiplier.
+    """
     cut = [cut_tile(tile, *sides) for tile in tiles]
-    made = coder.code([part for each in cut for part in each], planes, transfer, step, multiplier)
+    made = coder.code([part for each in cut for part in each], planes, transfer, step, multiplier, again=again)
     for tile, parts in zip(tiles, cut, strict=True):
         yield _join(tile, [(part, next(made)) for part in parts], len(planes[1]))
 

@@ -1,0 +1,114 @@
+"""What `relight` hands to other processes: some pictures each, as the bytes of their files."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clrelight.durable import replacing
+from clrelight.errors import InputError
+from clrelight.jobs.farm import Arrays, Chore, Farm
+from clrelight.jobs.frames import Frames, LightFrames, tell_below
+from clrelight.jobs.inputs import FittedLike
+from clrelight.jobs.pictures import is_animation, write_animation
+from clrelight.jobs.report import Report
+from clrelight.lighting.light import Light
+from clrelight.remote import is_remote
+
+RELIGHT_SOME = "relight-some"
+_TOGETHER = 8
+"""Pictures of a chore: what is decoded is decoded once for them."""
+
+
+@dataclass
+class _Made:
+    """What has come so far: pictures of an animation, notes, and of light from everywhere what is the same for all."""
+
+    animated: list[NDArray[np.uint8]]
+    notes: list[str]
+    below: float
+    exposure: float = 0.0
+
+
+@dataclass(frozen=True)
+class SharedFrames:
+    """Pictures of a file that other processes relight: see `clrelight.jobs.relighting_chores.relight_some`."""
+
+    farm: Farm
+    source: str
+    options: Mapping[str, Any]
+    reads: tuple[str, ...]
+    names: list[str]
+
+    @classmethod
+    def of(
+        cls,
+        farm: Farm,
+        source: FittedLike,
+        light: ArrayLike | Light | str | os.PathLike[str] | None,
+        lights: str | os.PathLike[str] | None,
+        names: list[str],
+        options: Mapping[str, Any],
+    ) -> SharedFrames:
+        """Return what relights a file; InputError where other processes have none, or nothing is written."""
+        if not isinstance(source, str | os.PathLike) or is_remote(os.fsdecode(source)) or isinstance(light, Light):
+            raise InputError("other processes read what is relit too, and light files: give the paths of files")
+        if not names:
+            raise InputError("other processes write pictures: give the name of what is to be written")
+        files = {"light": light, "lights": lights}
+        paths = {
+            name: os.path.abspath(os.fsdecode(file))
+            for name, file in files.items()
+            if isinstance(file, str | os.PathLike)
+        }
+        given: dict[str, Any] = {"light": None if light is None else np.asarray(light).tolist(), **options, **paths}
+        if "light" in paths:
+            given["light"] = paths["light"]
+        given = {name: value for name, value in given.items() if value is not None}
+        return cls(farm, os.path.abspath(os.fsdecode(source)), given, tuple(paths.values()), names)
+
+    def write(self, frames: Frames, exposure: float | None, report: Report) -> None:
+        """Have all pictures made, and write them."""
+        since, count, made = time.perf_counter(), frames.count, _Made([], [], 0.0)
+        first = 0
+        if exposure is None:  # that of the first picture is that of all
+            self._put(self._do([(0, 1)], None), 0, made)
+            exposure, first = made.exposure, 1
+        ends = [*range(first + _TOGETHER, count, _TOGETHER), count]
+        parts = [(top, end) for top, end in zip([first, *ends], ends, strict=False) if top < end]
+        self._put(self._do(parts, exposure), first, made)
+        if made.animated:
+            write_animation(self.names[0], made.animated)
+        report.add("relight", since)
+        report.note(*made.notes)
+        if isinstance(frames, LightFrames):
+            report.facts |= {"exposure": exposure, "below": made.below}
+            tell_below(made.below, count, report)
+
+    def _put(self, found: Iterator[Arrays], number: int, made: _Made) -> None:
+        """Write pictures from one of some number on, or keep those of an animation."""
+        for each in found:
+            made.notes += json.loads(each["notes"].tobytes())
+            made.below = max(made.below, float(each["below"]))
+            made.exposure = float(each["exposure"])
+            for at in range(int(each["count"])):
+                content = each[f"picture{at}"]
+                if is_animation(self.names[0]):
+                    made.animated.append(content)
+                else:
+                    with replacing(self.names[number]) as part:
+                        part.write(content.tobytes())
+                number += 1
+
+    def _do(self, parts: list[tuple[int, int]], exposure: float | None) -> Iterator[Arrays]:
+        kind = os.path.splitext(self.names[0])[1]
+        given = {**self.options, "kind": kind, "exposure": "auto" if exposure is None else exposure}
+        chores = [Chore(RELIGHT_SOME, self.source, {**given, "some": list(part)}, self.reads) for part in parts]
+        return self.farm.do(chores, "relighting")
