@@ -137,7 +137,7 @@ def export_for_viewers(
             since = time.perf_counter()
             with stage(progress, "exporting") as tell:
                 if format == "relight":
-                    files = write_relight_folder(held, target, form, progress=tell)
+                    files = write_relight_folder(held, target, form, opened, progress=tell)
                 else:
                     files, facts = [Path(target)], _write_file(held, target, format, quality, opened, tell)
             kept.add("export", since)
@@ -228,9 +228,9 @@ def _write_file(
 ) -> dict[str, object]:
     """Write a fit as one file; return what is to be told of it."""
     if format == "ptm":
-        return {"refit": write_ptm(fit, target, quality=quality, progress=tell)}
+        return {"refit": write_ptm(fit, target, device, quality=quality, progress=tell)}
     if format == "rti":
-        return {"refit": write_rti(fit, target, progress=tell)}
+        return {"refit": write_rti(fit, target, device, progress=tell)}
     if format == "ktx2":
         write_ktx2(target, encode(fit.to_float32().coeffs_khwc, Bc6h(), device))
     else:
