@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
+from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
@@ -52,9 +54,7 @@ def write_channels(
     names = channel_names(coefficients.n_coeff, channel)
     if len(names) > _MOST_CHANNELS:
         raise InputError(f"an EXR image takes {_MOST_CHANNELS} channels at most, the fit has {len(names)}")
-    spec = oiio.ImageSpec(width, height, len(names), component)
-    spec.channelnames = tuple(names)
-    spec.attribute("compression", "zip")
+    spec = exr_spec(width, height, names, component)
     spec.attribute("clrelight:basis", "real spherical harmonics, no Condon-Shortley sign; k = l (l + 1) + m")
     spec.attribute("clrelight:axes", "light direction: x right, y up, z to the camera")
     spec.attribute("clrelight:degree", coefficients.degree)
@@ -71,16 +71,40 @@ def _write(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     height, width, channel = coefficients.image_shape
-    output = oiio.ImageOutput.create("x.exr")  # the name that it has until it is whole ends otherwise
-    if not output or not output.open(str(path), spec):
-        raise InputError(f"cannot write the EXR image: {oiio.geterror()}")
+    output = ExrFile(path, spec)
     for first, end in row_tiles((0, height), step):
         if progress is not None:
             progress(first, height)
         rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
         coefficients.read_rows(first, end, rows_khwc)
-        pixels = np.ascontiguousarray(np.moveaxis(rows_khwc, 0, 2).reshape(end - first, width, -1))
-        if not output.write_scanlines(first, end, 0, pixels):
-            raise InputError(f"cannot write the EXR image: {output.geterror()}")
-    if not output.close():
-        raise InputError(f"cannot write the EXR image: {output.geterror()}")
+        output.write(first, np.moveaxis(rows_khwc, 0, 2).reshape(end - first, width, -1))
+    output.close()
+
+
+def exr_spec(width: int, height: int, names: Sequence[str], component: str) -> oiio.ImageSpec:
+    """Return what an EXR image of named channels is, without today's date: always the same bytes."""
+    spec = oiio.ImageSpec(width, height, len(names), component)
+    spec.channelnames = tuple(names)
+    spec.alpha_channel = -1
+    spec.attribute("compression", "zip")
+    spec.attribute("DateTime", "0000:00:00 00:00:00")
+    return spec
+
+
+class ExrFile:
+    """An EXR image whose rows come one after another; InputError where the disk refuses."""
+
+    def __init__(self, path: Path, spec: oiio.ImageSpec) -> None:
+        self._output: Any = oiio.ImageOutput.create("x.exr")  # the name until it is whole ends otherwise
+        if not self._output or not self._output.open(str(path), spec):
+            raise InputError(f"cannot write the EXR image: {oiio.geterror()}")
+
+    def write(self, first: int, pixels_hwc: NDArray[np.floating]) -> None:
+        """Take rows, from number `first` on."""
+        if not self._output.write_scanlines(first, first + len(pixels_hwc), 0, np.ascontiguousarray(pixels_hwc)):
+            raise InputError(f"cannot write the EXR image: {self._output.geterror()}")
+
+    def close(self) -> None:
+        """Finish the file."""
+        if not self._output.close():
+            raise InputError(f"cannot write the EXR image: {self._output.geterror()}")
