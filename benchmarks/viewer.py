@@ -41,6 +41,28 @@ _FRAMES = """(() => {
   app.drag(false);
   return COUNT / seconds;
 })()"""
+_SKY = """(async () => {
+  const app = clrelight.app;
+  const rate = (files) => {
+    const once = () => files.forEach((file, slot) =>
+      app.renderer.sum(slot, file, app.view, app.store, app.lighting, app.state, 0.5));
+    once();
+    app.renderer.finish();
+    const since = performance.now();
+    for (let i = 0; i < COUNT; i++) once();
+    app.renderer.finish();
+    return (1000 * COUNT) / (performance.now() - since);
+  };
+  app.state.light = "sky";
+  app.isSlow = true;
+  const since = performance.now();
+  app.changed();
+  const [file] = app.shownFiles();
+  const ready = () => app.isWhole && app.store.isIdle && !app.planned && app.drawnFiles()[0] === file.straight;
+  while (!ready()) await new Promise((done) => setTimeout(done, 10));
+  const seconds = (performance.now() - since) / 1000;
+  return [rate([file]), rate([file.straight]), seconds];
+})()"""
 _SQUARE = """(() => {
   const app = clrelight.app;
   app.canvas.style.cssText = "position: fixed; left: 0; top: 0; z-index: 9; width: SIDEpx; height: SIDEpx";
@@ -94,6 +116,25 @@ def frame_rate(folder: Path, count: int) -> float:
         return float(page.evaluate(_FRAMES.replace("COUNT", str(count)), 300))
 
 
+def sky_rates(folder: Path, degree: int, count: int) -> tuple[float, float, float]:
+    """Return frames a second of a sky over a payload behind the curve, 1024 x 1024 at half size.
+
+    Summed over directions, and as coefficients; then the seconds until these are there.
+    """
+    stack, fit, coded = folder / "ring.h5", folder / f"fit{degree}.h5", folder / f"curved{degree}.h5"
+    if not coded.exists():
+        if not stack.exists():
+            run("synth", "ring", stack, "--size", 256, "--lights", 64)
+        run("fit", stack, fit, "--degree", degree)
+        run("encode", fit, coded, "--codec", "klt", "--rate", 1, "--transfer", "srgb")
+    with served(coded) as address, opened_browser(address, width=1400, height=1100) as page:
+        square(page, 1024)
+        if not page.evaluate("clrelight.app.store.files[0].bent"):
+            raise InputError(f"the encoder left the curve out at degree {degree}")
+        summed, straight, seconds = page.evaluate(_SKY.replace("COUNT", str(count)), 600)
+        return float(summed), float(straight), float(seconds)
+
+
 def first_picture(path: Path) -> tuple[float, float]:
     """Return seconds from asking for the page to a picture, and to all of it at the screen's resolution."""
     with served(path) as address, opened_browser() as page:
@@ -121,6 +162,11 @@ def figures(file_24: Path | None, frames: int) -> None:
         rows: list[list[Any]] = [
             ["frames a second, 1024², 27 planes, half size", f"{frame_rate(Path(folder), frames):.1f}"]
         ]
+        for degree in (2, 6):
+            summed, straight, seconds = sky_rates(Path(folder), degree, max(frames // 10, 2))
+            what = f"frames a second, a sky behind the curve, degree {degree}"
+            rows += [[f"{what}, over directions", f"{summed:.2f}"], [f"{what}, as coefficients", f"{straight:.1f}"]]
+            rows += [["seconds until those are there", f"{seconds:.1f}"]]
     if file_24 is not None:
         some, whole = first_picture(file_24)
         rows += [["seconds to the first picture", f"{some:.2f}"], ["seconds to all of it", f"{whole:.2f}"]]

@@ -11,7 +11,7 @@ from typing import Any
 
 from clrelight.view.texels import TILE, level_side
 
-DECODER = ("bytes.js", "units.js", "details.js", "body.js", "planes.js")
+DECODER = ("bytes.js", "units.js", "details.js", "body.js", "planes.js", "straight.js")
 """Scripts of which workers are made too."""
 SCRIPTS = (
     *DECODER,

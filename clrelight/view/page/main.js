@@ -3,7 +3,7 @@
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
   const { Renderer, TileStore, Lighting, View, Panel, Globe, Pointers, RADIANS } = clrelight;
-  const { decibelsApart, automaticExposure, directionOf } = clrelight;
+  const { decibelsApart, automaticExposure, directionOf, isOneDirection } = clrelight;
 
   const DRAGGED = 0.5; // of the resolution while something is dragged
   const COARSEST = 0.125;
@@ -82,12 +82,31 @@
       return numbers.map((number) => this.store.files[number]);
     }
 
+    /**
+     * Files as they are drawn: behind a curve, where many directions take long, as coefficients as soon as these are there.
+     *
+     * Once that was so it stays so: tiles are there for the next light.
+     */
+    drawnFiles() {
+      const { renderer, view, store, state } = this;
+      const files = this.shownFiles();
+      if (isOneDirection(state)) return files;
+      const sums = (this.workOf(files) * this.view.width * this.view.height) / 1e6;
+      this.isSlow ||= this.pace * sums > PATIENCE.dragged;
+      if (!this.isSlow) return files;
+      return files.map((file) => (file.straight && renderer.covers(file.straight, view, store) ? file.straight : file));
+    }
+
+    workOf(files) {
+      return files.reduce((sum, file) => sum + this.renderer.work(file, this.lighting, this.state), 0);
+    }
+
     frame() {
       const { store, renderer, view, lighting, state } = this;
       this.followPhotographs();
       store.beginFrame();
-      const files = this.shownFiles();
-      const work = files.reduce((sum, file) => sum + renderer.work(file, lighting, state), 0);
+      const files = this.drawnFiles();
+      const work = this.workOf(files);
       const scale = this.chooseScale(work);
       const since = performance.now();
       const whole = files.map((file, slot) => renderer.sum(slot, file, view, store, lighting, state, scale));
@@ -97,6 +116,7 @@
       store.endFrame();
       this.isWhole = whole.every(Boolean);
       if (this.isWhole) this.firstPicture ??= performance.now() - this.started;
+      if (this.isWhole && this.exposing) this.exposeAutomatically();
       if (store.tiles.size) this.someTiles ??= performance.now() - this.started;
       this.panel.update(state);
       this.panel.fault(store.faults.at(-1) ?? "");
@@ -239,7 +259,10 @@
       if (this.manifest.files.length > 1) this.set("compare", ways[(ways.indexOf(this.state.compare) + 1) % 3]);
     }
 
+    /** Make the brightest white, as soon as all of the picture is there. */
     exposeAutomatically() {
+      this.exposing = !this.isWhole;
+      if (this.exposing) return this.changed();
       this.set("exposure", Math.round(4 * automaticExposure(this.renderer.read(0))) / 4);
       this.panel.say(`Exposure ${this.state.exposure} stops`);
     }

@@ -83,6 +83,13 @@
       return file.layers * (file.bent ? weightsOf(lighting, state, file).nodes.length : 1);
     }
 
+    /** Whether there is something of each part of a file that is seen; what is missing is asked for. */
+    covers(file, view, store) {
+      const level = view.levelFor(file.levels);
+      const places = view.seen ? tilesOf(file, level, view.seen) : [];
+      return places.map((at) => this.tileFor(file, level, ...at, store, 0)).every(Boolean);
+    }
+
     /** Wait until all is drawn. */
     finish() {
       const { gl } = this;
