@@ -39,6 +39,7 @@
       this.store = new TileStore(this.renderer.gl, manifest, () => this.changed());
       this.view = new View(manifest.files[0].width, manifest.files[0].height);
       this.dragging = false;
+      this.coarser = 1; // times, of the level that is drawn
       this.pace = 0; // milliseconds of a million sums, once measured
       this.started = performance.now();
       this.panel = new Panel(this, manifest);
@@ -110,6 +111,7 @@
       const scale = this.chooseScale(work);
       const since = performance.now();
       const whole = files.map((file, slot) => renderer.sum(slot, file, view, store, lighting, state, scale));
+      this.coarser = Math.max(...files.map((file) => 2 ** (renderer.levelOf(file, view) - view.levelFor(file.levels))));
       if (files.length === 1) renderer.pictures.length = 1;
       if (this.dragging || work > HEAVY) this.measurePace(work, scale, since);
       renderer.present(state);
@@ -167,7 +169,8 @@
     }
 
     showFigures() {
-      const coarse = this.scale < 1 ? ` · drawn at ${1 / this.scale} × coarser pixels` : "";
+      const factor = this.coarser / this.scale;
+      const coarse = factor > 1 ? ` · drawn at ${factor} × coarser pixels` : "";
       const zoom = `${Math.round(100 * this.view.zoom)} %${coarse}`;
       const { files } = this.manifest;
       const { compare, first, second } = this.state;

@@ -232,5 +232,5 @@
     return found;
   }
 
-  Object.assign(clrelight, { TileStore, tilesOf });
+  Object.assign(clrelight, { TileStore, tilesOf, ROOM });
 })();
