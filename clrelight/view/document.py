@@ -16,7 +16,7 @@ DECODER = ("bytes.js", "units.js", "details.js", "body.js", "planes.js", "straig
 SCRIPTS = (
     *DECODER,
     *("worker.js", "harmonics.js", "lighting.js", "tiles.js", "shaders.js", "renderer.js"),
-    *("view.js", "measure.js", "globe.js", "pointer.js", "panel.js", "main.js"),
+    *("view.js", "measure.js", "globe.js", "pointer.js", "panel.js", "state.js", "main.js"),
 )
 """All scripts in the order in which they are read."""
 

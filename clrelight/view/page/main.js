@@ -3,30 +3,13 @@
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
   const { Renderer, TileStore, Lighting, View, Panel, Globe, Pointers, RADIANS } = clrelight;
-  const { decibelsApart, automaticExposure, directionOf, isOneDirection } = clrelight;
+  const { decibelsApart, automaticExposure, directionOf, isOneDirection, START } = clrelight;
 
   const DRAGGED = 0.5; // of the resolution while something is dragged
   const COARSEST = 0.125;
   const PATIENCE = { dragged: 90, still: 1500 }; // milliseconds of a frame: coarser where it would take longer
   const HEAVY = 40; // sums at a pixel from which on nobody knows how long they take without having tried
   const FIGURES_AFTER = 180;
-
-  const START = {
-    light: "lamp",
-    lamp: { direction: directionOf(-0.45, 0.5), softness: 0 },
-    sky: { table: 0, height: 40, azimuth: 135, sun: 0.6 },
-    environment: { table: 0, turn: 0 },
-    standing: false,
-    exposure: 0,
-    curve: "srgb",
-    compare: "one",
-    first: 0,
-    second: 0,
-    split: 0.5,
-    errorGain: 4,
-    photograph: 0,
-    tool: "light",
-  };
 
   class App {
     constructor(manifest) {
