@@ -24,7 +24,7 @@ from clrelight.experiment.trade import sweep_trade
 from clrelight.ingest import ingest_folder
 from clrelight.report import canvas
 from clrelight.report.markup import to_markdown
-from clrelight.report.trade import front_table, half_table, step_table, trade_chart
+from clrelight.report.trade import step_table, trade_chart
 from clrelight.store import open_stack, write_stack
 from datasets_synth.ring import render_ring
 
@@ -109,9 +109,9 @@ def _block(scene: Scene, trials: list[Trial]) -> str:
         f"{row['width']}×{row['height']} pixels, {row['n_light']} lights fitted and {row['n_holdout']} held out; "
         f"{len(trials)} settings measured on {open_device().info.name}."
     )
-    made = (step_table(trials), half_table(trials), front_table(trials))
-    tables = [f"{table.caption}:\n\n{to_markdown(table)}" for table in made]
-    return "\n".join([facts, "", f"![fronts of {scene.name}](images/trade_{scene.name}.png)", "", *tables])
+    table = step_table(trials)
+    chart = f"![fronts of {scene.name}](images/trade_{scene.name}.png)"
+    return "\n".join([facts, "", chart, "", f"{table.caption}:\n\n{to_markdown(table)}"])
 
 
 if __name__ == "__main__":

@@ -20,8 +20,10 @@ from PIL import Image
 from clrelight.cli.tables import print_table
 from clrelight.durable import replacing
 from clrelight.errors import InputError
+from clrelight.store import write_fit
 from clrelight.view import lights
 from tests.browser import Page, find_chromium, opened_browser
+from tests.test_view_page import smooth_fit
 
 ROOT = Path(__file__).resolve().parents[1]
 _READY = "globalThis.clrelight?.app?.isWhole && clrelight.app.store.isIdle"
@@ -40,6 +42,28 @@ _FRAMES = """(() => {
   const seconds = (performance.now() - since) / 1000;
   app.drag(false);
   return COUNT / seconds;
+})()"""
+_SKY = """(async () => {
+  const app = clrelight.app;
+  const rate = (files) => {
+    const once = () => files.forEach((file, slot) =>
+      app.renderer.sum(slot, file, app.view, app.store, app.lighting, app.state, 0.5));
+    once();
+    app.renderer.finish();
+    const since = performance.now();
+    for (let i = 0; i < COUNT; i++) once();
+    app.renderer.finish();
+    return (1000 * COUNT) / (performance.now() - since);
+  };
+  app.state.light = "sky";
+  app.isSlow = true;
+  const since = performance.now();
+  app.changed();
+  const [file] = app.shownFiles();
+  const ready = () => app.isWhole && app.store.isIdle && !app.planned && app.drawnFiles()[0] === file.straight;
+  while (!ready()) await new Promise((done) => setTimeout(done, 10));
+  const seconds = (performance.now() - since) / 1000;
+  return [rate([file]), rate([file.straight]), seconds];
 })()"""
 _SQUARE = """(() => {
   const app = clrelight.app;
@@ -94,6 +118,22 @@ def frame_rate(folder: Path, count: int) -> float:
         return float(page.evaluate(_FRAMES.replace("COUNT", str(count)), 300))
 
 
+def sky_rates(folder: Path, degree: int, count: int) -> tuple[float, float, float]:
+    """Return frames a second of a sky over a payload behind the curve, 1024 x 1024 at half size.
+
+    Summed over directions, and as coefficients; then the seconds until these are there.
+    """
+    fit, coded = folder / f"smooth{degree}.h5", folder / f"curved{degree}.h5"
+    write_fit(fit, smooth_fit(512, degree))
+    run("encode", fit, coded, "--codec", "klt", "--step", 0.06, "--transfer", "srgb")
+    with served(coded) as address, opened_browser(address, width=1400, height=1100) as page:
+        square(page, 1024)
+        if not page.evaluate("clrelight.app.store.files[0].bent"):
+            raise InputError(f"the encoder left the curve out at degree {degree}")
+        summed, straight, seconds = page.evaluate(_SKY.replace("COUNT", str(count)), 600)
+        return float(summed), float(straight), float(seconds)
+
+
 def first_picture(path: Path) -> tuple[float, float]:
     """Return seconds from asking for the page to a picture, and to all of it at the screen's resolution."""
     with served(path) as address, opened_browser() as page:
@@ -121,6 +161,11 @@ def figures(file_24: Path | None, frames: int) -> None:
         rows: list[list[Any]] = [
             ["frames a second, 1024², 27 planes, half size", f"{frame_rate(Path(folder), frames):.1f}"]
         ]
+        for degree in (2, 4):
+            summed, straight, seconds = sky_rates(Path(folder), degree, max(frames // 10, 2))
+            what = f"frames a second, a sky behind the curve, degree {degree}"
+            rows += [[f"{what}, over directions", f"{summed:.2f}"], [f"{what}, as coefficients", f"{straight:.1f}"]]
+            rows += [["seconds until those are there", f"{seconds:.1f}"]]
     if file_24 is not None:
         some, whole = first_picture(file_24)
         rows += [["seconds to the first picture", f"{some:.2f}"], ["seconds to all of it", f"{whole:.2f}"]]

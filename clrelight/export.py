@@ -6,26 +6,30 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clrelight.bases import require_sh
-from clrelight.codec import Bc6h, Encoded, encode
-from clrelight.codec.formats.dds import write_dds
+from clrelight.codec import Encoded
+from clrelight.codec.formats.dds import dds_header
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.durable import check_output, naming, replacing, replacing_folder
 from clrelight.errors import InputError
-from clrelight.images import write_image
+from clrelight.exchange.block_files import BlockFiles, put_blocks
+from clrelight.exchange.channels import ExrFile, exr_spec
+from clrelight.tiles import row_tiles
 
 EXPORTS = {"dds": "BC6H_SF16", "exr": "float32", "exr-half": "float16"}
 """Formats, and the type of a texel's components in each."""
 
 NOTES = "textures.json"
+_PIECE_BYTES = 1 << 26
+"""Of coefficients that are held at a time."""
 _PLAIN_RANGE = (2.0**-6, 2.0**15)
 """Largest magnitudes that halves hold well as they are; others are scaled by a power of two."""
 
@@ -83,7 +87,7 @@ def export_textures(
     device : Device
         Where blocks are encoded.
     progress : callable, optional
-        Called with files done and in all.
+        Called with rows done and in all.
 
     Returns
     -------
@@ -97,32 +101,72 @@ def export_textures(
     """
     require_sh(coefficients.basis)
     check_export(out, file_format)
-    target = Path(os.fsdecode(out))
-    coeffs_khwc = coefficients.to_float32().coeffs_khwc
-    scale = 1.0 if file_format == "exr" or blocks is not None else _choose_scale(coeffs_khwc)
-    scaled_khwc = coeffs_khwc if scale == 1.0 else np.divide(coeffs_khwc, scale, dtype=np.float32)
-    if file_format == "dds" and blocks is None:
-        blocks = encode(scaled_khwc, Bc6h(), device)
-    textures = _list_textures(coeffs_khwc.shape, whole_texels=file_format == "dds")
+    target, shape = Path(os.fsdecode(out)), (coefficients.n_coeff, *coefficients.image_shape)
+    scale = 1.0 if file_format == "exr" or blocks is not None else _choose_scale(coefficients)
+    textures = _list_textures(shape, whole_texels=file_format == "dds")
     notes = _describe(coefficients, textures, file_format, scale)
-    if _is_array(target) and blocks is not None:
+    if _is_array(target):
         for layer, entry in enumerate(notes["textures"]):
             entry |= {"file": target.name, "layer": layer}
-        with replacing(target) as array, replacing(_notes_of(target)) as beside:
-            with naming(target):
-                write_dds(array.path, blocks)
+        with replacing(target) as array, replacing(_notes_of(target)) as beside, naming(target):
+            header = dds_header(shape, len(textures))
+            array.write(header)
+            files = BlockFiles([array.descriptor], len(header))
+            put_blocks(blocks or coefficients, files, device, scale=scale, progress=progress)
             beside.write(_to_json(notes))
         return [target, _notes_of(target)]
-    with replacing_folder(target) as folder:
-        for number, (texture, entry) in enumerate(zip(textures, notes["textures"], strict=True)):
-            if progress is not None:
-                progress(number, len(textures))
-            if blocks is not None and file_format == "dds":
-                write_dds(folder / entry["file"], blocks, number)
-            else:
-                write_image(folder / entry["file"], _pixels(scaled_khwc, texture, file_format))
+    with replacing_folder(target) as folder, naming(target):
+        names = [folder / entry["file"] for entry in notes["textures"]]
+        if file_format == "dds":
+            _write_blocks(names, blocks or coefficients, shape, scale, device, progress)
+        else:
+            _write_images(names, coefficients, textures, EXPORTS[file_format], scale, progress)
         (folder / NOTES).write_bytes(_to_json(notes))
     return [target / name for name in (*(entry["file"] for entry in notes["textures"]), NOTES)]
+
+
+def _write_blocks(
+    names: list[Path],
+    held: CoefficientMap | Encoded,
+    shape: tuple[int, int, int, int],
+    scale: float,
+    device: Device,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    header = dds_header(shape, 1)
+    with ExitStack() as stack:
+        files = [stack.enter_context(open(name, "wb", buffering=0)) for name in names]
+        for file in files:
+            file.write(header)
+        into = BlockFiles([file.fileno() for file in files], len(header))
+        put_blocks(held, into, device, scale=scale, progress=progress)
+
+
+def _write_images(
+    names: list[Path],
+    coefficients: CoefficientMap,
+    textures: list[_Texture],
+    component: str,
+    scale: float,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    height, width, channel = coefficients.image_shape
+    letters = {1: "Y", 3: "RGB"}[len(textures[0].planes)]
+    stored = {"float32": "float", "float16": "half"}[component]
+    outputs = [ExrFile(name, exr_spec(width, height, letters, stored)) for name in names]
+    step = max(_PIECE_BYTES // (4 * coefficients.n_coeff * width * channel), 1)
+    for first, end in row_tiles((0, height), step):
+        rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
+        coefficients.read_rows(first, end, rows_khwc)
+        if scale != 1.0:
+            np.divide(rows_khwc, np.float32(scale), out=rows_khwc)
+        for output, texture in zip(outputs, textures, strict=True):
+            pixels_hwc = np.stack([rows_khwc[k, :, :, c] for k, c in texture.planes], axis=-1)
+            output.write(first, pixels_hwc.astype(component))
+        if progress is not None:
+            progress(end, height)
+    for output in outputs:
+        output.close()
 
 
 def _is_array(target: Path) -> bool:
@@ -133,9 +177,14 @@ def _notes_of(array: Path) -> Path:
     return array.with_name(array.name + ".json")
 
 
-def _choose_scale(coeffs_khwc: NDArray[np.float32]) -> float:
+def _choose_scale(coefficients: CoefficientMap) -> float:
     """Return the power of two that coefficients are divided by so that halves hold them: 1 for usual ones."""
-    largest = max(float(coeffs_khwc.max()), -float(coeffs_khwc.min()))
+    height, width, channel = coefficients.image_shape
+    largest = 0.0
+    for first, end in row_tiles((0, height), max(_PIECE_BYTES // (4 * coefficients.n_coeff * width * channel), 1)):
+        rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
+        coefficients.read_rows(first, end, rows_khwc)
+        largest = max(largest, float(rows_khwc.max()), -float(rows_khwc.min()))
     if largest == 0.0 or _PLAIN_RANGE[0] <= largest <= _PLAIN_RANGE[1]:
         return 1.0
     # Within what float32 can divide by, and multiply with again.
@@ -152,11 +201,6 @@ def _list_textures(shape: tuple[int, ...], *, whole_texels: bool) -> list[_Textu
     size = 3 if whole_texels else 1
     digits = max(2, len(str(len(planes) - 1)))
     return [_Texture(f"planes{i:0{digits}}", planes[i : i + size]) for i in range(0, len(planes), size)]
-
-
-def _pixels(coeffs_khwc: NDArray[np.float32], texture: _Texture, file_format: str) -> NDArray:
-    image_hwc = np.stack([coeffs_khwc[k, :, :, c] for k, c in texture.planes], axis=-1)
-    return image_hwc.astype(EXPORTS[file_format])
 
 
 def _describe(coefficients: CoefficientMap, textures: list[_Texture], file_format: str, scale: float) -> dict[str, Any]:

@@ -164,7 +164,7 @@ def errors_of_rows(
         step = max(1, PIECE_BYTES * _IN_PLACE // (column_bytes * width * channel))
     tiles = row_tiles((top, bottom), step)
     coeffs_of, samples_of = (itertools.cycle([Buffer(), Buffer()]) for _ in range(2))
-    sum_tile = _SumOfErrors(device, basis, stack)
+    sum_tile = SumOfErrors(device, basis, stack.peak, stack.transfer)
 
     def weigh(rows: slice) -> NDArray[np.float32]:
         return np.repeat(mask_hw[rows].astype(np.float32).ravel(), channel)
@@ -197,19 +197,37 @@ def _arrays_in_place(device: Device, coefficients: CoefficientMap, stack: LightS
     return arrays if device.shares_memory and in_place else None
 
 
-class _SumOfErrors:
-    """Sums each light's squared errors over some columns, in units of the peak, float64."""
+class SumOfErrors:
+    """Sums each light's squared errors over some columns, in units of the peak, float64.
 
-    def __init__(self, device: Device, basis: PackedOperator, stack: LightStack) -> None:
+    Parameters
+    ----------
+    device : Device
+    basis : PackedOperator, shape (n_light, n_coeff)
+    peak : float
+        Of the samples.
+    transfer : str
+        Curve of the samples: what is relit goes through it.
+    """
+
+    def __init__(self, device: Device, basis: PackedOperator, peak: float, transfer: str) -> None:
         self._device, self._basis = device, basis
-        self._peak, self._transfer = stack.peak, stack.transfer
+        self._peak, self._transfer = peak, transfer
 
     def __call__(
         self, coeffs_khwc: NDArray, samples_ihwc: NDArray, weight_p: NDArray[np.float32], columns: slice
     ) -> NDArray[np.float64]:
+        """Return the sums of coefficients and samples in host memory, (n_light,)."""
         device = self._device
         coeffs_kp = device.upload(coeffs_khwc.reshape(len(coeffs_khwc), -1))
-        source_ip, weights = device.upload(samples_ihwc.reshape(len(samples_ihwc), -1)), device.upload(weight_p)
+        source_ip = device.upload(samples_ihwc.reshape(len(samples_ihwc), -1))
+        return self.between(coeffs_kp, source_ip, weight_p, columns)
+
+    def between(
+        self, coeffs_kp: DeviceArray, source_ip: DeviceArray, weight_p: NDArray[np.float32], columns: slice
+    ) -> NDArray[np.float64]:
+        """Return the sums of coefficients and samples that are on the device, (n_light,)."""
+        device, weights = self._device, self._device.upload(weight_p)
         if self._basis.heights_b is None:
             relit_ip = device.empty(source_ip.shape, np.float32)
             apply_operator(device, self._basis, coeffs_kp, relit_ip)
@@ -217,7 +235,7 @@ class _SumOfErrors:
         else:
             tile = tile_defines(device)
             count = -(-(columns.stop - columns.start) // int(str(tile["TILE"])))
-            error_it = device.empty((len(samples_ihwc), count), np.float32)
+            error_it = device.empty((source_ip.shape[0], count), np.float32)
             device.launch(
                 "metrics/relit_error.cl",
                 "sum_relit_error_mn",

@@ -6,6 +6,7 @@ Reading and writing HDF5 wait for each other (h5py has one lock) but not for ker
 from __future__ import annotations
 
 import math
+import os
 import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -83,7 +84,13 @@ class Buffer:
 
 def one_thread() -> ThreadPoolExecutor:
     """Return an executor of one thread, which leaves Ctrl-C and its like to the main one."""
-    return ThreadPoolExecutor(1, thread_name_prefix="clrelight-io", initializer=_leave_interrupts)
+    return some_threads(1)
+
+
+def some_threads(most: int) -> ThreadPoolExecutor:
+    """Return an executor of up to `most` threads, one a processor, which leave Ctrl-C and its like to the main one."""
+    count = max(1, min(most, os.cpu_count() or 1))
+    return ThreadPoolExecutor(count, thread_name_prefix="clrelight-io", initializer=_leave_interrupts)
 
 
 def _leave_interrupts() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PAGE = Path(__file__).resolve().parents[1] / "clrelight" / "view" / "page"
-DECODER = ("bytes.js", "units.js", "details.js", "body.js", "planes.js")
+DECODER = ("bytes.js", "units.js", "details.js", "body.js", "planes.js", "straight.js")
 _NODE = """
 const fs = require("fs"), vm = require("vm");
 const { files, code, data } = JSON.parse(fs.readFileSync(0, "utf8"));

@@ -121,7 +121,7 @@ def test_quality_from_windows(files, tmp_path, monkeypatch):
 )
 def test_fits_of_parts(files, tmp_path, monkeypatch, options):
     monkeypatch.setattr(fitting, "_PART_BYTES", 1 << 20)
-    monkeypatch.setattr(metrics, "_TILE_BYTES", 1 << 20)
+    monkeypatch.setattr(metrics, "PIECE_BYTES", 1 << 20)
     stack, alone, report = files.parent / "stack.h5", Report(), Report()
     fit(stack, out=tmp_path / "one.h5", report=alone, **options)
     engine = Here()

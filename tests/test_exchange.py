@@ -94,9 +94,9 @@ def ptm_by_the_letter(content):
     return np.clip(np.einsum("ti,chwt->ihwc", terms, (codes - bias) * scale) / 255, 0, 1)
 
 
-def test_a_ptm_is_what_its_format_says(tmp_path):
+def test_a_ptm_is_what_its_format_says(tmp_path, device):
     fit = made_fit(1)  # x and y are in a polynomial; z nearly
-    left = write_ptm(fit, tmp_path / "x.ptm")
+    left = write_ptm(fit, tmp_path / "x.ptm", device)
     found = ptm_by_the_letter((tmp_path / "x.ptm").read_bytes())
     assert left > 30
     assert decibels(found, shown_by_ours(fit)) > 30
@@ -105,9 +105,9 @@ def test_a_ptm_is_what_its_format_says(tmp_path):
     assert np.abs(ours - found).max() < 1 / 255
 
 
-def test_an_rti_is_what_its_format_says(tmp_path):
+def test_an_rti_is_what_its_format_says(tmp_path, device):
     fit = made_fit(2, transfer="srgb")
-    left = write_rti(fit, tmp_path / "x.rti")
+    left = write_rti(fit, tmp_path / "x.rti", device)
     content = (tmp_path / "x.rti").read_bytes()
     lines = content.split(b"\n", 4)
     assert lines[:4] == [b"#HSH1.2", b"3", b"50 37 3", b"9 2 1"]
@@ -225,10 +225,10 @@ def test_a_relight_folder_that_makes_no_sense_is_refused(tmp_path, change):
         read_relight_folder(tmp_path / "x")
 
 
-def test_damage_is_refused(tmp_path):
+def test_damage_is_refused(tmp_path, device):
     fit = made_fit(1, 5, 6)
-    write_ptm(fit, tmp_path / "good.ptm")
-    write_rti(fit, tmp_path / "good.rti")
+    write_ptm(fit, tmp_path / "good.ptm", device)
+    write_rti(fit, tmp_path / "good.rti", device)
     rng = np.random.default_rng(3)
     for name, reader in (("good.ptm", read_ptm), ("good.rti", read_rti)):
         good = (tmp_path / name).read_bytes()

@@ -168,7 +168,7 @@ def test_a_folder_is_flushed_before_it_stands_and_open_to_whom_the_umask_says(de
 @pytest.mark.parametrize("file_format", ["dds", "exr"])
 def test_an_export_that_fails_leaves_nothing(device, tmp_path, file_format):
     def fail(done, total):
-        if done == 2:
+        if done:
             assert len(list(tmp_path.iterdir())) == 1
             raise OSError(28, "No space left on device")
 

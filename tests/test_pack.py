@@ -389,3 +389,13 @@ def test_grey_pictures_do_not_go_to_hdr(tmp_path, monkeypatch):
     said = "clrelight: hdr holds 3 channels, the images have 1: jpg, png, tif and exr can hold them\n"
     assert (ended.code, ended.err) == (2, said)
     assert os.listdir(tmp_path) == ["p.h5"]
+
+
+def test_a_light_file_that_is_not_there_is_refused_before_drivers_are_tested(tmp_path, monkeypatch):
+    (tmp_path / "photos").mkdir()
+    for number in range(3):
+        oiio.ImageBuf(np.full((4, 5, 3), 9 * number, np.uint8)).write(str(tmp_path / "photos" / f"{number}.png"))
+    monkeypatch.setattr("clrelight.jobs.pack.opened_on", None)
+    with pytest.raises(cr.InputError, match="there is no light file"):
+        cr.pack(tmp_path / "photos", tmp_path / "view.h5", lights=tmp_path / "no.lp")
+    assert not (tmp_path / "view.h5").exists()

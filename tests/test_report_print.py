@@ -22,6 +22,7 @@ PRINTED = """(() => {
     how: style(".how").breakAfter,
     wide: [wide, wide.previousElementSibling].map((each) => getComputedStyle(each).page),
     table: style("table").page,
+    drags: document.body.innerText.includes("Drag"),
   };
 })()"""
 
@@ -38,6 +39,7 @@ def test_nothing_is_cut_on_paper_and_phones(written):
     with opened_browser(written.as_uri(), width=390, height=844, mobile=True) as page:
         assert page.evaluate(OUTSIDE.replace("SCROLLED", ".scroll > *")) == []
         assert page.evaluate("document.documentElement.scrollWidth") == 390
+        assert page.evaluate('document.body.innerText.includes("Drag the line")')
         page.call("Emulation.setEmulatedMedia", media="print")
         size = {"height": 1400, "deviceScaleFactor": 1, "mobile": False}
         for width, others in ((717, ".wide"), (1046, "none")):  # A4 upright and lying, less margins of 1 cm, at 96 dpi
@@ -46,6 +48,7 @@ def test_nothing_is_cut_on_paper_and_phones(written):
         printed = page.evaluate(PRINTED)
     # A heading with buttons in it would not be repeated on the next sheet.
     expected = {"seen": 0, "button": "contents", "how": "avoid", "wide": ["wide", "wide"], "table": "auto"}
+    expected["drags"] = False
     assert printed == expected
 
 

@@ -15,7 +15,7 @@ def lobe_factors(exponent: float, degree: int) -> NDArray[np.float64]:
     """Return the factors A_l of ``(s + 1) / (2 pi) max(cos, 0)^s``, (degree + 1,): ``B_lm = A_l L_lm``.
 
     ``A_0 = 1``, ``A_1 = (s + 1) / (s + 2)``, ``A_l = A_(l-2) (s - l + 2) / (s + l + 1)``: integrals of ``x^s P_l(x)``
-    over 0 .. 1. The paper's ``exp(-l^2 / (2 s))`` (6.3) approximates it.
+    over 0 .. 1. ``exp(-l^2 / (2 s))`` of frequency-space-environment-maps, section 6.3, approximates it.
     """
     s = float(exponent)
     factors_l = np.ones(degree + 1)

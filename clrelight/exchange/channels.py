@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
+from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
@@ -53,21 +55,13 @@ def write_channels(
     names = channel_names(coefficients.n_coeff, channel)
     if len(names) > _MOST_CHANNELS:
         raise InputError(f"an EXR image takes {_MOST_CHANNELS} channels at most, the fit has {len(names)}")
-    spec = oiio.ImageSpec(width, height, len(names), component)
-    spec.channelnames = tuple(names)
-    spec.attribute("compression", "zip")
+    spec = exr_spec(width, height, names, component)
     spec.attribute("clrelight:basis", "real spherical harmonics, no Condon-Shortley sign; k = l (l + 1) + m")
     spec.attribute("clrelight:axes", "light direction: x right, y up, z to the camera")
     spec.attribute("clrelight:degree", coefficients.degree)
     step = max(PIECE_BYTES // (4 * len(names) * width), 1)
     with replacing(out) as part, naming(out):
-        try:
-            _write(coefficients, part.path, spec, step, progress)
-        except RuntimeError as error:
-            # OpenEXR does not say why; the system does, to whoever writes there next.
-            os.lseek(part.descriptor, 0, os.SEEK_END)
-            part.write(bytes(_PROBE_BYTES))
-            raise InputError(f"cannot write {part.target}: {' '.join(str(error).split())}") from None
+        _write(coefficients, part.path, spec, step, progress)
 
 
 def _write(
@@ -78,16 +72,47 @@ def _write(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     height, width, channel = coefficients.image_shape
-    output = oiio.ImageOutput.create("x.exr")  # the name that it has until it is whole ends otherwise
-    if not output or not output.open(str(path), spec):
-        raise RuntimeError(oiio.geterror())
+    output = ExrFile(path, spec)
     for first, end in row_tiles((0, height), step):
         if progress is not None:
             progress(first, height)
         rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
         coefficients.read_rows(first, end, rows_khwc)
-        pixels = np.ascontiguousarray(np.moveaxis(rows_khwc, 0, 2).reshape(end - first, width, -1))
-        if not output.write_scanlines(first, end, 0, pixels):
-            raise RuntimeError(output.geterror())
-    if not output.close():
-        raise RuntimeError(output.geterror())
+        output.write(first, np.moveaxis(rows_khwc, 0, 2).reshape(end - first, width, -1))
+    output.close()
+
+
+def exr_spec(width: int, height: int, names: Sequence[str], component: str) -> oiio.ImageSpec:
+    """Return what an EXR image of named channels is, without today's date: always the same bytes."""
+    spec = oiio.ImageSpec(width, height, len(names), component)
+    spec.channelnames = tuple(names)
+    spec.alpha_channel = -1
+    spec.attribute("compression", "zip")
+    spec.attribute("DateTime", "0000:00:00 00:00:00")
+    return spec
+
+
+class ExrFile:
+    """An EXR image whose rows come one after another; OSError or InputError where the disk refuses."""
+
+    def __init__(self, path: Path, spec: oiio.ImageSpec) -> None:
+        self._path = path
+        self._output: Any = oiio.ImageOutput.create("x.exr")  # the name until it is whole ends otherwise
+        if not self._output or not self._output.open(str(path), spec):
+            raise InputError(f"cannot write the EXR image: {oiio.geterror()}")
+
+    def write(self, first: int, pixels_hwc: NDArray[np.floating]) -> None:
+        """Take rows, from number `first` on."""
+        self._check(self._output.write_scanlines(first, first + len(pixels_hwc), 0, np.ascontiguousarray(pixels_hwc)))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._check(self._output.close())
+
+    def _check(self, done: bool) -> None:
+        if done:
+            return
+        said = " ".join(self._output.geterror().split())
+        with open(self._path, "ab") as file:  # OpenEXR does not say why; the system does, to whoever writes there next
+            file.write(bytes(_PROBE_BYTES))
+        raise InputError(f"cannot write the EXR image: {said}")

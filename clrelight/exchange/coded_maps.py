@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap
-from clrelight.exchange.codes import check_picture, display_values, row_pieces
+from clrelight.device import Device
+from clrelight.exchange.codes import check_picture
 from clrelight.exchange.rows import Rows
+from clrelight.exchange.shown_sums import ShownSums, code_values, slabs_of
+from clrelight.matmul import pack_operator
+from clrelight.metrics import SumOfErrors
+from clrelight.opencl.arguments import DeviceArray
 from clrelight.sampling import make_pattern
 
 Terms = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -58,43 +63,44 @@ class CodedMap:
         return np.clip(shown_ihwc, 0.0, 1.0)
 
 
-@dataclass
 class Refit:
     """A fit put into other functions of the light: least squares to display values all over the hemisphere.
 
-    Attributes
+    Parameters
     ----------
     coefficients : CoefficientMap
     terms : callable
+    device : Device
+        Where display values are made, and summed.
     whole_bias : bool
         Whether biases are whole numbers from 0 to 255.
     """
 
-    coefficients: CoefficientMap
-    terms: Terms
-    whole_bias: bool = False
-
-    def __post_init__(self) -> None:
-        check_picture(self.coefficients, "such a file")
+    def __init__(self, coefficients: CoefficientMap, terms: Terms, device: Device, *, whole_bias: bool = False) -> None:
+        check_picture(coefficients, "such a file")
         directions_i3 = make_pattern("uniform", _LIGHTS)
-        self._directions_i3 = directions_i3[directions_i3[:, 2] >= _LEAST_HEIGHT]
-        self._basis_ik = self.coefficients.functions_at(self._directions_i3)
-        self._solver_ti = np.linalg.pinv(self.terms(self._directions_i3)).astype(np.float32)
+        directions_i3 = directions_i3[directions_i3[:, 2] >= _LEAST_HEIGHT]
+        basis_ik = coefficients.functions_at(directions_i3)
+        self.coefficients, self._device, self._whole_bias = coefficients, device, whole_bias
+        self._terms_it = terms(directions_i3)
+        self._solver_ti = np.linalg.pinv(self._terms_it)
+        self._sums = ShownSums(coefficients, basis_ik, self._solver_ti, (0.0, 1.0), device)
         self._squared, self._count = 0.0, 0
 
     def quantiser(self, progress: Callable[[int, int], None] | None) -> tuple[NDArray, NDArray]:
         """Return scales and biases of which codes 0 to 255 reach from the lowest to the highest coefficients."""
         height, count = self.coefficients.image_shape[0], len(self._solver_ti)
         low_t, high_t = np.zeros(count), np.zeros(count)
-        for first, end in row_pieces(self.coefficients, len(self._directions_i3)):
+        for first, _, slabs in slabs_of(self.coefficients, self._sums):
             if progress is not None:
                 progress(first, 2 * height)
-            found_tpc, _ = self._solved(first, end)
-            low_t = np.minimum(low_t, found_tpc.min(axis=(1, 2)))
-            high_t = np.maximum(high_t, found_tpc.max(axis=(1, 2)))
+            for coeffs_kcp in slabs:
+                found_tq = self._device.download(self._sums.solve(coeffs_kcp)[0])
+                low_t = np.minimum(low_t, found_tq.min(axis=1))
+                high_t = np.maximum(high_t, found_tq.max(axis=1))
         spread_t = np.maximum(high_t - low_t, 1e-6)
         bias_t = -255.0 * low_t / spread_t
-        if not self.whole_bias:
+        if not self._whole_bias:
             return spread_t / 255.0, bias_t
         bias_t = np.clip(np.rint(bias_t), 0, 255)
         below_t = np.divide(-low_t, bias_t, out=np.zeros(count), where=bias_t > 0)
@@ -109,21 +115,23 @@ class Refit:
         *,
         from_bottom: bool = False,
     ) -> Iterator[tuple[int, int, NDArray[np.uint8]]]:
-        """Yield rows and their codes (row, column, 3 · term), and keep what is lost."""
-        height, width, _ = self.coefficients.image_shape
-        rows = list(row_pieces(self.coefficients, len(self._directions_i3)))
-        for first, end in reversed(rows) if from_bottom else rows:
+        """Yield rows and their codes (channel, row, column, term), and keep what is lost."""
+        height, width, channel = self.coefficients.image_shape
+        # Terms are divided by their scales where they are made.
+        solver_ti = self._solver_ti / scale_t[:, None]
+        sums = self._sums.with_solver(solver_ti)
+        errors = self._errors(scale_t, bias_t)
+        for first, end, slabs in slabs_of(self.coefficients, sums, from_bottom=from_bottom):
             if progress is not None:
                 progress(height + (height - end if from_bottom else first), 2 * height)
-            found_tpc, shown_ipc = self._solved(first, end)
-            scaled_tpc = found_tpc / scale_t[:, None, None].astype(np.float32)
-            codes_tpc = np.rint(np.clip(scaled_tpc + bias_t[:, None, None].astype(np.float32), 0.0, 255.0))
-            codes_hwp = codes_tpc.astype(np.uint8).transpose(1, 2, 0).reshape(end - first, width, -1)
-            made = CodedMap(codes_hwp, scale_t, bias_t, self.terms)
-            back = made.display_values(self._directions_i3, 0, end - first).reshape(shown_ipc.shape)
-            self._squared += float(np.sum((back - shown_ipc) ** 2, dtype=np.float64))
-            self._count += shown_ipc.size
-            yield first, end, codes_hwp
+            made = []
+            for coeffs_kcp in slabs:
+                scaled_tq, shown_iq = sums.solve(coeffs_kcp)
+                codes_qt = code_values(scaled_tq, bias_t, len(scale_t), self._device)[0]
+                self._weigh(errors, codes_qt, shown_iq)
+                made.append(codes_qt.reshape(channel, -1, len(scale_t)))
+            codes_crwt = np.concatenate(made, axis=1).reshape(channel, end - first, width, -1)
+            yield first, end, np.broadcast_to(codes_crwt, (3, *codes_crwt.shape[1:]))
 
     @property
     def decibels(self) -> float:
@@ -133,13 +141,29 @@ class Refit:
     def measure(self, made: CodedMap) -> float:
         """Return what is left of the fit in a file that was written, a PSNR of display values, peak 1."""
         self._squared, self._count = 0.0, 0
-        for first, end in row_pieces(self.coefficients, len(self._directions_i3)):
-            shown_ipc = display_values(self.coefficients, self._basis_ik, first, end)
-            back = made.display_values(self._directions_i3, first, end).reshape(shown_ipc.shape)
-            self._squared += float(np.sum((back - shown_ipc) ** 2, dtype=np.float64))
-            self._count += shown_ipc.size
+        terms, channel = len(made.scale_t), self.coefficients.image_shape[2]
+        errors = self._errors(made.scale_t, made.bias_t)
+        for first, end, slabs in slabs_of(self.coefficients, self._sums):
+            codes_pct = made.codes_hwp[first:end].reshape(-1, 3, terms)[:, :channel]
+            start = 0
+            for coeffs_kcp in slabs:
+                stop = start + coeffs_kcp.shape[2]
+                codes_qt = np.moveaxis(codes_pct[start:stop], 1, 0).reshape(-1, terms)
+                self._weigh(errors, codes_qt, self._sums.solve(coeffs_kcp)[1])
+                start = stop
         return self.decibels
 
-    def _solved(self, first: int, end: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        shown_ipc = display_values(self.coefficients, self._basis_ik, first, end)
-        return np.tensordot(self._solver_ti, shown_ipc, 1), shown_ipc
+    def _errors(self, scale_t: NDArray, bias_t: NDArray) -> SumOfErrors:
+        """Return what sums the errors of codes and 1 at all lights."""
+        weights_it = self._terms_it * scale_t
+        back_ij = np.concatenate([weights_it, -(weights_it @ bias_t)[:, None]], axis=1)
+        return SumOfErrors(self._device, pack_operator(self._device, back_ij), 1.0, "linear")
+
+    def _weigh(self, errors: SumOfErrors, codes_qt: NDArray[np.uint8], shown_iq: DeviceArray) -> None:
+        columns, terms = codes_qt.shape
+        codes_jq = np.ones((terms + 1, columns), np.float32)
+        codes_jq[:-1] = codes_qt.T
+        ones_q = np.ones(columns, np.float32)
+        found_i = errors.between(self._device.upload(codes_jq), shown_iq, ones_q, slice(0, columns))
+        self._squared += float(found_i.sum())
+        self._count += columns * len(found_i)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.image_sink import check_allowed, has_memory
+from clrelight.streaming import some_threads
 
 MOST_SIDE = 65535
 """Pixels that a JPEG's header can count."""
@@ -107,7 +108,7 @@ def close_jpeg(file: Path, output: JpegFile) -> None:
 
 
 class JpegWriter:
-    """Images of one size that become a file each.
+    """Images of one size that become a file each, several at once.
 
     Parameters
     ----------
@@ -124,15 +125,14 @@ class JpegWriter:
             raise InputError(f"a JPEG has at most {MOST_SIDE} pixels a side, this is {width} × {height}: write tiles")
         self._files = [folder / f"{image}.jpg" for image in images]
         self._outputs = [open_jpeg(file, height, width, quality) for file in self._files]
+        self._pool = some_threads(len(self._files))
         self._row = 0
 
-    def add(self, rows_hwp: NDArray[np.uint8]) -> None:
-        """Take the next rows, (rows, width, 3 · image)."""
-        end = self._row + len(rows_hwp)
-        for number, (file, output) in enumerate(zip(self._files, self._outputs, strict=True)):
-            pixels = np.ascontiguousarray(rows_hwp[:, :, 3 * number : 3 * number + 3])
-            if not output.write_scanlines(self._row, end, 0, pixels):
-                raise InputError(f"cannot write {file.name}: {output.geterror()}")
+    def add(self, rows_nhwc: NDArray[np.uint8]) -> None:
+        """Take the next rows, (image, rows, width, 3)."""
+        end = self._row + rows_nhwc.shape[1]
+        for _ in self._pool.map(self._write, range(len(rows_nhwc)), rows_nhwc):
+            pass
         self._row = end
 
     def finish(self) -> list[Path]:
@@ -140,3 +140,12 @@ class JpegWriter:
         for file, output in zip(self._files, self._outputs, strict=True):
             close_jpeg(file, output)
         return [Path(file.name) for file in self._files]
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown(cancel_futures=True)
+
+    def _write(self, number: int, rows_hwc: NDArray[np.uint8]) -> None:
+        output = self._outputs[number]
+        if not output.write_scanlines(self._row, self._row + len(rows_hwc), 0, np.ascontiguousarray(rows_hwc)):
+            raise InputError(f"cannot write {self._files[number].name}: {output.geterror()}")

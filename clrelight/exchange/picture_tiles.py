@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,11 +91,13 @@ def write_picture_tiles(
     chosen = _DEEP_ZOOM if layout == "deepzoom" else find_layout(layout)
     placed = replace(chosen, cut=replace(chosen.cut, height=height, width=width))
     target = Path(os.fsdecode(out))
-    with replacing_folder(target) as folder:
-        writer = TileWriter(folder, placed, [_NAMES[layout]], quality, url=url)
+    with (
+        replacing_folder(target) as folder,
+        closing(TileWriter(folder, placed, [_NAMES[layout]], quality, url=url)) as writer,
+    ):
         for first, rows_hwc in bands:
             if progress is not None:
                 progress(first, height)
-            writer.add(rows_hwc)
+            writer.add(rows_hwc[None])
         files = writer.finish()
     return [target / file for file in files]

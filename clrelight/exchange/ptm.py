@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap
+from clrelight.device import Device
 from clrelight.durable import folder_aside, naming, replacing
 from clrelight.errors import InputError
 from clrelight.exchange.coded_maps import CodedMap, Refit
@@ -42,6 +44,7 @@ def polynomial_terms(directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
 def write_ptm(
     coefficients: CoefficientMap,
     out: str | os.PathLike[str],
+    device: Device,
     *,
     quality: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -52,6 +55,7 @@ def write_ptm(
     ----------
     coefficients : CoefficientMap
     out : path
+    device : Device
     quality : int, optional
         1 to 100: compress its planes by JPEG. Without, they are bytes.
     progress : callable, optional
@@ -61,7 +65,7 @@ def write_ptm(
     float
         What is left of the fit, a PSNR in decibel (see `Refit`), what JPEG costs included.
     """
-    refit = Refit(coefficients, polynomial_terms, whole_bias=True)
+    refit = Refit(coefficients, polynomial_terms, device, whole_bias=True)
     height, width, _ = coefficients.image_shape
     scale_t, bias_t = refit.quantiser(progress)
     words = [f"{255.0 * each:.9g}" for each in scale_t]
@@ -74,11 +78,10 @@ def write_ptm(
         return refit.measure(read_ptm(out))
     with replacing(out) as part, naming(out):
         part.write(head)
-        for _, end, codes_hwp in refit.pieces(scale_t, bias_t, progress):
-            for channel in range(3):
-                rows = codes_hwp[::-1, :, channel * TERMS : (channel + 1) * TERMS]
+        for _, end, codes_chwt in refit.pieces(scale_t, bias_t, progress):
+            for channel, codes_hwt in enumerate(codes_chwt):
                 place = len(head) + (channel * height + height - end) * width * TERMS
-                _put(part.descriptor, np.ascontiguousarray(rows).tobytes(), place)
+                _put(part.descriptor, memoryview(codes_hwt[::-1].tobytes()), place)
     return refit.decibels
 
 
@@ -91,17 +94,21 @@ def _write_compressed(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     height, width, _ = refit.coefficients.image_shape
-    with replacing(out) as part, naming(out), folder_aside(part.target) as folder:
-        planes = JpegPlanes(folder, height, width, 3 * TERMS, quality)
-        for _, _, codes_hwp in refit.pieces(*quantiser, progress, from_bottom=True):
-            planes.add(codes_hwp[::-1])
+    with (
+        replacing(out) as part,
+        naming(out),
+        folder_aside(part.target) as folder,
+        closing(JpegPlanes(folder, height, width, 3 * TERMS, quality)) as planes,
+    ):
+        for _, _, codes_chwt in refit.pieces(*quantiser, progress, from_bottom=True):
+            codes_cthw = np.moveaxis(codes_chwt[:, ::-1], 3, 1)
+            planes.add(codes_cthw.reshape(3 * TERMS, *codes_cthw.shape[2:]))
         part.write(head)
         for piece in planes.pieces():
             part.write(piece)
 
 
-def _put(descriptor: int, content: bytes, place: int) -> None:
-    view = memoryview(content)
+def _put(descriptor: int, view: memoryview, place: int) -> None:
     while view:
         done = os.pwrite(descriptor, view, place)
         view, place = view[done:], place + done

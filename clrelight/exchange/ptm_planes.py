@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.exchange.jpegs import close_jpeg, open_jpeg
+from clrelight.exchange.jpegs import JpegFile, close_jpeg, open_jpeg
 from clrelight.exchange.rows import Place, read_tile
+from clrelight.streaming import some_threads
 
 TERMS = 6
 _LINES = 7
@@ -143,12 +144,17 @@ class JpegPlanes:
         self._quality, self._row = quality, 0
         self._files = [folder / f"{plane}.jpg" for plane in range(count)]
         self._outputs = [open_jpeg(file, height, width, quality, 1) for file in self._files]
+        self._pool = some_threads(count)
 
-    def add(self, rows_hwp: NDArray[np.uint8]) -> None:
-        """Take the next rows."""
-        end = self._row + len(rows_hwp)
-        for plane, output in enumerate(self._outputs):
-            output.write_scanlines(self._row, end, 0, np.ascontiguousarray(rows_hwp[..., plane : plane + 1]))
+    def add(self, rows_phw: NDArray[np.uint8]) -> None:
+        """Take the next rows, (plane, rows, width)."""
+        end = self._row + rows_phw.shape[1]
+
+        def write(output: JpegFile, rows_hw: NDArray[np.uint8]) -> None:
+            output.write_scanlines(self._row, end, 0, np.ascontiguousarray(rows_hw[..., None]))
+
+        for _ in self._pool.map(write, self._outputs, rows_phw):
+            pass
         self._row = end
 
     def pieces(self) -> Iterable[bytes]:
@@ -161,3 +167,7 @@ class JpegPlanes:
         yield "\n".join([str(self._quality), none, none, none, numbers, alone, sizes, none, ""]).encode("ascii")
         for file in self._files:
             yield file.read_bytes()
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown(cancel_futures=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap
+from clrelight.device import Device
 from clrelight.durable import naming, replacing_folder
 from clrelight.errors import InputError
-from clrelight.exchange.codes import check_picture, display_values, row_pieces, shown_of
+from clrelight.exchange.codes import check_picture, row_pieces, shown_of
 from clrelight.exchange.jpegs import JpegWriter
 from clrelight.exchange.layouts import find_layout
 from clrelight.exchange.relight_table import COLOUR_SPACES, Table, make_table, octahedral_directions, to_ycc
+from clrelight.exchange.shown_sums import LinearSums, ShownSums, code_values, slabs_of
 from clrelight.exchange.tiles import TileWriter
 
 MOST_PLANES = 48
@@ -86,6 +89,7 @@ def write_relight_folder(
     coefficients: CoefficientMap,
     out: str | os.PathLike[str],
     form: FolderForm,
+    device: Device,
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
@@ -101,6 +105,8 @@ def write_relight_folder(
     out : path
         A new folder.
     form : FolderForm
+    device : Device
+        Where planes are made.
     progress : callable, optional
         Called with rows done and in all.
 
@@ -115,18 +121,10 @@ def write_relight_folder(
     table = make_table(_sample(coefficients, basis_ik, form.space), form.planes, resolution, form.space)
     target = Path(os.fsdecode(out))
     with replacing_folder(target) as folder:
-        files = _write_planes(coefficients, basis_ik, table, form, folder, progress)
+        files = _write_planes(coefficients, basis_ik, table, form, folder, device, progress)
         with naming(target):
             (folder / INFO).write_text(json.dumps(_info(coefficients, table, form)))
     return [target / name for name in (*files, Path(INFO))]
-
-
-def _values(
-    coefficients: CoefficientMap, basis_ik: NDArray[np.float64], first: int, end: int, space: str
-) -> NDArray[np.float32]:
-    """Return display values of rows as the space has them, (n_light, pixel, 3)."""
-    shown_ipc = display_values(coefficients, basis_ik, first, end, _SPANS[coefficients.transfer])
-    return to_ycc(shown_ipc) if space == "mycc" else shown_ipc
 
 
 def _sample(coefficients: CoefficientMap, basis_ik: NDArray[np.float64], space: str) -> NDArray[np.float32]:
@@ -153,38 +151,36 @@ def _write_planes(
     table: Table,
     form: FolderForm,
     folder: Path,
+    device: Device,
     progress: Callable[[int, int], None] | None,
 ) -> list[Path]:
     height, width, channel = coefficients.image_shape
-    scaled_dp = np.divide(table.solver, table.scale_p.astype(np.float32), dtype=np.float32)
-    offset_p = table.bias_p.astype(np.float32) - table.mean_d.astype(np.float32) @ scaled_dp
-    writer = form.writer(folder, height, width)
-    is_linear = coefficients.transfer == "linear"  # nothing is cut then, and a few numbers a pixel do for all cells
-    matrix_np = _matrix(basis_ik, scaled_dp, channel, form.space) if is_linear else None
-    for first, end in row_pieces(coefficients, 1 if is_linear else len(basis_ik)):
-        if progress is not None:
-            progress(first, height)
-        if matrix_np is not None:
-            coeffs_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
-            coefficients.read_rows(first, end, coeffs_khwc)
-            texels_np = np.moveaxis(coeffs_khwc, 0, 2).reshape(-1, len(matrix_np)) @ matrix_np
-        else:
-            shown_ipc = _values(coefficients, basis_ik, first, end, form.space)
-            texels_np = np.moveaxis(shown_ipc, 0, 1).reshape(-1, len(scaled_dp)) @ scaled_dp
-        codes_np = np.rint(np.clip(255.0 * (texels_np + offset_p), 0.0, 255.0)).astype(np.uint8)
-        writer.add(codes_np.reshape(end - first, width, -1))
-    return writer.finish()
+    scaled_dp = table.solver / table.scale_p
+    offset_p = 255.0 * (table.bias_p - table.mean_d @ scaled_dp)
+    solver_icp = 255.0 * _by_channel(scaled_dp, len(basis_ik), channel, form.space)
+    sums: ShownSums | LinearSums
+    if coefficients.transfer == "linear":  # nothing is cut then, and a few numbers a pixel do for all cells
+        matrix_kcp = np.einsum("ik,icp->kcp", basis_ik, solver_icp)
+        sums = LinearSums(matrix_kcp.reshape(-1, form.planes).T, device)
+    else:
+        solver_pd = solver_icp.reshape(-1, form.planes).T
+        sums = ShownSums(coefficients, basis_ik, solver_pd, _SPANS[coefficients.transfer], device)
+    with closing(form.writer(folder, height, width)) as writer:
+        for first, end, slabs in slabs_of(coefficients, sums):
+            if progress is not None:
+                progress(first, height)
+            made = [code_values(sums.solve(coeffs_kcp)[0], offset_p, 3, device) for coeffs_kcp in slabs]
+            codes_gpv = np.concatenate(made, axis=1)  # an image's planes beside each other, as its JPEG wants them
+            writer.add(codes_gpv.reshape(-1, end - first, width, 3))
+        return writer.finish()
 
 
-def _matrix(
-    basis_ik: NDArray[np.float64], scaled_dp: NDArray[np.float32], channel: int, space: str
-) -> NDArray[np.float32]:
-    """Return what makes planes of coefficients where display values are radiance, (coefficient · channel, plane)."""
+def _by_channel(scaled_dp: NDArray[np.float64], n_cell: int, channel: int, space: str) -> NDArray[np.float64]:
+    """Return what makes planes of display values of a view's own channels, (cell, channel, plane)."""
     primaries = np.eye(3, dtype=np.float32)
     colours = to_ycc(primaries) if space == "mycc" else primaries
     given = colours if channel == 3 else colours.sum(axis=0, keepdims=True)  # gray is three equal channels
-    by_cell = scaled_dp.astype(np.float64).reshape(len(basis_ik), 3, -1)
-    return np.einsum("ik,cv,ivp->kcp", basis_ik, given, by_cell).reshape(-1, by_cell.shape[2]).astype(np.float32)
+    return np.einsum("cv,ivp->icp", given.astype(np.float64), scaled_dp.reshape(n_cell, 3, -1))
 
 
 def _info(coefficients: CoefficientMap, table: Table, form: FolderForm) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap
+from clrelight.device import Device
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.exchange.coded_maps import CodedMap, Refit
@@ -50,19 +51,20 @@ def hemispherical_terms(directions_i3: NDArray[np.float64]) -> NDArray[np.float6
 def write_rti(
     coefficients: CoefficientMap,
     out: str | os.PathLike[str],
+    device: Device,
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> float:
     """Write a fit as hemispherical harmonics of order 2; return what is left of it, a PSNR in decibel (see `Refit`)."""
-    refit = Refit(coefficients, hemispherical_terms)
+    refit = Refit(coefficients, hemispherical_terms, device)
     height, width, _ = coefficients.image_shape
     scale_t, bias_t = refit.quantiser(progress)
     stored = np.stack([255.0 * scale_t, -bias_t * scale_t]).astype("<f4")
     scale_t, bias_t = _numbers(stored)  # as the file says them
     with replacing(out) as part, naming(out):
         part.write(f"#HSH1.2\n3\n{width} {height} 3\n{TERMS} 2 1\n".encode("ascii") + stored.tobytes())
-        for _, _, codes_hwp in refit.pieces(scale_t, bias_t, progress):
-            part.write(np.ascontiguousarray(codes_hwp).tobytes())
+        for _, _, codes_chwt in refit.pieces(scale_t, bias_t, progress):
+            part.write(np.moveaxis(codes_chwt, 0, 2).tobytes())
     return refit.decibels
 
 

@@ -1,10 +1,11 @@
-"""Writes images as tiles of a layout, several images at a time, while their rows arrive."""
+"""Writes images as tiles of a layout, several images at once, while their rows arrive."""
 
 from __future__ import annotations
 
 import json
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -15,6 +16,7 @@ from clrelight.durable import naming
 from clrelight.exchange.jpegs import MOST_SIDE, close_jpeg, open_jpeg, write_jpeg
 from clrelight.exchange.layouts import ARCHIVES, Layout
 from clrelight.exchange.pyramid import Cut, Pyramid
+from clrelight.streaming import some_threads
 
 _DEEP_ZOOM = """<?xml version="1.0" encoding="UTF-8"?>
 <Image xmlns="http://schemas.microsoft.com/deepzoom/2008" Format="jpg" Overlap="{overlap}" TileSize="{tile}">
@@ -49,7 +51,8 @@ class TileWriter:
         self._url = url.rstrip("/")
         self._names = [layout.tile_names(image) for image in images]
         self._made: set[Path] = set()
-        self._pyramid = Pyramid(layout.cut, 3 * len(images), self._emit)
+        self._pyramids = [Pyramid(layout.cut, 3, partial(self._emit, number)) for number in range(len(images))]
+        self._pool = some_threads(len(images))
         cut = layout.cut
         self._whole: list[tuple[Path, Any]] = []
         if layout.name == "iiif" and max(cut.height, cut.width) <= MOST_SIDE and cut.n_level > 1:
@@ -57,13 +60,21 @@ class TileWriter:
             self._whole = [(file, open_jpeg(file, cut.height, cut.width, quality)) for file, _ in self._whole]
         self._row = 0
 
-    def add(self, rows_hwp: NDArray[np.uint8]) -> None:
-        """Take the next rows, (rows, width, 3 · image)."""
-        self._pyramid.add(rows_hwp)
-        for number, (_, output) in enumerate(self._whole):
-            rows_hwc = np.ascontiguousarray(rows_hwp[:, :, 3 * number : 3 * number + 3])
-            output.write_scanlines(self._row, self._row + len(rows_hwc), 0, rows_hwc)
-        self._row += len(rows_hwp)
+    def add(self, rows_nhwc: NDArray[np.uint8]) -> None:
+        """Take the next rows, (image, rows, width, 3)."""
+        for _ in self._pool.map(self._add, range(len(rows_nhwc)), rows_nhwc):
+            pass
+        self._row += rows_nhwc.shape[1]
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown(cancel_futures=True)
+
+    def _add(self, number: int, rows_hwc: NDArray[np.uint8]) -> None:
+        self._pyramids[number].add(rows_hwc)
+        if self._whole:
+            rows_hwc = np.ascontiguousarray(rows_hwc)
+            self._whole[number][1].write_scanlines(self._row, self._row + len(rows_hwc), 0, rows_hwc)
 
     def finish(self) -> list[Path]:
         """Write what describes the tiles; return its files, relative to the folder: there are too many tiles."""
@@ -74,13 +85,11 @@ class TileWriter:
                 return self._archived()
             return [found for image in self._images for found in self._described(image)]
 
-    def _emit(self, level: int, column: int, row: int, tile_hwp: NDArray[np.uint8]) -> None:
+    def _emit(self, number: int, level: int, column: int, row: int, tile_hwc: NDArray[np.uint8]) -> None:
         if self._layout.pads:
-            rows, columns = (self._layout.cut.tile - side for side in tile_hwp.shape[:2])
-            tile_hwp = np.pad(tile_hwp, ((0, rows), (0, columns), (0, 0)), mode="edge")
-        for number, names in enumerate(self._names):
-            file = self._place(names[level, column, row])
-            write_jpeg(file, tile_hwp[:, :, 3 * number : 3 * number + 3], self._quality)
+            rows, columns = (self._layout.cut.tile - side for side in tile_hwc.shape[:2])
+            tile_hwc = np.pad(tile_hwc, ((0, rows), (0, columns), (0, 0)), mode="edge")
+        write_jpeg(self._place(self._names[number][level, column, row]), tile_hwc, self._quality)
 
     def _place(self, name: str) -> Path:
         file = self._folder / name

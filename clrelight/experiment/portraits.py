@@ -105,7 +105,10 @@ class SurfacePortrait:
         return self.surface.tangents_v3 is None
 
     def draw(self, coefficients: CoefficientMap) -> NDArray[np.uint8]:
-        """Return the picture of a fit: dot products with each vertex's light (eq. 5), or its function at a place."""
+        """Return the picture of a fit: dot products with each vertex's light, or its function at a place.
+
+        By noise-resistant-fitting, eq. 5.
+        """
         degree, n_vertex = coefficients.degree, self.surface.n_vertex
         coeffs_kvc = np.asarray(coefficients.coeffs_khwc).reshape(coefficients.n_coeff, n_vertex, -1)
 

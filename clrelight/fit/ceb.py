@@ -87,7 +87,7 @@ def step_ends(singular_r: NDArray[np.float64]) -> NDArray[np.int32]:
 @register
 @dataclass(frozen=True)
 class ConstrainedEigenbasis(_Truncation):
-    """Keep leading eigenvectors of A while ``sum_r (z_r / sigma_r)^2 <= E_c`` (eq. 31-35).
+    """Keep leading eigenvectors of A while ``sum_r (z_r / sigma_r)^2 <= E_c`` (noise-resistant-fitting, eq. 31-35).
 
     Those of equal sigma are kept or dropped together.
 

@@ -42,7 +42,9 @@ _SMALLEST_PRODUCT = 1e-30
 @register
 @dataclass(frozen=True)
 class ConstrainedLeastSquares(FitMethod):
-    """``c = U (S + lambda)^-1 b'`` with the least lambda >= 0 that keeps ``|c|^2 <= E_c`` (eq. 19-25).
+    """``c = U (S + lambda)^-1 b'`` with the least lambda >= 0 that keeps ``|c|^2 <= E_c``.
+
+    By noise-resistant-fitting, eq. 19-25.
 
     Attributes
     ----------

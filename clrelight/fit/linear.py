@@ -72,7 +72,7 @@ class _LeastSquares(FitMethod):
 @register
 @dataclass(frozen=True)
 class UnconstrainedLeastSquares(_LeastSquares):
-    """``c = U diag(1 / sigma) W' beta`` (eq. 8 and 13)."""
+    """``c = U diag(1 / sigma) W' beta`` (noise-resistant-fitting, eq. 8 and 13)."""
 
     id = "uls"
     title = "ULS"

@@ -37,7 +37,8 @@ class Decomposition:
 def decompose(basis_ik: NDArray[np.float64]) -> Decomposition:
     """Return the thin SVD of the basis matrix, without the components that float64 cannot tell from zero.
 
-    The paper decomposes ``A = Y^T Y`` (eq. 12); its condition is the square of this one's, which float64 cannot
+    The paper decomposes ``A = Y^T Y`` (noise-resistant-fitting, eq. 12); its condition is the square of this one's,
+    which float64 cannot
     hold from degree 10 on a hemisphere, so A is never formed. Signs, and the vectors of coinciding singular values,
     which symmetric sets of lights have, are made unique (`_turn_canonical`); those of singular values below some 1e-10
     of the largest are rounding errors' as far as float64 goes.

@@ -52,7 +52,9 @@ def hemisphere_autocorrelation(degree: int, other: int | None = None) -> NDArray
 
 
 def project_onto_hemisphere(light_kc: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
-    """Return ``A l`` for coefficients up to `degree` (eq. 5), ((degree + 1)**2, channel) float64.
+    """Return ``A l`` for coefficients up to `degree`, ((degree + 1)**2, channel) float64.
+
+    By noise-resistant-fitting, eq. 5.
 
     The light may be of any degree: what of it lies beyond `degree` still counts where the hemisphere mixes degrees.
     """

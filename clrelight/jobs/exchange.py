@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec import Bc6h, bytes_to_decode, decode_stream, encode
+from clrelight.codec import bytes_to_decode, decode_stream
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.directions import unit_directions
@@ -129,7 +129,7 @@ def export_for_viewers(
     with opened_on(device, kept) as opened, _lent(source, target, format, limit, opened, kept, progress) as held:
         if isinstance(held, Packed):  # blocks that are passed on as they are
             since, files = time.perf_counter(), [Path(target)]
-            write_ktx2(target, held.encoded)
+            write_ktx2(target, held.encoded, opened)
             kept.add("export", since)
         elif format in PICTURES:
             files = _write_picture(bands_of_fit(held, _direction(light)), target, format, form, kept, progress)
@@ -137,7 +137,7 @@ def export_for_viewers(
             since = time.perf_counter()
             with stage(progress, "exporting") as tell:
                 if format == "relight":
-                    files = write_relight_folder(held, target, form, progress=tell)
+                    files = write_relight_folder(held, target, form, opened, progress=tell)
                 else:
                     files, facts = [Path(target)], _write_file(held, target, format, quality, opened, tell)
             kept.add("export", since)
@@ -228,11 +228,11 @@ def _write_file(
 ) -> dict[str, object]:
     """Write a fit as one file; return what is to be told of it."""
     if format == "ptm":
-        return {"refit": write_ptm(fit, target, quality=quality, progress=tell)}
+        return {"refit": write_ptm(fit, target, device, quality=quality, progress=tell)}
     if format == "rti":
-        return {"refit": write_rti(fit, target, progress=tell)}
+        return {"refit": write_rti(fit, target, device, progress=tell)}
     if format == "ktx2":
-        write_ktx2(target, encode(fit.to_float32().coeffs_khwc, Bc6h(), device))
+        write_ktx2(target, fit, device, progress=tell)
     else:
         write_channels(fit, target, _COMPONENTS[format], progress=tell)
     return {}

@@ -132,7 +132,7 @@ def pack(
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     look, outs = _looking(size, rule, metric, perceptual, (method, wanted, basis)), [out, *paths_among(preview)]
-    _check_there(source)
+    _check_there(source, budget, options)
     with (
         claimed([out, keep_stack, preview], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
@@ -160,12 +160,14 @@ def pack(
     return kept
 
 
-def _check_there(source: StackLike) -> None:
-    """Raise InputError where there is no such file: before drivers are tested, which takes a minute."""
+def _check_there(source: StackLike, memory: int, options: dict[str, Any]) -> None:
+    """Raise InputError where there is no such file, or no lights: before drivers are tested, which takes a minute."""
     for path in paths_among(source):
         name = os.fsdecode(path)
         if not is_remote(name) and "\0" not in name and not os.path.lexists(name):
             raise InputError(f"there is no file or folder {name}")
+        if os.path.isdir(name):
+            read_folder(path, memory_bytes=memory, **given_options(path, options))
 
 
 def _check(measure: str, metric: str, out: Name, keep_stack: Name | None, preview: Name | None) -> None:

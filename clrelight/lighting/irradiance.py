@@ -25,7 +25,10 @@ _NORMALS_AT_ONCE = 1024
 
 
 def cosine_coefficients(degree: int) -> NDArray[np.float64]:
-    """Return the factors A_l of the clamped cosine, l = 0 .. degree (eq. 8): ``E_lm = A_l L_lm``."""
+    """Return the factors A_l of the clamped cosine, l = 0 .. degree: ``E_lm = A_l L_lm``.
+
+    By irradiance-environment-maps, eq. 8.
+    """
     factors = np.zeros(degree + 1)
     for l in range(degree + 1):
         if l == 1:
@@ -47,13 +50,18 @@ def irradiance_light(light: Light, degree: int = NINE_DEGREE) -> NDArray[np.floa
 def evaluate_irradiance(
     light: Light, normals_n3: NDArray[np.float64], degree: int = NINE_DEGREE
 ) -> NDArray[np.float64]:
-    """Return the irradiance at unit normals, (n, channel) float64: ``sum A_l L_lm y_lm(n)`` (eq. 7)."""
+    """Return the irradiance at unit normals, (n, channel) float64: ``sum A_l L_lm y_lm(n)``.
+
+    By irradiance-environment-maps, eq. 7.
+    """
     coeffs_kc = irradiance_light(light, degree)
     return evaluate_basis(normals_n3, degree_of(len(coeffs_kc))) @ coeffs_kc
 
 
 def irradiance_matrix(light: Light) -> NDArray[np.float64]:
-    """Return M of each channel, (channel, 4, 4) float64: ``E(n) = (n, 1)^T M (n, 1)`` (eq. 11 and 12).
+    """Return M of each channel, (channel, 4, 4) float64: ``E(n) = (n, 1)^T M (n, 1)``.
+
+    By irradiance-environment-maps, eq. 11 and 12.
 
     The constants c1 .. c5 are products of A_l and the basis functions' factors: 0.429043, 0.511664, 0.743125,
     0.886227, 0.247708 in the paper.
@@ -72,13 +80,16 @@ def irradiance_matrix(light: Light) -> NDArray[np.float64]:
 
 
 def irradiance_by_matrix(matrix_c44: NDArray[np.float64], normals_n3: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``(n, 1)^T M (n, 1)``, (n, channel) float64 (eq. 11)."""
+    """Return ``(n, 1)^T M (n, 1)``, (n, channel) float64 (irradiance-environment-maps, eq. 11)."""
     n_n4 = np.concatenate([normals_n3, np.ones((len(normals_n3), 1))], axis=1)
     return np.einsum("ni,cij,nj->nc", n_n4, matrix_c44, n_n4, optimize=True)
 
 
 def irradiance_by_polynomial(light: Light, normals_n3: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same written out for each product of x, y, z, (n, channel) float64 (eq. 13)."""
+    """Return the same written out for each product of x, y, z, (n, channel) float64.
+
+    By irradiance-environment-maps, eq. 13.
+    """
     c1, c2, c3, c4, c5 = _matrix_constants()
     l00, l1_1, l10, l11, l2_2, l2_1, l20, l21, l22 = _nine(light)
     x, y, z = normals_n3.T[..., None]

@@ -85,10 +85,7 @@ class Comparison:
 
     def notes(self) -> tuple[str, ...]:
         """Return what to say of them."""
-        notes = [
-            f"Drag the bar, or use the arrow keys on the slider below. Errors are shown ×{AMPLIFICATION}, brighter "
-            "is worse; the dB are those of the one 8-bit picture."
-        ]
+        notes = [f"Errors are shown ×{AMPLIFICATION}, brighter is worse; the dB are those of the one 8-bit picture."]
         if self._with_flip:
             notes.append("FLIP is the difference that an eye sees between two pictures that take turns, from 0 to 1.")
         else:
@@ -120,6 +117,7 @@ class Comparison:
                 "</div>",
                 f'<div class="pair" style="max-width:{wide}px"><img class="left" alt=""><img class="right" alt="">'
                 '<div class="bar"></div></div>',
+                '<p class="drag">Drag the line, or use the arrow keys on the slider.</p>',
                 '<input type="range" name="at" min="0" max="100" value="50" aria-label="Where left meets right">',
                 "<output></output>",
                 json_block(shown),

@@ -13,12 +13,18 @@ _HALVINGS = 200
 
 
 def fit_uls(plan: FitPlan, samples_is: Array) -> Array:
-    """Return ``U diag(1/sigma) W' beta`` (eq. 8); the plan of ULS has the division in its synthesis."""
+    """Return ``U diag(1/sigma) W' beta``; the plan of ULS has the division in its synthesis.
+
+    By noise-resistant-fitting, eq. 8.
+    """
     return _synthesis(plan) @ (plan.analysis_ri @ samples_is)
 
 
 def fit_cls(plan: FitPlan, samples_is: Array) -> Array:
-    """Return the coefficients for the least lambda that meets the bound (eq. 19-25), lambda by bisection."""
+    """Return the coefficients for the least lambda that meets the bound, lambda by bisection.
+
+    By noise-resistant-fitting, eq. 19-25.
+    """
     square_r1 = plan.singular_r[:, None] ** 2
     b_rs = plan.singular_r[:, None] * (plan.analysis_ri @ samples_is)
     energy_s = plan.energy_i @ samples_is**2
@@ -37,7 +43,10 @@ def fit_cls(plan: FitPlan, samples_is: Array) -> Array:
 
 
 def fit_ceb(plan: FitPlan, samples_is: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Return coefficients and rank with the leading eigenvectors whose sum stays within the bound (eq. 31-35)."""
+    """Return coefficients and rank with the leading eigenvectors whose sum stays within the bound.
+
+    By noise-resistant-fitting, eq. 31-35.
+    """
     z_rs = plan.analysis_ri @ samples_is / plan.singular_r[:, None]
     kept_rs = np.cumsum(z_rs**2, axis=0) <= plan.energy_i @ samples_is**2
     return _synthesis(plan) @ np.where(kept_rs, z_rs, 0.0), kept_rs.sum(axis=0)

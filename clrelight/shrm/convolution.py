@@ -43,7 +43,7 @@ def _to_complex(degree: int) -> NDArray[np.complex128]:
 def material_coefficients(rho_xx: NDArray[np.float64], degree: int, order: int) -> NDArray[np.complex128]:
     """Return ``rho_ln,pq`` of a reflectance in the frame of its tangent and normal, (n_coeff of light, of view).
 
-    ``rho(s, v) = sum rho_ln,pq Y*_ln(s) Y_pq(v)`` (eq. 33).
+    ``rho(s, v) = sum rho_ln,pq Y*_ln(s) Y_pq(v)`` (frequency-space-environment-maps, eq. 33).
 
     Parameters
     ----------
@@ -60,7 +60,9 @@ def material_coefficients(rho_xx: NDArray[np.float64], degree: int, order: int) 
 def reflected_coefficients(
     light_k: NDArray[np.complex128], rho_kj: NDArray[np.complex128]
 ) -> list[NDArray[np.complex128]]:
-    """Return ``B_lmn,pq = sqrt(8 pi^2 / (2 l + 1)) L_lm rho_ln,pq`` (eq. 37): for each l, (2 l + 1, 2 l + 1, n_view).
+    """Return ``B_lmn,pq = sqrt(8 pi^2 / (2 l + 1)) L_lm rho_ln,pq``: for each l, (2 l + 1, 2 l + 1, n_view).
+
+    By frequency-space-environment-maps, eq. 37.
 
     They belong to the orthonormal functions ``sqrt((2 l + 1) / (8 pi^2)) D^l_mn Y_pq`` of eq. 34.
     """
@@ -75,7 +77,9 @@ def _frame_factor(l: int) -> float:
 def evaluate_reflected(
     reflected_lmnj: list[NDArray[np.complex128]], frames_f3: NDArray[np.float64], views_f3: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the radiance (n,) of frames (alpha, beta, gamma) towards views in them (eq. 34 and 36).
+    """Return the radiance (n,) of frames (alpha, beta, gamma) towards views in them.
+
+    By frequency-space-environment-maps, eq. 34 and 36.
 
     Parameters
     ----------

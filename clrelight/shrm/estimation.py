@@ -31,7 +31,8 @@ class FoundBrdf:
     ----------
     coefficients : BrdfCoefficients
     condition_l : ndarray, shape (degree + 1,)
-        By how much more noise of the pictures grows in each degree than in the best one, as that of eq. 37 does: where
+        By how much more noise of the pictures grows in each degree than in the best one, as that of
+        frequency-space-environment-maps, eq. 37, does: where
         points face all ways, a degree's part goes with ``||L_l|| / sqrt(2 l + 1)``.
     error_l : ndarray, shape (degree + 1,)
         Standard error that noise leaves in each degree's coefficients, as a part of the norm of all; what pictures do

@@ -41,7 +41,10 @@ def explicit_maps(shrm: Shrm, views_t3: NDArray[np.float64]) -> NDArray[np.float
 
 
 def view_map(shrm: Shrm, view_3: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the one dynamic map (height, width, channel) of a distant view (eq. 12); of a global or zonal map."""
+    """Return the one dynamic map (height, width, channel) of a distant view; of a global or zonal map.
+
+    By frequency-space-environment-maps, eq. 12.
+    """
     if shrm.frame == "zonal":
         return zonal_view(shrm, view_3)
     if shrm.frame != "global":

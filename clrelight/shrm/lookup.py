@@ -107,7 +107,9 @@ def central_directions(
 
 
 def render_sphere(shrm: Shrm, sphere: SphereView, turn: NDArray[np.float64] | None = None) -> NDArray[np.floating]:
-    """Return the sphere's picture (size, size, channel) by one dynamic map (eq. 12), under light turned by a rotation.
+    """Return the sphere's picture (size, size, channel) by one dynamic map, under light turned by a rotation.
+
+    By frequency-space-environment-maps, eq. 12.
 
     Light turned by R is what a view turned by its inverse sees: the map stays as it is.
 
@@ -126,7 +128,10 @@ def render_sphere(shrm: Shrm, sphere: SphereView, turn: NDArray[np.float64] | No
 
 
 def local_view(shrm: Shrm, view_3: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the map (height, width, channel) of a distant view of a local map (eq. 3 and 6)."""
+    """Return the map (height, width, channel) of a distant view of a local map.
+
+    By frequency-space-environment-maps, eq. 3 and 6.
+    """
     if shrm.frame != "local":
         return view_map(shrm, view_3)
     height, width, channel = shrm.maps_khwc.shape[1:]

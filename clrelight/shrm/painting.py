@@ -22,7 +22,10 @@ from clrelight.transfer.rays import RayScene
 from clrelight.transfer.views import SUBSAMPLES, View, check_seen, look
 
 VIEWS = ("distant", "pixel")
-"""Whose coefficients of the view count: one for the whole picture (eq. 12), or each pixel's own (eq. 6)."""
+"""Whose coefficients of the view count: one for the whole picture, or each pixel's own.
+
+By frequency-space-environment-maps, eq. 12 and 6.
+"""
 
 _BYTES_A_RAY = 240
 
@@ -49,7 +52,10 @@ class Clock:
     seconds: list[float] = field(default_factory=list)
 
     def sum_maps(self, shrm: Shrm, views_i3: NDArray[np.float64]) -> list[NDArray[np.floating]]:
-        """Return the dynamic maps of views (eq. 12), timed; of a global map by one product."""
+        """Return the dynamic maps of views, timed; of a global map by one product.
+
+        By frequency-space-environment-maps, eq. 12.
+        """
         since = time.perf_counter()
         if shrm.frame == "global":
             maps = list(explicit_maps(shrm, views_i3))

@@ -71,7 +71,9 @@ def build_shrm(
 
 
 def to_global(shrm: Shrm) -> Shrm:
-    """Return the reflection map with views in the frame of the world (eq. 8), the same radiance.
+    """Return the reflection map with views in the frame of the world, the same radiance.
+
+    By frequency-space-environment-maps, eq. 8.
 
     ``B(R^-1 V)`` has the coefficients of B turned by ``R = Rz(beta) Ry(alpha)``, so ``B_pq = sum_s B_ps d^p_sq(-alpha)
     e^(-i q beta)``.

@@ -1,6 +1,6 @@
 """Normals and albedo from samples under known distant lights: calibrated photometric stereo, pixel by pixel.
 
-Illumination variation, eq. 1-2: where nothing shines and nothing is in shadow, a sample is ``rho l . n``, so that the
+illumination-variation, eq. 1-2: where nothing shines and nothing is in shadow, a sample is ``rho l . n``, so that the
 scaled normal ``rho n`` is the least-squares solution of ``L (rho n) = b`` (Woodham 1980). What breaks that law is kept
 out in the quick method: lights behind the surface and in its shadow, clipped samples, and gloss, which only ever adds.
 """

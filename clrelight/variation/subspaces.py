@@ -1,6 +1,6 @@
 """How pictures of one view vary with light: principal components from normals alone, and from photographs.
 
-Illumination variation, 0.3.3, and Ramamoorthi 2002: under all distant lights a convex matte surface shows
+illumination-variation, section 0.3.3, and Ramamoorthi 2002: under all distant lights a convex matte surface shows
 ``B_p = sum_lm A^_l L_lm Y_lm(n_p)``. Where every L_lm is as likely, the components of the pictures are the left
 singular vectors of ``diag(sqrt w) Y diag(A^)``, and their variances the squares of its singular values.
 """
@@ -46,7 +46,7 @@ class Subspace:
 def kernel_energy(degree: int) -> NDArray[np.float64]:
     """Return the share of the half-cosine's energy in each degree 0 to `degree`, (degree + 1,).
 
-    ``A_l^2 / integral_0^(pi/2) 2 pi cos^2 sin = A_l^2 / (2 pi / 3)`` by Parseval, A_l of eq. 28.
+    ``A_l^2 / integral_0^(pi/2) 2 pi cos^2 sin = A_l^2 / (2 pi / 3)`` by Parseval (illumination-variation, eq. 28).
     """
     degrees_l = np.arange(degree + 1)
     zonal_l = cosine_coefficients(degree) * np.sqrt((2.0 * degrees_l + 1.0) / (4.0 * np.pi))
@@ -97,7 +97,10 @@ def analytic_subspace(
 
 
 def half_cosine_factors(degree: int) -> NDArray[np.float64]:
-    """Return ``A^_l = sqrt(4 pi / (2 l + 1)) A_l`` of every coefficient (eq. 24, 28): pi, 2 pi / 3, pi / 4, 0, ..."""
+    """Return ``A^_l = sqrt(4 pi / (2 l + 1)) A_l`` of every coefficient: pi, 2 pi / 3, pi / 4, 0, ...
+
+    By illumination-variation, eq. 24, 28.
+    """
     return cosine_coefficients(degree)[degrees_of_coefficients(degree)]
 
 

@@ -1,6 +1,6 @@
 """Normals under general unknown lighting: photographs factored into light and the harmonics of a convex matte surface.
 
-Illumination variation, section 0.6.2, and Basri, Jacobs and Kemelmacher (2007): ``M = L S``, with S of each pixel
+illumination-variation, section 0.6.2, and Basri, Jacobs and Kemelmacher (2007): ``M = L S``, with S of each pixel
 ``rho (1, n)`` (degree 1, 4D) or ``rho (1, n, products of two n)`` (degree 2, 9D). The singular value decomposition
 tells S up to a matrix, of which the constraints leave a Lorentz transformation and a scale in both:
 

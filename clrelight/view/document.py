@@ -11,12 +11,12 @@ from typing import Any
 
 from clrelight.view.texels import TILE, level_side
 
-DECODER = ("bytes.js", "units.js", "details.js", "body.js", "planes.js")
+DECODER = ("bytes.js", "units.js", "details.js", "body.js", "planes.js", "straight.js")
 """Scripts of which workers are made too."""
 SCRIPTS = (
     *DECODER,
     *("worker.js", "harmonics.js", "lighting.js", "tiles.js", "shaders.js", "renderer.js"),
-    *("view.js", "measure.js", "globe.js", "pointer.js", "panel.js", "main.js"),
+    *("view.js", "measure.js", "globe.js", "pointer.js", "panel.js", "state.js", "main.js"),
 )
 """All scripts in the order in which they are read."""
 

@@ -39,8 +39,12 @@ def write_dds(path: str | Path, encoded: Encoded, group: int | None = None) -> N
         if not 0 <= group < n_group:
             raise InputError(f"group must be 0 to {n_group - 1}, got {group}")
         body = body[16 * n_block * group : 16 * n_block * (group + 1)]
-    header = _header(encoded.shape[1], encoded.shape[2], 16 * n_block, n_group if group is None else 1)
-    Path(path).write_bytes(header + body)
+    Path(path).write_bytes(dds_header(encoded.shape, n_group if group is None else 1) + body)
+
+
+def dds_header(shape: tuple[int, int, int, int], layers: int) -> bytes:
+    """Return what stands before the blocks of so many groups of a map (n_coeff, height, width, channel)."""
+    return _header(shape[1], shape[2], 16 * blocks.block_counts(shape)[1], layers)
 
 
 def _header(height: int, width: int, level_bytes: int, layers: int) -> bytes:

@@ -35,7 +35,7 @@ class Noise:
     Notes
     -----
     The image's error under light s is ``e' y(s)``, its square's mean over the hemisphere ``e' G e / 2 pi`` with
-    ``G = integral y y'``. Equation (10) of the paper is this with ``e_k = delta_k c_k``.
+    ``G = integral y y'``. noise-resistant-fitting, eq. 10, is this with ``e_k = delta_k c_k``.
     """
 
     covariance_jj: NDArray[np.float64]

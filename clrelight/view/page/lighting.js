@@ -143,6 +143,21 @@
     return weights;
   }
 
+  /** What makes code values at a payload's nodes of its planes, [node][channel][plane, and 1]. */
+  function evaluationOf({ nodes, channels, planes, operator, degree }) {
+    const [count, width] = [nodes.length / 3, planes + 1];
+    const found = new Float64Array(count * channels * width);
+    for (let i = 0; i < count; i++)
+      evaluateBasis([...nodes.subarray(3 * i, 3 * i + 3)], degree).forEach((value, k) => {
+        for (let j = 0; j < channels * width; j++)
+          found[i * channels * width + j] += value * operator[k * channels * width + j];
+      });
+    return found;
+  }
+
+  /** Whether a light is one lamp without extent, the only one that a payload behind the curve shows as one sum. */
+  const isOneDirection = ({ light, lamp }) => light === "lamp" && lamp.softness < 0.5;
+
   const ALL = { share: [1, 1, 1] };
 
   /** What a file's planes are summed with: {bent, nodes: [{weights, share}]}. */
@@ -164,5 +179,5 @@
     return { bent: true, nodes };
   }
 
-  Object.assign(clrelight, { Lighting, weightsOf, planeWeights, sunDirection, lampCoefficients, RADIANS });
+  Object.assign(clrelight, { Lighting, weightsOf, planeWeights, evaluationOf, isOneDirection, sunDirection, lampCoefficients, RADIANS });
 })();

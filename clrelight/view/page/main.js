@@ -3,30 +3,13 @@
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
   const { Renderer, TileStore, Lighting, View, Panel, Globe, Pointers, RADIANS } = clrelight;
-  const { decibelsApart, automaticExposure, directionOf } = clrelight;
+  const { decibelsApart, automaticExposure, directionOf, isOneDirection, START } = clrelight;
 
   const DRAGGED = 0.5; // of the resolution while something is dragged
   const COARSEST = 0.125;
   const PATIENCE = { dragged: 90, still: 1500 }; // milliseconds of a frame: coarser where it would take longer
   const HEAVY = 40; // sums at a pixel from which on nobody knows how long they take without having tried
   const FIGURES_AFTER = 180;
-
-  const START = {
-    light: "lamp",
-    lamp: { direction: directionOf(-0.45, 0.5), softness: 0 },
-    sky: { table: 0, height: 40, azimuth: 135, sun: 0.6 },
-    environment: { table: 0, turn: 0 },
-    standing: false,
-    exposure: 0,
-    curve: "srgb",
-    compare: "one",
-    first: 0,
-    second: 0,
-    split: 0.5,
-    errorGain: 4,
-    photograph: 0,
-    tool: "light",
-  };
 
   class App {
     constructor(manifest) {
@@ -39,6 +22,7 @@
       this.store = new TileStore(this.renderer.gl, manifest, () => this.changed());
       this.view = new View(manifest.files[0].width, manifest.files[0].height);
       this.dragging = false;
+      this.coarser = 1; // times, of the level that is drawn
       this.pace = 0; // milliseconds of a million sums, once measured
       this.started = performance.now();
       this.panel = new Panel(this, manifest);
@@ -82,21 +66,42 @@
       return numbers.map((number) => this.store.files[number]);
     }
 
+    /**
+     * Files as they are drawn: behind a curve, where many directions take long, as coefficients as soon as these are there.
+     *
+     * Once that was so it stays so: tiles are there for the next light.
+     */
+    drawnFiles() {
+      const { renderer, view, store, state } = this;
+      const files = this.shownFiles();
+      if (isOneDirection(state)) return files;
+      const sums = (this.workOf(files) * this.view.width * this.view.height) / 1e6;
+      this.isSlow ||= this.pace * sums > PATIENCE.dragged;
+      if (!this.isSlow) return files;
+      return files.map((file) => (file.straight && renderer.covers(file.straight, view, store) ? file.straight : file));
+    }
+
+    workOf(files) {
+      return files.reduce((sum, file) => sum + this.renderer.work(file, this.lighting, this.state), 0);
+    }
+
     frame() {
       const { store, renderer, view, lighting, state } = this;
       this.followPhotographs();
       store.beginFrame();
-      const files = this.shownFiles();
-      const work = files.reduce((sum, file) => sum + renderer.work(file, lighting, state), 0);
+      const files = this.drawnFiles();
+      const work = this.workOf(files);
       const scale = this.chooseScale(work);
       const since = performance.now();
       const whole = files.map((file, slot) => renderer.sum(slot, file, view, store, lighting, state, scale));
+      this.coarser = Math.max(...files.map((file) => 2 ** (renderer.levelOf(file, view) - view.levelFor(file.levels))));
       if (files.length === 1) renderer.pictures.length = 1;
       if (this.dragging || work > HEAVY) this.measurePace(work, scale, since);
       renderer.present(state);
       store.endFrame();
       this.isWhole = whole.every(Boolean);
       if (this.isWhole) this.firstPicture ??= performance.now() - this.started;
+      if (this.isWhole && this.exposing) this.exposeAutomatically();
       if (store.tiles.size) this.someTiles ??= performance.now() - this.started;
       this.panel.update(state);
       this.panel.fault(store.faults.at(-1) ?? "");
@@ -147,7 +152,8 @@
     }
 
     showFigures() {
-      const coarse = this.scale < 1 ? ` · drawn at ${1 / this.scale} × coarser pixels` : "";
+      const factor = this.coarser / this.scale;
+      const coarse = factor > 1 ? ` · drawn at ${factor} × coarser pixels` : "";
       const zoom = `${Math.round(100 * this.view.zoom)} %${coarse}`;
       const { files } = this.manifest;
       const { compare, first, second } = this.state;
@@ -239,7 +245,10 @@
       if (this.manifest.files.length > 1) this.set("compare", ways[(ways.indexOf(this.state.compare) + 1) % 3]);
     }
 
+    /** Make the brightest white, as soon as all of the picture is there. */
     exposeAutomatically() {
+      this.exposing = !this.isWhole;
+      if (this.exposing) return this.changed();
       this.set("exposure", Math.round(4 * automaticExposure(this.renderer.read(0))) / 4);
       this.panel.say(`Exposure ${this.state.exposure} stops`);
     }

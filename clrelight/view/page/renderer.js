@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
-  const { compile, VERTEX, show, planeSum, tilesOf, weightsOf, TILE, halved } = clrelight;
+  const { compile, VERTEX, show, planeSum, tilesOf, weightsOf, TILE, ROOM } = clrelight;
 
   const MOST_VECTORS = 216; // of uniforms in a program: more take long to compile
   const KEPT_VECTORS = 8; // for other uniforms, and what a driver adds
@@ -83,6 +83,22 @@
       return file.layers * (file.bent ? weightsOf(lighting, state, file).nodes.length : 1);
     }
 
+    /** The level that is drawn: that of the screen, or a coarser one of coefficients for which the card has no room. */
+    levelOf(file, view) {
+      let level = view.levelFor(file.levels);
+      const bytes = 8 * file.layers * TILE ** 2;
+      const isLarge = () => tilesOf(file, level, view.seen).length * bytes > ROOM / 2;
+      while (file.payload !== undefined && view.seen && level < file.levels && isLarge()) level++;
+      return level;
+    }
+
+    /** Whether there is something of each part of a file that is seen; what is missing is asked for. */
+    covers(file, view, store) {
+      const level = this.levelOf(file, view);
+      const places = view.seen ? tilesOf(file, level, view.seen) : [];
+      return places.map((at) => this.tileFor(file, level, ...at, store, 0)).every(Boolean);
+    }
+
     /** Wait until all is drawn. */
     finish() {
       const { gl } = this;
@@ -101,7 +117,7 @@
       gl.clearColor(0, 0, 0, 0);
       gl.clear(gl.COLOR_BUFFER_BIT);
       if (!view.seen) return true;
-      const level = view.levelFor(file.levels);
+      const level = this.levelOf(file, view);
       const found = tilesOf(file, level, view.seen).map((at) => this.tileFor(file, level, ...at, store, state.photograph));
       const passes = this.planPasses(file, weightsOf(lighting, state, file));
       gl.blendFunc(gl.ONE, gl.ONE);

@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
-  const { TILE, tilePlace, halved, floatsOf, fromBase64 } = clrelight;
+  const { TILE, tilePlace, halved, floatsOf, fromBase64, evaluationOf } = clrelight;
 
   const ROOM = 768 * 2 ** 20; // bytes of textures
   const MOST_AT_ONCE = 4; // requests to the server
@@ -25,7 +25,15 @@
     const file = { ...facts, id, layers: Math.ceil(facts.planes / 4) };
     for (const name of ["operator", "nodes", "analysis", "directions"]) if (facts[name]) file[name] = floatsOf(facts[name]);
     if (file.kind === "photographs") [file.planes, file.layers] = [file.channels, 1];
+    if (file.bent) file.straight = straightFile(file);
     return file;
+  }
+
+  /** A file behind the curve as one of coefficients, which workers make of its tiles. */
+  function straightFile(file) {
+    const planes = file.shape[0] * file.channels;
+    const own = { id: `${file.id}-straight`, payload: file.id, planes, layers: Math.ceil(planes / 4) };
+    return { ...file, ...own, bent: false, operator: null };
   }
 
   class TileStore {
@@ -55,7 +63,9 @@
         const address = new URL(`body/${file.id}`, location.href).href;
         const scales = floatsOf(file.units);
         const { id, shape, length, front } = file;
-        const told = { type: "open", id, shape, length, front, scales, start, blob, address };
+        const { planes, channels, analysis } = file;
+        const curve = file.bent && { planes, channels, analysis, evaluation: evaluationOf(file) };
+        const told = { type: "open", id, shape, length, front, scales, start, blob, address, curve };
         for (const { worker } of this.workers) worker.postMessage(told);
       }
       for (const each of this.workers) each.worker.onmessage = ({ data }) => this.take(each, data);
@@ -114,7 +124,8 @@
       if (!worker) return false;
       const job = ++this.jobs;
       worker.busy++;
-      worker.worker.postMessage({ type: "tile", id: file.id, job, level, row, column });
+      const straight = "payload" in file;
+      worker.worker.postMessage({ type: "tile", id: straight ? file.payload : file.id, job, level, row, column, straight });
       this.pending.set(wanted.key, { ...wanted, job });
       return true;
     }
@@ -221,5 +232,5 @@
     return found;
   }
 
-  Object.assign(clrelight, { TileStore, tilesOf });
+  Object.assign(clrelight, { TileStore, tilesOf, ROOM });
 })();

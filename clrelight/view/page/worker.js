@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
-  const { Units, decodeRegion, demand, halved } = clrelight;
+  const { Units, decodeRegion, straighten, demand, halved } = clrelight;
 
   const TILE = 256;
   const BORDER = 1;
@@ -31,12 +31,13 @@
 
   const opened = new Map();
 
-  async function decode({ id, job, level, row, column }) {
+  async function decode({ id, job, level, row, column, straight }) {
     try {
-      const { units: promise, scales } = opened.get(id);
+      const { units: promise, scales, curve } = opened.get(id);
       const units = await promise;
       const { top, left, bottom, right } = tilePlace(units.height, units.width, level, row, column);
-      const texels = await decodeRegion(units, level, top, left, bottom, right, scales);
+      const planes = await decodeRegion(units, level, top, left, bottom, right, scales);
+      const texels = straight ? straighten(planes, (bottom - top) * (right - left), curve) : planes;
       postMessage({ job, texels }, [texels.buffer]);
     } catch (error) {
       postMessage({ job, error: String(error.message ?? error) });
@@ -50,7 +51,7 @@
         const read = readerOf(data);
         const units = read(0, data.front).then((front) => new Units(data.shape, front, data.length, read, data.start));
         units.catch(() => {}); // told with each tile
-        opened.set(data.id, { units, scales: data.scales });
+        opened.set(data.id, { units, scales: data.scales, curve: data.curve });
       } else last = last.then(() => decode(data)); // one at a time: what is decoded is shared
     };
   }
