@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight import recycling
 from clrelight.bases import SH, basis_of
 from clrelight.codec.bodies import Body
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.units import MARGIN, PRECINCT, tile_sides
 from clrelight.codec.factored import finite_images
-from clrelight.codec.formats.klt_regions import UnitReader
+from clrelight.codec.formats.klt_regions import Held, UnitReader
 from clrelight.codec.formats.klt_salvage import Salvage
 from clrelight.codec.formats.klt_units import Parsed
-from clrelight.codec.slabs import CACHED_BYTES
+from clrelight.codec.formats.klt_unmix import Unmixing
 from clrelight.codec.streams import Target
-from clrelight.codec.transforms.code_values import bent, radiance_of
-from clrelight.codec.transforms.lifting import join_channels, padded_width
-from clrelight.codec.transforms.whitening import reshaped
+from clrelight.codec.transforms.code_values import bent
 from clrelight.codec.views import Region
 from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 from clrelight.harmonics.index import degree_of
-from clrelight.matmul import apply_operator, multiply_columns, pack_operator
+from clrelight.matmul import multiply_columns
 
 _KEPT_BYTES = 1 << 26
 """Bytes of planes that a view keeps, for the lights that follow the first."""
@@ -37,75 +34,38 @@ _SUMMED_BYTES, _SHOWN_ROWS = 1 << 29, 256
 """Bytes of sums that are made together, for what lies at their edges is decoded twice; rows that are shown at once."""
 
 
-def _planes_of(reader: UnitReader, region: Region, count: int) -> NDArray[np.float32]:
-    return reader.planes(region) if count else np.zeros((0, *region.shape), np.float32)
-
-
-class _Maker:
-    """See `Maker`."""
-
-    def __init__(self, parsed: Parsed, shape: Shape, device: Device) -> None:
-        self._device, self._transfer, self._basis = device, parsed.head.transfer, parsed.head.basis
-        self._n_coeff, self._channel = shape[0], shape[3]
-        n_value = self._n_coeff * self._channel
-        self._packed = pack_operator(device, parsed.operator_kcj.reshape(n_value, -1))
-
-    def coefficients(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
-        """See `Maker`."""
-        count, height, width = planes_jyx.shape
-        coeffs_khwc = recycling.empty((self._n_coeff, height, width, self._channel), np.float32)
-        n_value, pitch = self._n_coeff * self._channel, padded_width(width)
-        step = max(CACHED_BYTES // (4 * pitch * n_value), 1)
-        for first in range(0, height, step):
-            rows = slice(first, min(first + step, height))
-            size = rows.stop - first
-            source = recycling.empty((count + 1, size, pitch), np.float32)
-            source[count], source[:count, :, width:] = 1.0, 1.0
-            source[:count, :, :width] = planes_jyx[:, rows]
-            made = self._device.empty((n_value, size * pitch), np.float32)
-            apply_operator(self._device, self._packed, self._device.upload(source.reshape(count + 1, -1)), made)
-            part_shape = (self._n_coeff, size, width, self._channel)
-            part = join_channels(
-                reshaped(made, (n_value, size, pitch)), part_shape, np.ones(self._n_coeff, np.float32), self._device
-            )
-            if self._transfer == "srgb":
-                part = radiance_of(part, self._device, self._basis)
-            coeffs_khwc[:, rows] = part
-        return coeffs_khwc
-
-
 class Strips:
     """Planes of rows, decoded strip by strip."""
 
-    def __init__(self, reader: UnitReader, shape: Shape, count: int, memory: int) -> None:
-        self._reader, self._count = reader, count
+    def __init__(self, reader: UnitReader, shape: Shape, count: int, memory: int, device: Device) -> None:
+        self._reader, self._count, self._device = reader, count, device
         _, self._height, self._width, _ = shape
         # What is decoded, what of it is transformed back, and the planes of the strip.
         self._step, self._columns = tile_sides(self._height, self._width, count, memory // 3)
-        self._first, self._held = 0, np.zeros((count, 0, self._width), np.float32)
+        self._held: list[Held] = []
 
-    def rows(self, first: int, end: int) -> NDArray[np.float32]:
-        """Return the planes of some rows; they are asked for from top to bottom."""
-        found = []
+    def rows(self, first: int, end: int) -> Iterator[Held]:
+        """Yield the planes of some rows; they are asked for from top to bottom."""
         while first < end:
-            if not self._first <= first < self._first + self._held.shape[1]:
-                self._first = first // self._step * self._step
-                bottom = min(self._first + self._step, self._height)
-                self._held = np.zeros((self._count, 0, self._width), np.float32)  # its memory goes first
-                self._held = self._decode(self._first, bottom)
-            last = min(end, self._first + self._held.shape[1])
-            found.append(self._held[:, first - self._first : last - self._first])
+            if not any(part.region.top <= first < part.region.bottom for part in self._held):
+                top = first // self._step * self._step
+                self._held = []  # its memory goes first
+                self._held = self._decode(top, min(top + self._step, self._height))
+            last = min(end, *(part.region.bottom for part in self._held if part.region.bottom > first))
+            for part in self._held:
+                if part.region.top <= first < part.region.bottom:
+                    yield part.rows(first, last)
             first = last
-        return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
 
-    def _decode(self, top: int, bottom: int) -> NDArray[np.float32]:
-        if self._columns >= self._width:
-            return _planes_of(self._reader, Region(top, 0, bottom, self._width), self._count)
+    def _decode(self, top: int, bottom: int) -> list[Held]:
+        whole = Region(top, 0, bottom, self._width)
+        if self._columns >= self._width or not self._count:
+            return list(self._reader.parts(whole))
         planes_jyx = np.empty((self._count, bottom - top, self._width), np.float32)
         for left in range(0, self._width, self._columns):
             right = min(left + self._columns, self._width)
-            planes_jyx[:, :, left:right] = _planes_of(self._reader, Region(top, left, bottom, right), self._count)
-        return planes_jyx
+            planes_jyx[:, :, left:right] = self._reader.planes(Region(top, left, bottom, right))
+        return [Held(whole, self._device.hold(planes_jyx))]
 
 
 def bytes_at_once(shape: Shape, count: int) -> int:
@@ -118,8 +78,8 @@ def bytes_at_once(shape: Shape, count: int) -> int:
 class Maker(Protocol):
     """Makes coefficients of planes."""
 
-    def coefficients(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return coefficients (n_coeff, height, width, channel) of planes in steps, (n_plane, height, width)."""
+    def coefficients(self, parts: Iterable[Held], region: Region) -> NDArray[np.float32]:
+        """Return coefficients (n_coeff, height, width, channel) of a region, of its planes in steps, part by part."""
         ...
 
 
@@ -154,13 +114,14 @@ class UnitsView(ABC):
 
     def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
         """Return those of a part, at its level; only units that it hangs on are read."""
-        return self._maker(device).coefficients(self._planes.of(region, device))
+        return self._maker(device).coefficients(self._planes.parts(region, device), region)
 
     def put_rows(self, target: Target, device: Device) -> None:
         """Put all coefficients, strip by strip."""
         maker, strips = self._maker(device), self._planes.strips(target.workspace.memory_bytes, device)
         for part in target.row_parts():
-            target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
+            region = Region(part.start, 0, part.stop, self._shape[2])
+            target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop), region))
 
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""
@@ -200,7 +161,7 @@ class UnitView(UnitsView):
             raise PayloadError(f"the klt body is of basis {self._basis}, what it comes with says {basis}")
 
     def _maker(self, device: Device) -> Maker:
-        return _Maker(self._parsed, self._shape, device)
+        return Unmixing(self._parsed, self._shape, device)
 
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
         """Return a part of the images at a level."""
@@ -237,13 +198,13 @@ class UnitPlanes:
             self._salvage = Salvage(shape, stored, damage)
         self._planes_jyx: NDArray[np.float32] | None = None  # of a small image, once they are asked for
 
-    def of(self, region: Region, device: Device) -> NDArray[np.float32]:
-        """Return the planes of a region, (count, height, width)."""
-        return _planes_of(self._reader(device), region, self._stored.n_plane)
+    def parts(self, region: Region, device: Device) -> Iterator[Held]:
+        """Yield the planes of a region, part by part."""
+        return self._reader(device).parts(region)
 
     def strips(self, memory: int, device: Device) -> Strips:
         """Return what gives planes of all rows, in so many bytes."""
-        return Strips(self._reader(device), self._shape, self._stored.n_plane, memory)
+        return Strips(self._reader(device), self._shape, self._stored.n_plane, memory, device)
 
     def _reader(self, device: Device) -> UnitReader:
         return UnitReader(self._body, self._stored, self._shape, device, self._salvage)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +37,43 @@ _REACH = 6
 """Samples of a subband beyond a region that its synthesis looks at: half of the next finer, and three, rounded up."""
 
 
+@dataclass(frozen=True)
+class Held:
+    """Planes of a region, or sums of them, in those of a window around it.
+
+    Attributes
+    ----------
+    region : Region
+    values : DeviceArray, shape (n_plane, rows, pitch), float32, or None
+        Those of its level, ``2 ** level`` times as large as they are; None where there are no planes.
+    top, left : int
+        Where the region begins in them.
+    """
+
+    region: Region
+    values: DeviceArray | None
+    top: int = 0
+    left: int = 0
+
+    @property
+    def scale(self) -> float:
+        """What values are to be multiplied with: each level of the transform doubles what is even."""
+        return float(0.5**self.region.level)
+
+    def rows(self, first: int, end: int) -> Held:
+        """Return some of the image's rows."""
+        region = replace(self.region, top=first, bottom=end)
+        return replace(self, region=region, top=self.top + first - self.region.top)
+
+    def array(self, device: Device) -> NDArray[np.float32]:
+        """Return the planes, (n_plane, height, width); rows may lie apart, and memory may be that of the values."""
+        height, width = self.region.shape
+        if self.values is None:
+            return np.zeros((0, height, width), np.float32)
+        part = device.download(self.values)[:, self.top : self.top + height, self.left : self.left + width]
+        return part * np.float32(self.scale) if self.region.level else part
+
+
 class UnitReader:
     """Decodes what a region needs.
 
@@ -62,32 +102,48 @@ class UnitReader:
         """The image."""
         return Region(0, 0, *self._shape[1:3])
 
-    def planes(self, region: Region) -> NDArray[np.float32]:
-        """Return the planes of a region in steps, (n_plane, height, width); PayloadError where units are damaged."""
-        return self._synthesised(region, None)
+    def parts(self, region: Region, weight_cj: NDArray[np.float64] | None = None) -> Iterator[Held]:
+        """Yield the planes of a region in steps, or sums of them times weights; PayloadError where units are damaged.
 
-    def sums(self, region: Region, weight_cj: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return weighted sums of the planes of a region, (n_sum, height, width), float32; rows may lie apart."""
-        return self._synthesised(region, np.ascontiguousarray(weight_cj.T, np.float32))
-
-    def _synthesised(self, region: Region, weight_jc: NDArray[np.float32] | None) -> NDArray[np.float32]:
-        """Decode the units of a region, and transform their planes or sums back; part by part where they are many."""
-        level = region.level
-        n_values = self._stored.n_plane if weight_jc is None else weight_jc.shape[1]
+        Part by part where they are many; one more part may be held while one is made.
+        """
+        if weight_cj is None and not self._stored.n_plane:
+            yield Held(region, None)
+            return
+        n_values = self._stored.n_plane if weight_cj is None else len(weight_cj)
         if (halves := self._halves(region, n_values)) is not None:
-            parts = [self._synthesised(half, weight_jc) for half in halves]
-            return np.concatenate(parts, axis=1 if halves[0].shape[1] == region.shape[1] else 2)
+            for half in halves:
+                yield from self.parts(half, weight_cj)
+            return
+        weight_jc = None if weight_cj is None else np.ascontiguousarray(weight_cj.T, np.float32)
+        level = region.level
         window = _around(region, *self._shape[1:3])
         values = self._decode(region, window, weight_jc)
         if level < LEVELS:
             transform_planes("synthesise", values, window.sides_at(level)[1], LEVELS - level, self._device)
-        found = self._device.download(values)
-        top, left = region.top - (window.top >> level), region.left - (window.left >> level)
-        part = found[:, top : top + region.shape[0], left : left + region.shape[1]]
-        # Every level of the transform doubles what is even: an image at a level is a mean.
-        if level:
-            return part * np.float32(0.5**level)
-        return recycling.copied(part) if weight_jc is None else part
+        yield Held(region, values, region.top - (window.top >> level), region.left - (window.left >> level))
+
+    def planes(self, region: Region) -> NDArray[np.float32]:
+        """Return the planes of a region, (n_plane, height, width)."""
+        planes_jyx = self._joined(region, self.parts(region), self._stored.n_plane)
+        return planes_jyx if planes_jyx.flags.c_contiguous else recycling.copied(planes_jyx)
+
+    def sums(self, region: Region, weight_cj: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return weighted sums of the planes of a region, (n_sum, height, width), float32; rows may lie apart."""
+        return self._joined(region, self.parts(region, weight_cj), len(weight_cj))
+
+    def _joined(self, region: Region, parts: Iterator[Held], count: int) -> NDArray[np.float32]:
+        joined: NDArray[np.float32] | None = None
+        for part in parts:
+            found = part.array(self._device)
+            if part.region == region:
+                return found
+            if joined is None:
+                joined = recycling.empty((count, *region.shape), np.float32)
+            top, left = part.region.top - region.top, part.region.left - region.left
+            joined[:, top : top + found.shape[1], left : left + found.shape[2]] = found
+        assert joined is not None
+        return joined
 
     def _halves(self, region: Region, n_values: int) -> tuple[Region, Region] | None:
         """Return two parts of a region whose values, and sizes of what lies around, a device may not hold."""
