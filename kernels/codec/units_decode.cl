@@ -126,9 +126,9 @@ INLINE uint renormalise(decoder_t *d, const uint state) { return state < RENORMA
 #define RENORMALISE(state)                                                                  \
     {                                                                                       \
         const uint word = d->bytes[at] | (uint)d->bytes[at + 1] << 8;                       \
-        const int few = (state) < RENORMALISED;                                             \
-        state = few ? (state) << 16 | word : (state);                                       \
-        at += few ? 2 : 0;                                                                  \
+        const uint few = (state) < RENORMALISED;                                            \
+        state = (state) << (few << 4) | (word & (0u - few));                                \
+        at += few << 1;                                                                     \
     }
 
 INLINE int decode_flag(decoder_t *d, __global work_t *work, const int flag)
@@ -166,7 +166,14 @@ INLINE void put(const sink_t *sink, const int y, const int x, const int index)
         return;
     __global float *to = sink->value + (size_t)row * sink->pitch + column;
     const float value = (float)index;
-    if (sink->sums)
+    if (sink->sums == 3) { /* of one light */
+        __global float *green = to + sink->plane_size, *blue = green + sink->plane_size;
+        const float r = *to + sink->weight[0] * value, g = *green + sink->weight[1] * value;
+        const float b = *blue + sink->weight[2] * value;
+        *to = r;
+        *green = g;
+        *blue = b;
+    } else if (sink->sums)
         for (int c = 0; c < sink->sums; ++c)
             to[c * sink->plane_size] += sink->weight[c] * value;
     else
@@ -180,6 +187,15 @@ typedef struct {
     int pitch;
     int coarse; /* bits of them that the next finer level's contexts do not look at */
 } known_t;
+
+/* A symbol in place of its context. Not all four at the end: compilers would make vectors of what is scalar. */
+#define NOTE(lane, context, symbol)                                                         \
+    {                                                                                       \
+        note_symbol(work, context, symbol, &due);                                           \
+        const uint found = (at_context[lane] & 0xf000) | (symbol);                          \
+        at_context[lane] = (ushort)found;                                                   \
+        kept |= (uint)(found != 0) << (i - first + lane);                                   \
+    }
 
 /* Symbols of a batch in place of their contexts, and which of the samples are not 0, or may not be. */
 INLINE void decode_symbols(decoder_t *d, __global work_t *work, const int samples)
@@ -212,19 +228,10 @@ INLINE void decode_symbols(decoder_t *d, __global work_t *work, const int sample
                 c = renormalise(d, c);
                 e = renormalise(d, e);
             }
-            note_symbol(work, m, s, &due);
-            note_symbol(work, n, t, &due);
-            note_symbol(work, o, u, &due);
-            note_symbol(work, p, v, &due);
-            s |= at_context[0] & 0xf000;
-            t |= at_context[1] & 0xf000;
-            u |= at_context[2] & 0xf000;
-            v |= at_context[3] & 0xf000;
-            at_context[0] = (ushort)s;
-            at_context[1] = (ushort)t;
-            at_context[2] = (ushort)u;
-            at_context[3] = (ushort)v;
-            kept |= (uint)((s != 0) | (t != 0) << 1 | (u != 0) << 2 | (v != 0) << 3) << (i - first);
+            NOTE(0, m, s)
+            NOTE(1, n, t)
+            NOTE(2, o, u)
+            NOTE(3, p, v)
         }
         for (; i < end; ++i) {
             int s;
