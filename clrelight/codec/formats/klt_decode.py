@@ -16,6 +16,7 @@ from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.units import MARGIN, PRECINCT, tile_sides
 from clrelight.codec.factored import finite_images
 from clrelight.codec.formats.klt_regions import Held, UnitReader
+from clrelight.codec.formats.klt_rows import sums_by_rows
 from clrelight.codec.formats.klt_salvage import Salvage
 from clrelight.codec.formats.klt_units import Parsed
 from clrelight.codec.formats.klt_unmix import Unmixing
@@ -30,8 +31,6 @@ from clrelight.matmul import multiply_columns
 
 _KEPT_BYTES = 1 << 26
 """Bytes of planes that a view keeps, for the lights that follow the first."""
-_SUMMED_BYTES, _SHOWN_ROWS = 1 << 29, 256
-"""Bytes of sums that are made together, for what lies at their edges is decoded twice; rows that are shown at once."""
 
 
 class Strips:
@@ -105,8 +104,17 @@ class UnitsView(ABC):
         """Return what makes coefficients."""
 
     @abstractmethod
+    def relight_rows(
+        self, directions_i3: NDArray[np.float64], region: Region, device: Device
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """Yield rows of a part of the images at a level, from top to bottom, each band with its place among them."""
+
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
         """Return a part of the images at a level."""
+        images_ihwc = np.empty((len(directions_i3), *region.shape, self._shape[3]), np.float32)
+        for rows, band_ihwc in self.relight_rows(directions_i3, region, device):
+            images_ihwc[:, rows] = band_ihwc
+        return images_ihwc
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
@@ -133,19 +141,15 @@ class UnitsView(ABC):
         operator_mj: NDArray[np.float64],
         device: Device,
         finish: Callable[[NDArray[np.float32]], NDArray[np.float32]],
-    ) -> NDArray[np.float32]:
-        """Return images of which `finish` makes what is shown; a row of the operator is a light's channel.
-
-        Band by band: an image of many megapixels is held once.
-        """
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """Yield images of which `finish` makes what is shown; a row of the operator is a light's channel."""
         channel = self._shape[3]
         n_light = len(operator_mj) // channel
-        images_ihwc = np.empty((n_light, *region.shape, channel), np.float32)
-        with np.errstate(over="ignore", invalid="ignore"):  # what no encoder wrote: it is refused here
-            for rows, sums in self._planes.sums(region, operator_mj, device):
+        for rows, sums in self._planes.sums(region, operator_mj, device):
+            with np.errstate(over="ignore", invalid="ignore"):  # what no encoder wrote: it is refused here
                 band = sums.reshape(n_light, channel, *sums.shape[1:]).transpose(0, 2, 3, 1)
-                images_ihwc[:, rows] = finite_images(finish(band))
-        return images_ihwc
+                shown = finite_images(finish(band))
+            yield rows, shown
 
 
 class UnitView(UnitsView):
@@ -163,8 +167,10 @@ class UnitView(UnitsView):
     def _maker(self, device: Device) -> Maker:
         return Unmixing(self._parsed, self._shape, device)
 
-    def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
-        """Return a part of the images at a level."""
+    def relight_rows(
+        self, directions_i3: NDArray[np.float64], region: Region, device: Device
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """See `UnitsView`."""
         channel = self._shape[3]
         basis_ik = self._functions_at(directions_i3)
         operator_mj = np.einsum("ik,kcj->icj", basis_ik, self._parsed.operator_kcj).reshape(len(basis_ik) * channel, -1)
@@ -228,14 +234,8 @@ class UnitPlanes:
         elif n_sum >= count:
             yield slice(0, height), _sum_planes(reader.planes(region), operator_mj, device)
         else:
-            step = max(_SUMMED_BYTES // (4 * n_sum * width) // PRECINCT, 2) * PRECINCT
-            for top in range(region.top, region.bottom, step):
-                part = Region(top, region.left, min(top + step, region.bottom), region.right, region.level)
-                sums_cyx = reader.sums(part, operator_mj)
-                for row in range(0, part.shape[0], _SHOWN_ROWS):
-                    rows = slice(row, min(row + _SHOWN_ROWS, part.shape[0]))
-                    first = top - region.top
-                    yield slice(first + rows.start, first + rows.stop), sums_cyx[:, rows]
+            for part in sums_by_rows(reader, region, operator_mj, self._shape[1:3], device):
+                yield slice(part.region.top - region.top, part.region.bottom - region.top), part.array(device)
 
 
 def _sum_planes(

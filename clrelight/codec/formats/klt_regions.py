@@ -117,7 +117,7 @@ class UnitReader:
             return
         weight_jc = None if weight_cj is None else np.ascontiguousarray(weight_cj.T, np.float32)
         level = region.level
-        window = _around(region, *self._shape[1:3])
+        window = around(region, *self._shape[1:3])
         values = self._decode(region, window, weight_jc)
         if level < LEVELS:
             transform_planes("synthesise", values, window.sides_at(level)[1], LEVELS - level, self._device)
@@ -125,25 +125,32 @@ class UnitReader:
 
     def planes(self, region: Region) -> NDArray[np.float32]:
         """Return the planes of a region, (n_plane, height, width)."""
-        planes_jyx = self._joined(region, self.parts(region), self._stored.n_plane)
-        return planes_jyx if planes_jyx.flags.c_contiguous else recycling.copied(planes_jyx)
-
-    def sums(self, region: Region, weight_cj: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return weighted sums of the planes of a region, (n_sum, height, width), float32; rows may lie apart."""
-        return self._joined(region, self.parts(region, weight_cj), len(weight_cj))
-
-    def _joined(self, region: Region, parts: Iterator[Held], count: int) -> NDArray[np.float32]:
         joined: NDArray[np.float32] | None = None
-        for part in parts:
+        for part in self.parts(region):
             found = part.array(self._device)
             if part.region == region:
-                return found
+                return found if found.flags.c_contiguous else recycling.copied(found)
             if joined is None:
-                joined = recycling.empty((count, *region.shape), np.float32)
+                joined = recycling.empty((len(found), *region.shape), np.float32)
             top, left = part.region.top - region.top, part.region.left - region.left
             joined[:, top : top + found.shape[1], left : left + found.shape[2]] = found
         assert joined is not None
         return joined
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether units are streams of their own, none of which may be damaged."""
+        return not self._stored.together and self._salvage is None
+
+    def rows_of(self, region: Region) -> dict[int, list[int]]:
+        """Return the units that a region hangs on, by their rows of precincts; they are read next."""
+        chosen = self._needed(region)
+        self._stored.expect(self._body, self._stored.numbers(self._units, chosen))
+        return self._by_rows(chosen)
+
+    def row_of(self, chosen: list[int], window: Window, level: int, weight_jc: NDArray[np.float32]) -> DeviceArray:
+        """Return sums of units of one row of precincts, in a window; PayloadError where they are damaged."""
+        return self._sound(*self._run([chosen] if chosen else [], window, level, weight_jc))
 
     def _halves(self, region: Region, n_values: int) -> tuple[Region, Region] | None:
         """Return two parts of a region whose values, and sizes of what lies around, a device may not hold."""
@@ -170,19 +177,21 @@ class UnitReader:
         chosen = list(range(len(self._units))) if self._stored.together else self._needed(region)
         self._stored.expect(self._body, self._stored.numbers(self._units, chosen))
         if self._salvage is None:
-            values, faulty = self._run(chosen, window, region.level, weight_jc)
-            if faulty:
-                raise PayloadError(f"unit {faulty[0][1]} of the {self._stored.name} body cannot be decoded")
-            return values
+            return self._sound(*self._run(self._groups(chosen), window, region.level, weight_jc))
         while True:
             kept = self._salvage.keep(chosen, self._body)
-            values, faulty = self._run(kept, window, region.level, weight_jc)
+            values, faulty = self._run(self._groups(kept), window, region.level, weight_jc)
             if not faulty:
                 return self._salvage.filled(values, window, chosen, self._body, self._device, weight_jc)
             self._salvage.fault([t for t, _ in faulty])
 
+    def _sound(self, values: DeviceArray, faulty: list[tuple[int, int]]) -> DeviceArray:
+        if faulty:
+            raise PayloadError(f"unit {faulty[0][1]} of the {self._stored.name} body cannot be decoded")
+        return values
+
     def _run(
-        self, chosen: list[int], window: Window, level: int, weight_jc: NDArray[np.float32] | None
+        self, groups: list[list[int]], window: Window, level: int, weight_jc: NDArray[np.float32] | None
     ) -> tuple[DeviceArray, list[tuple[int, int]]]:
         """Decode units into planes of a window at a level, or sums of them.
 
@@ -192,7 +201,7 @@ class UnitReader:
         n_values = self._stored.n_plane if weight_jc is None else weight_jc.shape[1]
         values = self._device.hold(recycling.zeros((n_values, rows, padded_width(columns)), np.float32))
         faulty = []
-        for group in self._rows_of_precincts(chosen):
+        for group in groups:
             faulty += self._run_group(group, window, level, values, weight_jc)
         return values, faulty
 
@@ -213,15 +222,19 @@ class UnitReader:
         )
         return [(chosen[layout.part_t4[at, 0]], numbers[at]) for at in np.flatnonzero(fault_t)]
 
-    def _rows_of_precincts(self, chosen: list[int]) -> list[list[int]]:
+    def _groups(self, chosen: list[int]) -> list[list[int]]:
         """Return units apart by rows of precincts, from coarse to fine: what contexts know of others is within one."""
         if self._stored.together:
             return [chosen] if chosen else []
+        rows = self._by_rows(chosen)
+        return [rows[row] for row in sorted(rows)]
+
+    def _by_rows(self, chosen: list[int]) -> dict[int, list[int]]:
         rows: dict[int, list[int]] = {}
         for t in chosen:
             unit = self._units[t]
             rows.setdefault((unit.row << (unit.level or LEVELS)) // PRECINCT, []).append(t)
-        return [rows[row] for row in sorted(rows)]
+        return rows
 
     def _needed(self, region: Region) -> list[int]:
         """Return the numbers of the units that a region's samples hang on."""
@@ -254,7 +267,7 @@ def _cover(units: list[Unit], height: int, width: int) -> Window:
     return Window(top, left, min(bottom, height), min(right, width))
 
 
-def _around(region: Region, height: int, width: int) -> Window:
+def around(region: Region, height: int, width: int) -> Window:
     """Return the pixels that a region's transform looks at."""
     least = 1 << LEVELS
     top, left = (max((side << region.level) - MARGIN, 0) // least * least for side in (region.top, region.left))

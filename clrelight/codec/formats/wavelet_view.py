@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +69,10 @@ class WaveletView(UnitsView):
     def _maker(self, device: Device) -> _Maker:
         return _Maker(self._tables, self._shape[3], device)
 
-    def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
-        """Return a part of the images at a level."""
+    def relight_rows(
+        self, directions_i3: NDArray[np.float64], region: Region, device: Device
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """See `UnitsView`."""
         basis_ik = self._functions_at(directions_i3)
         count, channel = self._stored.n_plane, self._shape[3]
         operator_mj = self._maker(device).operator(basis_ik, count) if count else np.zeros((len(basis_ik) * channel, 0))
