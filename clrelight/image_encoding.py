@@ -56,9 +56,14 @@ def encoding(name: str, extension: str, shape_hwc: tuple[int, ...], stored: Any)
     try:
         yield put
     finally:
+        came = row
+        if done and row < height:  # libpng would print that some are missing
+            put(np.zeros((height - row, width, channels), np.uint8))
         message = writer.geterror()
         # Closing flushes what is left, so it can fail too.
         closed = writer.close()
+    if came < height:
+        raise RuntimeError(f"{came} of {height} rows came")
     if not closed or not done:
         raise RuntimeError(message or writer.geterror() or "no reason given")
 
