@@ -103,14 +103,20 @@ def row_blocks(rows: int, widest: int) -> list[int]:
     return [rows // count + (b < rows % count) for b in range(count)]
 
 
-def pack_operator(device: Device, operator_mi: NDArray, real: np.dtype = _FLOAT32) -> PackedOperator:
-    """Upload a matrix (n_out, n_in), rounded to `real`: float32, or float64 for products in double precision."""
+def pack_operator(
+    device: Device, operator_mi: NDArray, real: np.dtype = _FLOAT32, *, together: int = 1
+) -> PackedOperator:
+    """Upload a matrix (n_out, n_in), rounded to `real`: float32, or float64 for products in double precision.
+
+    Blocks are of a multiple of `together` rows, at most 6, of which there are so many times any number.
+    """
     operator = np.asarray(operator_mi, dtype=real)
     if device.style == "gpu":
         return PackedOperator(device.upload(pack_rows(operator)), None, operator.shape)
     # 32 vector registers hold two vectors of sums for 8 rows; where there are 16, for 6, or for 3 of eight doubles.
     narrow = 6 if real == np.float32 else 3
-    heights = row_blocks(len(operator), 8 if device.info.lanes == 16 else narrow)
+    widest = 8 if device.info.lanes == 16 else narrow
+    heights = [together * each for each in row_blocks(len(operator) // together, max(widest // together, 1))]
     ends = np.cumsum(heights)
     blocks = [operator[end - height : end].T.ravel() for height, end in zip(heights, ends, strict=True)]
     return PackedOperator(

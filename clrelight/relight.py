@@ -94,21 +94,24 @@ def to_display(radiance: NDArray, transfer: str) -> NDArray[np.uint8]:
 
 
 def _show(values: NDArray, transfer: str, out: NDArray[np.uint8]) -> None:
-    below_b, next_b = _codes(transfer)
-    clipped = np.minimum(np.where(values > 0.0, values, 0.0), 1.0)
+    below_b, next_b = _codes(transfer, np.result_type(values, np.float32))
+    clipped = np.minimum(np.fmax(values, 0.0), 1.0)
     bin_v = (clipped * _BINS).astype(np.intp)
-    np.add(below_b[bin_v], clipped >= next_b[bin_v], out=out, casting="unsafe")
+    np.add(below_b.take(bin_v), clipped >= next_b.take(bin_v), out=out)
 
 
 @functools.cache
-def _codes(transfer: str) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def _codes(transfer: str, dtype: np.dtype) -> tuple[NDArray[np.uint8], NDArray]:
     """Return for each of many bins of radiance the code at its beginning, and where in it the next code begins.
 
-    No bin holds the beginnings of two codes; infinity where it holds none.
+    No bin holds the beginnings of two codes; infinity where it holds none. The next begins at the first number of the
+    type that is not below.
     """
     half_codes = (np.arange(1, 256) - 0.5) / 255.0
     first_b = srgb_to_linear(half_codes) if transfer == "srgb" else half_codes
     begins_b = np.arange(_BINS + 1) / _BINS
     below_b = np.searchsorted(first_b, begins_b, side="right").astype(np.uint8)
     following = np.append(first_b, np.inf)[below_b]
-    return below_b, np.where(following < begins_b + 1.0 / _BINS, following, np.inf)
+    next_b = np.where(following < begins_b + 1.0 / _BINS, following, np.inf)
+    rounded_b = next_b.astype(dtype)
+    return below_b, np.where(rounded_b < next_b, np.nextafter(rounded_b, dtype.type(np.inf)), rounded_b)

@@ -19,7 +19,16 @@ FLOORS = [
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {
         *("dataset", "directions", "holdout", "lights", "light_columns", "light_files", "masks", "negatives"),
-        *("plan_lights", "sampling", "image_bands", "image_header", "image_names", "image_parts", "image_set"),
+        *(
+            "plan_lights",
+            "sampling",
+            "image_bands",
+            "image_encoding",
+            "image_header",
+            "image_names",
+            "image_parts",
+            "image_set",
+        ),
         *("image_sink", "images", "passes", "radiance_header", "surface"),
     },
     {"fit", "codec", "lighting", "brdf", "shrm", "transfer", "variation", "metrics", "perception", "relight"},

@@ -12,6 +12,7 @@ from PIL import Image
 
 from clrelight import images
 from clrelight.errors import InputError
+from clrelight.image_encoding import png_rows
 from clrelight.images import read_bands, read_header, read_image, write_image
 from tests.commands import contents, environment
 
@@ -430,3 +431,32 @@ def test_pictures_say_no_date(tmp_path, extension):
     write_image(tmp_path / f"p{extension}", RNG.random((3, 4, 3)).astype(np.float32))
     header = oiio.ImageInput.open(str(tmp_path / f"p{extension}")).spec()
     assert header.get_string_attribute("DateTime") == "0000:00:00 00:00:00"
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("height", [5, 2050])
+def test_a_png_in_bands_is_the_png_at_once(tmp_path, height, channels):
+    rng = np.random.default_rng(height)
+    values = (rng.standard_normal((height, 2048, channels)).cumsum(axis=1) * 3).astype(np.uint8)
+    images.write_image(tmp_path / "whole.png", values)
+    with png_rows(tmp_path / "bands.png", values.shape) as put:
+        for first in range(0, height, 700):
+            put(np.ascontiguousarray(values[first : first + 700]))
+    assert (tmp_path / "bands.png").read_bytes() == (tmp_path / "whole.png").read_bytes()
+
+
+@pytest.mark.parametrize(("message", "error"), [("row 3", InputError("row 3 is damaged")), ("3 of 9 rows", None)])
+def test_a_png_that_loses_its_rows_is_not_there(tmp_path, capfd, message, error):
+    (tmp_path / "a.png").write_bytes(b"before")
+
+    def write():
+        with png_rows(tmp_path / "a.png", (9, 4, 3)) as put:
+            put(np.zeros((3, 4, 3), np.uint8))
+            if error is not None:
+                raise error
+
+    with pytest.raises(InputError, match=message):
+        write()
+    assert (tmp_path / "a.png").read_bytes() == b"before"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+    assert capfd.readouterr() == ("", "")  # encoders are told nothing that they would complain of

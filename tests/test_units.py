@@ -228,6 +228,31 @@ def test_a_level_is_the_low_subband(device, large, level):
     np.testing.assert_allclose(part, planes[:, 3:20, 5:21], atol=1e-4 * np.abs(planes).max())
 
 
+@pytest.mark.parametrize("level", [0, 1, 3, 5])
+def test_rows_come_as_the_sums_that_they_are(device, large, level):
+    """Row of precincts by row, with what transforms look at beyond, and no unit decoded twice."""
+    coeffs, body, parsed = large
+    read = []
+
+    class Counted:
+        def __len__(self):
+            return len(body)
+
+        def __getitem__(self, part):
+            read.append(part.start)
+            return body[part]
+
+    light, region = np.array([[0.36, 0.48, 0.8]]), Region(7 >> level, 300 >> level, 1099 >> level, 1210 >> level, level)
+    view = UnitView(Counted(), parsed, coeffs.shape)
+    bands = list(view.relight_rows(light, region, device))
+    assert len(read) == len(set(read)) > 10
+    assert [rows.start for rows, _ in bands] == [0, *(rows.stop for rows, _ in bands[:-1])]
+    assert len(bands) == 3
+    found = np.concatenate([band for _, band in bands], axis=1)
+    expected = np.einsum("ik,khwc->ihwc", evaluate_basis(light, 1), view.coefficients(region, device))
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
 def test_an_image_needs_no_planes(device, large):
     coeffs, body, parsed = large
     directions = np.array([[0.3, -0.2, np.sqrt(1 - 0.13)], [0.0, 0.0, 1.0]])

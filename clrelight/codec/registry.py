@@ -40,6 +40,7 @@ class Codec(Configurable, ABC):
     """Times the bytes of a float32 map that the two take in any workspace; 0 for codecs that take parts."""
 
     hemisphere: ClassVar[bool] = False  # whether what functions are at z < 0 is left open
+    decodes_finite: ClassVar[bool] = False  # whether what it decodes to was seen to be finite, or cannot be else
     takes_bases: ClassVar[bool] = True  # whether coefficients may be of other bases than spherical harmonics
 
     def bytes_to_encode(self, shape: tuple[int, int, int, int]) -> int:
@@ -277,6 +278,12 @@ def bytes_to_decode(encoded: Encoded) -> int:
 
 def check_decoded(coeffs_khwc: NDArray[np.float32], codec_id: str, device: Device) -> None:
     """Raise PayloadError unless coefficients that were decoded are finite, as those encoded were."""
+    if not codec_class(codec_id).decodes_finite:
+        refuse_infinite(coeffs_khwc, codec_id, device)
+
+
+def refuse_infinite(coeffs_khwc: NDArray[np.float32], codec_id: str, device: Device) -> None:
+    """Raise PayloadError unless coefficients that a codec decodes to are finite."""
     if not all_finite(coeffs_khwc, device):
         raise PayloadError(f"the payload decodes to values that are not finite: codec {codec_id} did not write it")
 

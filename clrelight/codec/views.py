@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -48,4 +49,10 @@ class Regions(View, Protocol):
 
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
         """Return a part of the images that `relight` returns."""
+        ...
+
+    def relight_rows(
+        self, directions_i3: NDArray[np.float64], region: Region, device: Device
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """Yield the same from top to bottom, each band of rows with its place among those of the part."""
         ...

@@ -20,6 +20,7 @@ from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.harmonics.rotation import rotation_matrix
 from clrelight.jobs.inputs import FittedLike, Packed, decoded_of, lend_fitted, refuse_salvage
+from clrelight.jobs.pictures import Rows
 from clrelight.jobs.region import Part, crop, decode_part, refuse_level
 from clrelight.jobs.report import Progress, Report
 from clrelight.lighting.light import Light, share_below
@@ -34,7 +35,8 @@ MAX_STEPS = 1 << 16
 
 Rotation = float | tuple[str, Sequence[float]]
 """Degrees about z, or a form of `rotation_matrix` and its numbers."""
-Shown = tuple[Iterator[NDArray[np.float32]], str]
+Image = NDArray[np.float32] | Rows
+Shown = tuple[Iterator[Image], str]
 """Images one by one, in linear radiance, and the transfer of their stack."""
 
 
@@ -92,7 +94,10 @@ class DirectedFrames:
                 )
             yield self._images(view, report), view.transfer
 
-    def _images(self, view: _View, report: Report) -> Iterator[NDArray[np.float32]]:
+    def _images(self, view: _View, report: Report) -> Iterator[Image]:
+        if self.count == 1 and view.rows is not None:
+            yield Rows(view.shape, self._rows(view.rows, report))
+            return
         step = max(1, TILE_BYTES // view.picture_bytes)
         for first in range(0, self.count, step):
             since = time.perf_counter()
@@ -101,6 +106,16 @@ class DirectedFrames:
                 pictures_ihwc *= np.float32(2.0**self._exposure)
             report.add("relight", since)
             yield from pictures_ihwc
+
+    def _rows(self, rows: _RowsOf, report: Report) -> Iterator[NDArray[np.float32]]:
+        since = time.perf_counter()
+        for _, band_ihwc in rows(self._directions_i3):
+            band_hwc = band_ihwc[0]
+            if self._exposure != 0.0:
+                band_hwc = band_hwc * np.float32(2.0**self._exposure)
+            report.add("relight", since)
+            yield band_hwc
+            since = time.perf_counter()
 
 
 class LightFrames:
@@ -173,14 +188,26 @@ def tell_below(below: float, count: int, report: Report) -> None:
         report.note(f"{share} of the light comes from below the horizon, where the fit knows nothing: it is cut")
 
 
+_RowsOf = Callable[[NDArray[np.float64]], Iterator[tuple[slice, NDArray[np.float32]]]]
+
+
 @dataclass(frozen=True)
 class _View:
-    """What makes pictures of directions, the bytes of one, the stack's transfer, and whether pixels are a picture's."""
+    """What makes pictures of directions, the shape of one, the stack's transfer, and whether pixels are a picture's.
+
+    What makes the rows of one direction's picture, from top to bottom, where they need not be there together.
+    """
 
     light: Callable[[NDArray[np.float64]], NDArray[np.float32]]
-    picture_bytes: int
+    shape: tuple[int, int, int]
     transfer: str
     is_picture: bool
+    rows: _RowsOf | None = None
+
+    @property
+    def picture_bytes(self) -> int:
+        """Bytes of a picture."""
+        return 4 * math.prod(self.shape)
 
 
 @contextmanager
@@ -197,20 +224,21 @@ def _lend_view(
         _refuse_operators(held)
         if isinstance(held, Packed):
             encoded = held.encoded
-            region, light = part.of(*encoded.shape[1:3]), None
+            region, light, rows = part.of(*encoded.shape[1:3]), None, None
             if (regions := held.regions()) is not None:
                 light = partial(regions.relight_region, region=region, device=device)
+                rows = partial(regions.relight_rows, region=region, device=device)
             elif part.is_all and (view := decode_view(encoded, device)) is not None:
                 light = partial(view.relight, device=device)
             report.add("decode", since)
             if light is not None:
                 is_picture = surface_facts(None, held.record.config) is None
-                yield _View(light, 4 * math.prod(region.shape) * encoded.shape[3], held.record.transfer, is_picture)
+                yield _View(light, (*region.shape, encoded.shape[3]), held.record.transfer, is_picture, rows)
                 return
         coefficients = _part_of(held, source, part, salvage, device, report, progress)
         yield _View(
             lambda directions_i3: relight(coefficients, directions_i3, device=device),
-            4 * math.prod(coefficients.image_shape),
+            coefficients.image_shape,
             coefficients.transfer,
             surface_facts(coefficients.surface, coefficients.config) is None,
         )

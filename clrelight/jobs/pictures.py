@@ -6,15 +6,19 @@ import importlib.util
 import io
 import os
 import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.durable import replacing
 from clrelight.errors import InputError
+from clrelight.image_encoding import png_rows
 from clrelight.images import write_image
 from clrelight.lighting.relighting import map_tones
 from clrelight.relight import to_display
+from clrelight.streaming import writing_behind
 
 FLOAT_FORMATS = (".exr", ".hdr", ".tif", ".tiff")
 """Images that hold linear radiance as floats."""
@@ -88,8 +92,51 @@ def show(image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> 
     return to_display(image_hwc if clips else map_tones(image_hwc, str(tonemap)), transfer)
 
 
-def write_view(name: str, image_hwc: NDArray[np.float32], tonemap: str | None, transfer: str) -> None:
-    """Write linear radiance, as the name wants it: in floats, or for display."""
+@dataclass(frozen=True)
+class Rows:
+    """Linear radiance of a picture whose rows come once, from top to bottom.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Height, width and channels.
+    bands : iterator of ndarray, shape (rows, width, channel), float32
+    """
+
+    shape: tuple[int, int, int]
+    bands: Iterator[NDArray[np.float32]]
+
+    def array(self) -> NDArray[np.float32]:
+        """Return all of them."""
+        image_hwc, row = np.empty(self.shape, np.float32), 0
+        for band in self.bands:
+            image_hwc[row : row + len(band)] = band
+            row += len(band)
+        return image_hwc
+
+
+def array_of(image_hwc: NDArray[np.float32] | Rows) -> NDArray[np.float32]:
+    """Return a picture's values, whether they are there or come in rows."""
+    return image_hwc.array() if isinstance(image_hwc, Rows) else image_hwc
+
+
+def write_view(name: str, image_hwc: NDArray[np.float32] | Rows, tonemap: str | None, transfer: str) -> None:
+    """Write linear radiance, as the name wants it: in floats, or for display.
+
+    Rows of a PNG are packed while the next are made.
+    """
+    if isinstance(image_hwc, Rows):
+        if name.lower().endswith(".png") and tonemap is None and image_hwc.shape[2] in (1, 3):
+            with png_rows(name, image_hwc.shape) as put:
+
+                def write(band_hwc: NDArray[np.float32]) -> None:
+                    put(show(band_hwc, None, transfer))
+
+                with writing_behind(write) as behind:
+                    for band_hwc in image_hwc.bands:
+                        behind(band_hwc)
+            return
+        image_hwc = image_hwc.array()
     write_image(name, image_hwc if holds_floats(name) else show(image_hwc, tonemap, transfer))
 
 

@@ -17,6 +17,7 @@ from clrelight.errors import InputError
 from clrelight.jobs.frames import DirectedFrames, Frames, LightFrames, Rotation, turn_light
 from clrelight.jobs.inputs import FittedLike, Path, read_directions, whole
 from clrelight.jobs.pictures import (
+    array_of,
     check_animation,
     holds_floats,
     is_animation,
@@ -105,18 +106,18 @@ def show_frames(
     """Write all images where they have names; return them where they have none."""
     kept_ihwc, pictures = np.empty((0,), np.float32), []
     with frames.lend(source, device, report, progress) as (images, transfer), stage(progress, "relighting") as tell:
-        for index, image_hwc in enumerate(images):
-            since = time.perf_counter()
+        for index, image in enumerate(images):
+            since, relit = time.perf_counter(), report.seconds.get("relight", 0.0)
             if not names:
                 if index == 0:
-                    kept_ihwc = np.empty((frames.count, *image_hwc.shape), np.float32)
-                kept_ihwc[index] = image_hwc
+                    kept_ihwc = np.empty((frames.count, *image.shape), np.float32)
+                kept_ihwc[index] = array_of(image)
             elif is_animation(names[0]):
-                pictures.append(show(image_hwc, how.tonemap, how.transfer or transfer))
+                pictures.append(show(array_of(image), how.tonemap, how.transfer or transfer))
             else:
-                write_view(names[index], image_hwc, how.tonemap, how.transfer or transfer)
-            if names:
-                report.add("write", since)
+                write_view(names[index], image, how.tonemap, how.transfer or transfer)
+            if names:  # rows are relit while others are written
+                report.add("write", since + report.seconds.get("relight", 0.0) - relit)
             tell(index + 1, frames.count)
         if pictures:
             since = time.perf_counter()

@@ -15,7 +15,7 @@ from clrelight.device import Device
 from clrelight.jobs.farm import write_arrays
 from clrelight.jobs.frames import LightFrames, Rotation
 from clrelight.jobs.inputs import opened_on
-from clrelight.jobs.pictures import is_animation, show, write_view
+from clrelight.jobs.pictures import array_of, is_animation, show, write_view
 from clrelight.jobs.region import take_part
 from clrelight.jobs.relighting import How
 from clrelight.jobs.report import Report, report_for
@@ -73,13 +73,13 @@ def relight_some(
         tempfile.TemporaryDirectory(prefix=".pictures.", dir=folder) as place,
         frames.lend(source, opened, kept, None) as (images, curve),
     ):
-        for number, image_hwc in enumerate(images):
+        for number, image in enumerate(images):
             content: NDArray[np.uint8]
             if is_animation(kind):
-                content = show(image_hwc, tonemap, transfer or curve)
+                content = show(array_of(image), tonemap, transfer or curve)
             else:
                 name = os.path.join(place, f"{number}{kind}")
-                write_view(name, image_hwc, tonemap, transfer or curve)
+                write_view(name, image, tonemap, transfer or curve)
                 content = np.fromfile(name, np.uint8)
             made[f"picture{number}"] = content
     facts = kept.facts if isinstance(frames, LightFrames) else {"exposure": 0.0, "below": -math.inf}

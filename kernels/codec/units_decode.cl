@@ -1,5 +1,6 @@
 /* Decode units: see units.clh, and units.py for what the arrays hold. */
 #define PARENT_T uchar
+#define PARENT_SIZES
 #include "codec/units.clh"
 
 /* A stream being read: four rANS states, words of 16 bits from its front, and bits as they are from its back. */
@@ -40,6 +41,27 @@ INLINE uint take_bits(decoder_t *d, const int count)
     return value;
 }
 
+/* Bits ahead, many at once, where there are many: the same that `take_bits` would take one byte at a time. */
+INLINE void fetch_bits(decoder_t *d)
+{
+    if (d->held >= 32 || d->end - d->at < 4)
+        return;
+    __global const uchar *from = d->bytes + d->end - 4;
+    const uint four = (uint)from[0] << 24 | (uint)from[1] << 16 | (uint)from[2] << 8 | from[3];
+    d->bits |= (ulong)four << d->held;
+    d->held += 32;
+    d->end -= 4;
+}
+
+/* Bytes back that were fetched and not begun: words may follow. */
+INLINE void return_bits(decoder_t *d)
+{
+    const int whole = d->held >> 3;
+    d->end += whole;
+    d->held -= 8 * whole;
+    d->bits &= (1ul << d->held) - 1ul;
+}
+
 /* Exp-Golomb of an order. */
 INLINE int take_large(decoder_t *d, const int order)
 {
@@ -72,25 +94,41 @@ INLINE int is_spent(const decoder_t *d)
     return spent;
 }
 
+/* The last symbol whose share begins at or before a slot. */
 INLINE int find_symbol(__global const ushort *left, const uint slot)
 {
+#ifdef __SSE2__
+    const short8 low = as_short8(LOAD(ushort8, left)), high = as_short8(LOAD(ushort8, left + 8)), end = (short)(slot + 1);
+    return octave_of((uint)__builtin_ia32_pmovmskb128(__builtin_ia32_packsswb128(end > low, end > high)));
+#else
     const short16 begins = as_short16(LOAD(ushort16, left)), reached = begins <= (short)slot;
     const short8 a = reached.lo + reached.hi;
     const short4 b = a.lo + a.hi;
     const short2 c = b.lo + b.hi;
     return -(c.x + c.y) - 1;
+#endif
 }
 
 INLINE uint renormalise(decoder_t *d, const uint state) { return state < RENORMALISED ? state << 16 | next_word(d) : state; }
 
-#define DECODE(state, context, symbol)                                             \
-    {                                                                              \
-        __global const ushort *left = work->left + (context)*SYMBOLS;              \
-        const uint slot = (state) & (ONE - 1);                                     \
-        const int found = find_symbol(left, slot);                                 \
-        const uint begin = left[found], right = found < LAST ? left[found + 1] : ONE; \
-        state = (right - begin) * ((state) >> PRECISION) + slot - begin;           \
-        symbol = found;                                                            \
+/* Behind the last share of a context stands a 0, which begins the next: less than all of the slots are any symbol's. */
+#define DECODE(state, context, symbol)                                                      \
+    {                                                                                       \
+        __global const ushort *left = work->left + (context)*SYMBOLS;                       \
+        const uint slot = (state) & (ONE - 1);                                              \
+        const int found = find_symbol(left, slot);                                          \
+        const uint begin = left[found], share = (left[found + 1] - begin) & (ONE - 1);      \
+        state = share * ((state) >> PRECISION) + slot - begin;                              \
+        symbol = found;                                                                     \
+    }
+
+/* The same as `renormalise` where there are words for all lanes: which take one is hard to foretell. */
+#define RENORMALISE(state)                                                                  \
+    {                                                                                       \
+        const uint word = d->bytes[at] | (uint)d->bytes[at + 1] << 8;                       \
+        const uint few = (state) < RENORMALISED;                                            \
+        state = (state) << (few << 4) | (word & (0u - few));                                \
+        at += few << 1;                                                                     \
     }
 
 INLINE int decode_flag(decoder_t *d, __global work_t *work, const int flag)
@@ -119,7 +157,7 @@ typedef struct {
     int pitch, sums;
 } sink_t;
 
-enum { PLACES = 6 };
+enum { PLACES = 6, RUN = 32 /* samples that a word of `kept` is of */ };
 
 INLINE void put(const sink_t *sink, const int y, const int x, const int index)
 {
@@ -128,7 +166,14 @@ INLINE void put(const sink_t *sink, const int y, const int x, const int index)
         return;
     __global float *to = sink->value + (size_t)row * sink->pitch + column;
     const float value = (float)index;
-    if (sink->sums)
+    if (sink->sums == 3) { /* of one light */
+        __global float *green = to + sink->plane_size, *blue = green + sink->plane_size;
+        const float r = *to + sink->weight[0] * value, g = *green + sink->weight[1] * value;
+        const float b = *blue + sink->weight[2] * value;
+        *to = r;
+        *green = g;
+        *blue = b;
+    } else if (sink->sums)
         for (int c = 0; c < sink->sums; ++c)
             to[c * sink->plane_size] += sink->weight[c] * value;
     else
@@ -142,6 +187,99 @@ typedef struct {
     int pitch;
     int coarse; /* bits of them that the next finer level's contexts do not look at */
 } known_t;
+
+/* A symbol in place of its context. Not all four at the end: compilers would make vectors of what is scalar. */
+#define NOTE(lane, context, symbol)                                                         \
+    {                                                                                       \
+        note_symbol(work, context, symbol, &due);                                           \
+        const uint found = (at_context[lane] & 0xf000) | (symbol);                          \
+        at_context[lane] = (ushort)found;                                                   \
+        kept |= (uint)(found != 0) << (i - first + lane);                                   \
+    }
+
+/* Symbols of a batch in place of their contexts, and which of the samples are not 0, or may not be. */
+INLINE void decode_symbols(decoder_t *d, __global work_t *work, const int samples)
+{
+    int due = 0;
+    uint a = d->state[0], b = d->state[1], c = d->state[2], e = d->state[3];
+    for (int first = 0; first < samples; first += RUN) {
+        const int end = LEAST(first + RUN, samples);
+        uint kept = 0;
+        int i = first;
+        for (; i + LANES <= end; i += LANES) {
+            __global ushort *at_context = work->context + i;
+            int s, t, u, v;
+            const int m = at_context[0] & 0xfff, n = at_context[1] & 0xfff;
+            const int o = at_context[2] & 0xfff, p = at_context[3] & 0xfff;
+            DECODE(a, m, s)
+            DECODE(b, n, t)
+            DECODE(c, o, u)
+            DECODE(e, p, v)
+            if (d->end - d->at >= 2 * LANES) {
+                uint at = d->at;
+                RENORMALISE(a)
+                RENORMALISE(b)
+                RENORMALISE(c)
+                RENORMALISE(e)
+                d->at = at;
+            } else {
+                a = renormalise(d, a);
+                b = renormalise(d, b);
+                c = renormalise(d, c);
+                e = renormalise(d, e);
+            }
+            NOTE(0, m, s)
+            NOTE(1, n, t)
+            NOTE(2, o, u)
+            NOTE(3, p, v)
+        }
+        for (; i < end; ++i) {
+            int s;
+            const int m = work->context[i] & 0xfff;
+            DECODE(a, m, s)
+            a = renormalise(d, a);
+            note_symbol(work, m, s, &due);
+            s |= work->context[i] & 0xf000;
+            work->context[i] = (ushort)s;
+            kept |= (uint)(s != 0) << (i - first);
+        }
+        work->kept[first / RUN] = d->coarse ? 0xffffffffu >> (RUN - (end - first)) : kept;
+    }
+    d->state[0] = a;
+    d->state[1] = b;
+    d->state[2] = c;
+    d->state[3] = e;
+    learn_due(work, due, 0);
+}
+
+/* Magnitudes and signs of a batch's samples that are not 0, and where they go. */
+INLINE void place_samples(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink,
+                          const known_t *known, const int band, const int samples)
+{
+    __global uchar *own = unit[LEVEL] > 1 ? known->size + unit[OFFSET + band] : 0;
+    __global uchar *size = work->size + band * SIZES + PITCH + EDGE;
+    for (int first = 0; first < samples && !d->fault; first += RUN)
+        for (uint kept = work->kept[first / RUN]; kept && !d->fault; kept &= kept - 1) {
+            const int i = first + octave_of(kept & (0u - kept));
+            const int symbol = work->context[i] & 0xfff, above = work->context[i] >> 12, shift = above + d->coarse;
+            fetch_bits(d);
+            int magnitude = symbol == LAST ? LAST + take_large(d, ORDER(above)) : symbol;
+            if (magnitude > MAX_MAGNITUDE >> shift) {
+                d->fault = 1;
+                break;
+            }
+            if (shift)
+                magnitude = magnitude << shift | (int)take_bits(d, shift);
+            if (magnitude == 0)
+                continue;
+            const int negative = (int)take_bits(d, 1), y = work->place[i] >> 6, x = work->place[i] & 63;
+            put(sink, y, x, negative ? -magnitude : magnitude);
+            size[y * PITCH + x] = (uchar)LEAST(magnitude >> d->coarse, MAX_SIZE);
+            if (own)
+                own[(size_t)y * known->pitch + x] = (uchar)LEAST(magnitude >> known->coarse, MAX_SIZE);
+        }
+    return_bits(d);
+}
 
 INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int *unit, const sink_t *sink,
                         const known_t *known, const int band, const int plane)
@@ -169,66 +307,8 @@ INLINE void decode_band(decoder_t *d, __global work_t *work, __global const int 
             }
         for (int batch = 0; batch < 3 && !d->fault; ++batch) {
             const int samples = gather_batch(work, band, plane, batch, rows, columns, cells);
-            int due = 0, i = 0;
-            uint a = d->state[0], b = d->state[1], c = d->state[2], e = d->state[3];
-            for (; i + LANES <= samples; i += LANES) {
-                int s, t, u, v;
-                const int m = work->context[i] & 0xfff, n = work->context[i + 1] & 0xfff;
-                const int o = work->context[i + 2] & 0xfff, p = work->context[i + 3] & 0xfff;
-                DECODE(a, m, s)
-                DECODE(b, n, t)
-                DECODE(c, o, u)
-                DECODE(e, p, v)
-                a = renormalise(d, a);
-                b = renormalise(d, b);
-                c = renormalise(d, c);
-                e = renormalise(d, e);
-                note_symbol(work, m, s, &due);
-                note_symbol(work, n, t, &due);
-                note_symbol(work, o, u, &due);
-                note_symbol(work, p, v, &due);
-                work->context[i] = (ushort)((work->context[i] & 0xf000) | s);
-                work->context[i + 1] = (ushort)((work->context[i + 1] & 0xf000) | t);
-                work->context[i + 2] = (ushort)((work->context[i + 2] & 0xf000) | u);
-                work->context[i + 3] = (ushort)((work->context[i + 3] & 0xf000) | v);
-            }
-            for (; i < samples; ++i) {
-                int s;
-                const int m = work->context[i] & 0xfff;
-                DECODE(a, m, s)
-                a = renormalise(d, a);
-                note_symbol(work, m, s, &due);
-                work->context[i] = (ushort)((work->context[i] & 0xf000) | s);
-            }
-            d->state[0] = a;
-            d->state[1] = b;
-            d->state[2] = c;
-            d->state[3] = e;
-            learn_due(work, due, 0);
-            int found = 0;
-            for (i = 0; i < samples; ++i) {
-                work->context[found] = work->context[i];
-                work->place[found] = work->place[i];
-                found += work->context[i] != 0 || d->coarse;
-            }
-            __global uchar *own = unit[LEVEL] > 1 ? known->size + unit[OFFSET + band] : 0;
-            for (i = 0; i < found && !d->fault; ++i) {
-                const int symbol = work->context[i] & 0xfff, above = work->context[i] >> 12, shift = above + d->coarse;
-                int magnitude = symbol == LAST ? LAST + take_large(d, ORDER(above)) : symbol;
-                if (magnitude > MAX_MAGNITUDE >> shift) {
-                    d->fault = 1;
-                    break;
-                }
-                if (shift)
-                    magnitude = magnitude << shift | (int)take_bits(d, shift);
-                if (magnitude == 0)
-                    continue;
-                const int negative = (int)take_bits(d, 1), y = work->place[i] >> 6, x = work->place[i] & 63;
-                put(sink, y, x, negative ? -magnitude : magnitude);
-                work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude >> d->coarse, MAX_SIZE);
-                if (own)
-                    own[(size_t)y * known->pitch + x] = (uchar)LEAST(magnitude >> known->coarse, MAX_SIZE);
-            }
+            decode_symbols(d, work, samples);
+            place_samples(d, work, unit, sink, known, band, samples);
         }
     }
     note_before(work, band, plane, rows);

@@ -17,7 +17,7 @@ from clrelight.codec.formats.klt_decode import UnitView, bytes_at_once
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_units import HEAD_SIZE, VERSION, parse_body, parse_head
 from clrelight.codec.minimum_size import drop_padding, minimum_overhead, pad_to_minimum
-from clrelight.codec.registry import PartsCodec, register
+from clrelight.codec.registry import PartsCodec, refuse_infinite, register
 from clrelight.codec.streams import ArraySource, Source, Target
 from clrelight.codec.transforms.code_values import code_value_error, code_values_of, radiance_of
 from clrelight.codec.transforms.colour import METRICS, RADIANCE, check_metric
@@ -67,6 +67,7 @@ class Klt(PartsCodec):
 
     id: ClassVar[str] = "klt"
     hemisphere: ClassVar[bool] = True
+    decodes_finite: ClassVar[bool] = True
     summary: ClassVar[str] = (
         "whitened principal axes, 9/7 wavelet and units of rANS: quality per byte, regions and levels"
     )
@@ -180,7 +181,9 @@ class Klt(PartsCodec):
             return
         view, head = klt_body.decode_planes(drop_padding(body, target.shape)[:], target.shape, device)
         coeffs_khwc = view.to_coeffs(device)
-        target.put_rows(0, radiance_of(coeffs_khwc, device) if head.transfer == "srgb" else coeffs_khwc)
+        coeffs_khwc = radiance_of(coeffs_khwc, device) if head.transfer == "srgb" else coeffs_khwc
+        refuse_infinite(coeffs_khwc, cls.id, device)
+        target.put_rows(0, coeffs_khwc)
 
     @classmethod
     def decode_view(cls, body: Body, shape: Shape, device: Device) -> View | None:

@@ -3,109 +3,68 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight import recycling
 from clrelight.bases import SH, basis_of
 from clrelight.codec.bodies import Body
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.entropy.units import MARGIN, PRECINCT, tile_sides
 from clrelight.codec.factored import finite_images
-from clrelight.codec.formats.klt_regions import UnitReader
+from clrelight.codec.formats.klt_regions import Held, UnitReader
+from clrelight.codec.formats.klt_rows import sums_by_rows
 from clrelight.codec.formats.klt_salvage import Salvage
 from clrelight.codec.formats.klt_units import Parsed
-from clrelight.codec.slabs import CACHED_BYTES
+from clrelight.codec.formats.klt_unmix import Unmixing
 from clrelight.codec.streams import Target
-from clrelight.codec.transforms.code_values import bent, radiance_of
-from clrelight.codec.transforms.lifting import join_channels, padded_width
-from clrelight.codec.transforms.whitening import reshaped
+from clrelight.codec.transforms.code_values import bent
 from clrelight.codec.views import Region
 from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 from clrelight.harmonics.index import degree_of
-from clrelight.matmul import apply_operator, multiply_columns, pack_operator
+from clrelight.matmul import multiply_columns
 
 _KEPT_BYTES = 1 << 26
 """Bytes of planes that a view keeps, for the lights that follow the first."""
-_SUMMED_BYTES, _SHOWN_ROWS = 1 << 29, 256
-"""Bytes of sums that are made together, for what lies at their edges is decoded twice; rows that are shown at once."""
-
-
-def _planes_of(reader: UnitReader, region: Region, count: int) -> NDArray[np.float32]:
-    return reader.planes(region) if count else np.zeros((0, *region.shape), np.float32)
-
-
-class _Maker:
-    """See `Maker`."""
-
-    def __init__(self, parsed: Parsed, shape: Shape, device: Device) -> None:
-        self._device, self._transfer, self._basis = device, parsed.head.transfer, parsed.head.basis
-        self._n_coeff, self._channel = shape[0], shape[3]
-        n_value = self._n_coeff * self._channel
-        self._packed = pack_operator(device, parsed.operator_kcj.reshape(n_value, -1))
-
-    def coefficients(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
-        """See `Maker`."""
-        count, height, width = planes_jyx.shape
-        coeffs_khwc = recycling.empty((self._n_coeff, height, width, self._channel), np.float32)
-        n_value, pitch = self._n_coeff * self._channel, padded_width(width)
-        step = max(CACHED_BYTES // (4 * pitch * n_value), 1)
-        for first in range(0, height, step):
-            rows = slice(first, min(first + step, height))
-            size = rows.stop - first
-            source = recycling.empty((count + 1, size, pitch), np.float32)
-            source[count], source[:count, :, width:] = 1.0, 1.0
-            source[:count, :, :width] = planes_jyx[:, rows]
-            made = self._device.empty((n_value, size * pitch), np.float32)
-            apply_operator(self._device, self._packed, self._device.upload(source.reshape(count + 1, -1)), made)
-            part_shape = (self._n_coeff, size, width, self._channel)
-            part = join_channels(
-                reshaped(made, (n_value, size, pitch)), part_shape, np.ones(self._n_coeff, np.float32), self._device
-            )
-            if self._transfer == "srgb":
-                part = radiance_of(part, self._device, self._basis)
-            coeffs_khwc[:, rows] = part
-        return coeffs_khwc
 
 
 class Strips:
     """Planes of rows, decoded strip by strip."""
 
-    def __init__(self, reader: UnitReader, shape: Shape, count: int, memory: int) -> None:
-        self._reader, self._count = reader, count
+    def __init__(self, reader: UnitReader, shape: Shape, count: int, memory: int, device: Device) -> None:
+        self._reader, self._count, self._device = reader, count, device
         _, self._height, self._width, _ = shape
         # What is decoded, what of it is transformed back, and the planes of the strip.
         self._step, self._columns = tile_sides(self._height, self._width, count, memory // 3)
-        self._first, self._held = 0, np.zeros((count, 0, self._width), np.float32)
+        self._held: list[Held] = []
 
-    def rows(self, first: int, end: int) -> NDArray[np.float32]:
-        """Return the planes of some rows; they are asked for from top to bottom."""
-        found = []
+    def rows(self, first: int, end: int) -> Iterator[Held]:
+        """Yield the planes of some rows; they are asked for from top to bottom."""
         while first < end:
-            if not self._first <= first < self._first + self._held.shape[1]:
-                self._first = first // self._step * self._step
-                bottom = min(self._first + self._step, self._height)
-                self._held = np.zeros((self._count, 0, self._width), np.float32)  # its memory goes first
-                self._held = self._decode(self._first, bottom)
-            last = min(end, self._first + self._held.shape[1])
-            found.append(self._held[:, first - self._first : last - self._first])
+            if not any(part.region.top <= first < part.region.bottom for part in self._held):
+                top = first // self._step * self._step
+                self._held = []  # its memory goes first
+                self._held = self._decode(top, min(top + self._step, self._height))
+            last = min(end, *(part.region.bottom for part in self._held if part.region.bottom > first))
+            for part in self._held:
+                if part.region.top <= first < part.region.bottom:
+                    yield part.rows(first, last)
             first = last
-        return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
 
-    def _decode(self, top: int, bottom: int) -> NDArray[np.float32]:
-        if self._columns >= self._width:
-            return _planes_of(self._reader, Region(top, 0, bottom, self._width), self._count)
+    def _decode(self, top: int, bottom: int) -> list[Held]:
+        whole = Region(top, 0, bottom, self._width)
+        if self._columns >= self._width or not self._count:
+            return list(self._reader.parts(whole))
         planes_jyx = np.empty((self._count, bottom - top, self._width), np.float32)
         for left in range(0, self._width, self._columns):
             right = min(left + self._columns, self._width)
-            planes_jyx[:, :, left:right] = _planes_of(self._reader, Region(top, left, bottom, right), self._count)
-        return planes_jyx
+            planes_jyx[:, :, left:right] = self._reader.planes(Region(top, left, bottom, right))
+        return [Held(whole, self._device.hold(planes_jyx))]
 
 
 def bytes_at_once(shape: Shape, count: int) -> int:
@@ -118,8 +77,8 @@ def bytes_at_once(shape: Shape, count: int) -> int:
 class Maker(Protocol):
     """Makes coefficients of planes."""
 
-    def coefficients(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return coefficients (n_coeff, height, width, channel) of planes in steps, (n_plane, height, width)."""
+    def coefficients(self, parts: Iterable[Held], region: Region) -> NDArray[np.float32]:
+        """Return coefficients (n_coeff, height, width, channel) of a region, of its planes in steps, part by part."""
         ...
 
 
@@ -145,8 +104,17 @@ class UnitsView(ABC):
         """Return what makes coefficients."""
 
     @abstractmethod
+    def relight_rows(
+        self, directions_i3: NDArray[np.float64], region: Region, device: Device
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """Yield rows of a part of the images at a level, from top to bottom, each band with its place among them."""
+
     def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
         """Return a part of the images at a level."""
+        images_ihwc = np.empty((len(directions_i3), *region.shape, self._shape[3]), np.float32)
+        for rows, band_ihwc in self.relight_rows(directions_i3, region, device):
+            images_ihwc[:, rows] = band_ihwc
+        return images_ihwc
 
     def to_coeffs(self, device: Device) -> NDArray[np.float32]:
         """Return the (n_coeff, height, width, channel) float32 coefficients."""
@@ -154,13 +122,14 @@ class UnitsView(ABC):
 
     def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
         """Return those of a part, at its level; only units that it hangs on are read."""
-        return self._maker(device).coefficients(self._planes.of(region, device))
+        return self._maker(device).coefficients(self._planes.parts(region, device), region)
 
     def put_rows(self, target: Target, device: Device) -> None:
         """Put all coefficients, strip by strip."""
         maker, strips = self._maker(device), self._planes.strips(target.workspace.memory_bytes, device)
         for part in target.row_parts():
-            target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop)))
+            region = Region(part.start, 0, part.stop, self._shape[2])
+            target.put_rows(part.start, maker.coefficients(strips.rows(part.start, part.stop), region))
 
     def relight(self, directions_i3: NDArray[np.float64], device: Device) -> NDArray[np.float32]:
         """Return images (n_light, height, width, channel), float32 linear radiance in units of the peak."""
@@ -172,19 +141,15 @@ class UnitsView(ABC):
         operator_mj: NDArray[np.float64],
         device: Device,
         finish: Callable[[NDArray[np.float32]], NDArray[np.float32]],
-    ) -> NDArray[np.float32]:
-        """Return images of which `finish` makes what is shown; a row of the operator is a light's channel.
-
-        Band by band: an image of many megapixels is held once.
-        """
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """Yield images of which `finish` makes what is shown; a row of the operator is a light's channel."""
         channel = self._shape[3]
         n_light = len(operator_mj) // channel
-        images_ihwc = np.empty((n_light, *region.shape, channel), np.float32)
-        with np.errstate(over="ignore", invalid="ignore"):  # what no encoder wrote: it is refused here
-            for rows, sums in self._planes.sums(region, operator_mj, device):
+        for rows, sums in self._planes.sums(region, operator_mj, device):
+            with np.errstate(over="ignore", invalid="ignore"):  # what no encoder wrote: it is refused here
                 band = sums.reshape(n_light, channel, *sums.shape[1:]).transpose(0, 2, 3, 1)
-                images_ihwc[:, rows] = finite_images(finish(band))
-        return images_ihwc
+                shown = finite_images(finish(band))
+            yield rows, shown
 
 
 class UnitView(UnitsView):
@@ -200,10 +165,12 @@ class UnitView(UnitsView):
             raise PayloadError(f"the klt body is of basis {self._basis}, what it comes with says {basis}")
 
     def _maker(self, device: Device) -> Maker:
-        return _Maker(self._parsed, self._shape, device)
+        return Unmixing(self._parsed, self._shape, device)
 
-    def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
-        """Return a part of the images at a level."""
+    def relight_rows(
+        self, directions_i3: NDArray[np.float64], region: Region, device: Device
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """See `UnitsView`."""
         channel = self._shape[3]
         basis_ik = self._functions_at(directions_i3)
         operator_mj = np.einsum("ik,kcj->icj", basis_ik, self._parsed.operator_kcj).reshape(len(basis_ik) * channel, -1)
@@ -237,13 +204,13 @@ class UnitPlanes:
             self._salvage = Salvage(shape, stored, damage)
         self._planes_jyx: NDArray[np.float32] | None = None  # of a small image, once they are asked for
 
-    def of(self, region: Region, device: Device) -> NDArray[np.float32]:
-        """Return the planes of a region, (count, height, width)."""
-        return _planes_of(self._reader(device), region, self._stored.n_plane)
+    def parts(self, region: Region, device: Device) -> Iterator[Held]:
+        """Yield the planes of a region, part by part."""
+        return self._reader(device).parts(region)
 
     def strips(self, memory: int, device: Device) -> Strips:
         """Return what gives planes of all rows, in so many bytes."""
-        return Strips(self._reader(device), self._shape, self._stored.n_plane, memory)
+        return Strips(self._reader(device), self._shape, self._stored.n_plane, memory, device)
 
     def _reader(self, device: Device) -> UnitReader:
         return UnitReader(self._body, self._stored, self._shape, device, self._salvage)
@@ -267,14 +234,8 @@ class UnitPlanes:
         elif n_sum >= count:
             yield slice(0, height), _sum_planes(reader.planes(region), operator_mj, device)
         else:
-            step = max(_SUMMED_BYTES // (4 * n_sum * width) // PRECINCT, 2) * PRECINCT
-            for top in range(region.top, region.bottom, step):
-                part = Region(top, region.left, min(top + step, region.bottom), region.right, region.level)
-                sums_cyx = reader.sums(part, operator_mj)
-                for row in range(0, part.shape[0], _SHOWN_ROWS):
-                    rows = slice(row, min(row + _SHOWN_ROWS, part.shape[0]))
-                    first = top - region.top
-                    yield slice(first + rows.start, first + rows.stop), sums_cyx[:, rows]
+            for part in sums_by_rows(reader, region, operator_mj, self._shape[1:3], device):
+                yield slice(part.region.top - region.top, part.region.bottom - region.top), part.array(device)
 
 
 def _sum_planes(

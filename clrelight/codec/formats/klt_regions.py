@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +37,43 @@ _REACH = 6
 """Samples of a subband beyond a region that its synthesis looks at: half of the next finer, and three, rounded up."""
 
 
+@dataclass(frozen=True)
+class Held:
+    """Planes of a region, or sums of them, in those of a window around it.
+
+    Attributes
+    ----------
+    region : Region
+    values : DeviceArray, shape (n_plane, rows, pitch), float32, or None
+        Those of its level, ``2 ** level`` times as large as they are; None where there are no planes.
+    top, left : int
+        Where the region begins in them.
+    """
+
+    region: Region
+    values: DeviceArray | None
+    top: int = 0
+    left: int = 0
+
+    @property
+    def scale(self) -> float:
+        """What values are to be multiplied with: each level of the transform doubles what is even."""
+        return float(0.5**self.region.level)
+
+    def rows(self, first: int, end: int) -> Held:
+        """Return some of the image's rows."""
+        region = replace(self.region, top=first, bottom=end)
+        return replace(self, region=region, top=self.top + first - self.region.top)
+
+    def array(self, device: Device) -> NDArray[np.float32]:
+        """Return the planes, (n_plane, height, width); rows may lie apart, and memory may be that of the values."""
+        height, width = self.region.shape
+        if self.values is None:
+            return np.zeros((0, height, width), np.float32)
+        part = device.download(self.values)[:, self.top : self.top + height, self.left : self.left + width]
+        return part * np.float32(self.scale) if self.region.level else part
+
+
 class UnitReader:
     """Decodes what a region needs.
 
@@ -62,32 +102,55 @@ class UnitReader:
         """The image."""
         return Region(0, 0, *self._shape[1:3])
 
-    def planes(self, region: Region) -> NDArray[np.float32]:
-        """Return the planes of a region in steps, (n_plane, height, width); PayloadError where units are damaged."""
-        return self._synthesised(region, None)
+    def parts(self, region: Region, weight_cj: NDArray[np.float64] | None = None) -> Iterator[Held]:
+        """Yield the planes of a region in steps, or sums of them times weights; PayloadError where units are damaged.
 
-    def sums(self, region: Region, weight_cj: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return weighted sums of the planes of a region, (n_sum, height, width), float32; rows may lie apart."""
-        return self._synthesised(region, np.ascontiguousarray(weight_cj.T, np.float32))
-
-    def _synthesised(self, region: Region, weight_jc: NDArray[np.float32] | None) -> NDArray[np.float32]:
-        """Decode the units of a region, and transform their planes or sums back; part by part where they are many."""
-        level = region.level
-        n_values = self._stored.n_plane if weight_jc is None else weight_jc.shape[1]
+        Part by part where they are many; one more part may be held while one is made.
+        """
+        if weight_cj is None and not self._stored.n_plane:
+            yield Held(region, None)
+            return
+        n_values = self._stored.n_plane if weight_cj is None else len(weight_cj)
         if (halves := self._halves(region, n_values)) is not None:
-            parts = [self._synthesised(half, weight_jc) for half in halves]
-            return np.concatenate(parts, axis=1 if halves[0].shape[1] == region.shape[1] else 2)
-        window = _around(region, *self._shape[1:3])
+            for half in halves:
+                yield from self.parts(half, weight_cj)
+            return
+        weight_jc = None if weight_cj is None else np.ascontiguousarray(weight_cj.T, np.float32)
+        level = region.level
+        window = around(region, *self._shape[1:3])
         values = self._decode(region, window, weight_jc)
         if level < LEVELS:
             transform_planes("synthesise", values, window.sides_at(level)[1], LEVELS - level, self._device)
-        found = self._device.download(values)
-        top, left = region.top - (window.top >> level), region.left - (window.left >> level)
-        part = found[:, top : top + region.shape[0], left : left + region.shape[1]]
-        # Every level of the transform doubles what is even: an image at a level is a mean.
-        if level:
-            return part * np.float32(0.5**level)
-        return recycling.copied(part) if weight_jc is None else part
+        yield Held(region, values, region.top - (window.top >> level), region.left - (window.left >> level))
+
+    def planes(self, region: Region) -> NDArray[np.float32]:
+        """Return the planes of a region, (n_plane, height, width)."""
+        joined: NDArray[np.float32] | None = None
+        for part in self.parts(region):
+            found = part.array(self._device)
+            if part.region == region:
+                return found if found.flags.c_contiguous else recycling.copied(found)
+            if joined is None:
+                joined = recycling.empty((len(found), *region.shape), np.float32)
+            top, left = part.region.top - region.top, part.region.left - region.left
+            joined[:, top : top + found.shape[1], left : left + found.shape[2]] = found
+        assert joined is not None
+        return joined
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether units are streams of their own, none of which may be damaged."""
+        return not self._stored.together and self._salvage is None
+
+    def rows_of(self, region: Region) -> dict[int, list[int]]:
+        """Return the units that a region hangs on, by their rows of precincts; they are read next."""
+        chosen = self._needed(region)
+        self._stored.expect(self._body, self._stored.numbers(self._units, chosen))
+        return self._by_rows(chosen)
+
+    def row_of(self, chosen: list[int], window: Window, level: int, weight_jc: NDArray[np.float32]) -> DeviceArray:
+        """Return sums of units of one row of precincts, in a window; PayloadError where they are damaged."""
+        return self._sound(*self._run([chosen] if chosen else [], window, level, weight_jc))
 
     def _halves(self, region: Region, n_values: int) -> tuple[Region, Region] | None:
         """Return two parts of a region whose values, and sizes of what lies around, a device may not hold."""
@@ -114,19 +177,21 @@ class UnitReader:
         chosen = list(range(len(self._units))) if self._stored.together else self._needed(region)
         self._stored.expect(self._body, self._stored.numbers(self._units, chosen))
         if self._salvage is None:
-            values, faulty = self._run(chosen, window, region.level, weight_jc)
-            if faulty:
-                raise PayloadError(f"unit {faulty[0][1]} of the {self._stored.name} body cannot be decoded")
-            return values
+            return self._sound(*self._run(self._groups(chosen), window, region.level, weight_jc))
         while True:
             kept = self._salvage.keep(chosen, self._body)
-            values, faulty = self._run(kept, window, region.level, weight_jc)
+            values, faulty = self._run(self._groups(kept), window, region.level, weight_jc)
             if not faulty:
                 return self._salvage.filled(values, window, chosen, self._body, self._device, weight_jc)
             self._salvage.fault([t for t, _ in faulty])
 
+    def _sound(self, values: DeviceArray, faulty: list[tuple[int, int]]) -> DeviceArray:
+        if faulty:
+            raise PayloadError(f"unit {faulty[0][1]} of the {self._stored.name} body cannot be decoded")
+        return values
+
     def _run(
-        self, chosen: list[int], window: Window, level: int, weight_jc: NDArray[np.float32] | None
+        self, groups: list[list[int]], window: Window, level: int, weight_jc: NDArray[np.float32] | None
     ) -> tuple[DeviceArray, list[tuple[int, int]]]:
         """Decode units into planes of a window at a level, or sums of them.
 
@@ -136,7 +201,7 @@ class UnitReader:
         n_values = self._stored.n_plane if weight_jc is None else weight_jc.shape[1]
         values = self._device.hold(recycling.zeros((n_values, rows, padded_width(columns)), np.float32))
         faulty = []
-        for group in self._rows_of_precincts(chosen):
+        for group in groups:
             faulty += self._run_group(group, window, level, values, weight_jc)
         return values, faulty
 
@@ -157,15 +222,19 @@ class UnitReader:
         )
         return [(chosen[layout.part_t4[at, 0]], numbers[at]) for at in np.flatnonzero(fault_t)]
 
-    def _rows_of_precincts(self, chosen: list[int]) -> list[list[int]]:
+    def _groups(self, chosen: list[int]) -> list[list[int]]:
         """Return units apart by rows of precincts, from coarse to fine: what contexts know of others is within one."""
         if self._stored.together:
             return [chosen] if chosen else []
+        rows = self._by_rows(chosen)
+        return [rows[row] for row in sorted(rows)]
+
+    def _by_rows(self, chosen: list[int]) -> dict[int, list[int]]:
         rows: dict[int, list[int]] = {}
         for t in chosen:
             unit = self._units[t]
             rows.setdefault((unit.row << (unit.level or LEVELS)) // PRECINCT, []).append(t)
-        return [rows[row] for row in sorted(rows)]
+        return rows
 
     def _needed(self, region: Region) -> list[int]:
         """Return the numbers of the units that a region's samples hang on."""
@@ -198,7 +267,7 @@ def _cover(units: list[Unit], height: int, width: int) -> Window:
     return Window(top, left, min(bottom, height), min(right, width))
 
 
-def _around(region: Region, height: int, width: int) -> Window:
+def around(region: Region, height: int, width: int) -> Window:
     """Return the pixels that a region's transform looks at."""
     least = 1 << LEVELS
     top, left = (max((side << region.level) - MARGIN, 0) // least * least for side in (region.top, region.left))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,7 @@ from clrelight.codec.bodies import Body
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.formats.klt_decode import UnitsView
+from clrelight.codec.formats.klt_regions import Held
 from clrelight.codec.formats.wavelet_planes import planes_to_maps
 from clrelight.codec.formats.wavelet_units import ABSENT, Tables, step_of
 from clrelight.codec.views import Region
@@ -24,8 +27,21 @@ class _Maker:
         self._step_k = np.where(tables.code_k == ABSENT, 0.0, step_of(tables.code_k))
         self._place_kd, self._rotation_kdc = tables.places(channel), tables.rotations(channel)
 
-    def coefficients(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
+    def coefficients(self, parts: Iterable[Held], region: Region) -> NDArray[np.float32]:
         """See `Maker`."""
+        coeffs_khwc: NDArray[np.float32] | None = None
+        for part in parts:
+            made = self._made(part.array(self._device))
+            if part.region == region:
+                return made
+            if coeffs_khwc is None:
+                coeffs_khwc = np.empty((len(made), *region.shape, self._channel), np.float32)
+            top, left = part.region.top - region.top, part.region.left - region.left
+            coeffs_khwc[:, top : top + made.shape[1], left : left + made.shape[2]] = made
+        assert coeffs_khwc is not None
+        return coeffs_khwc
+
+    def _made(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
         shape = (len(self._step_k), *planes_jyx.shape[1:], self._channel)
         if not len(planes_jyx):
             return np.zeros(shape, np.float32)
@@ -53,8 +69,10 @@ class WaveletView(UnitsView):
     def _maker(self, device: Device) -> _Maker:
         return _Maker(self._tables, self._shape[3], device)
 
-    def relight_region(self, directions_i3: NDArray[np.float64], region: Region, device: Device) -> NDArray[np.float32]:
-        """Return a part of the images at a level."""
+    def relight_rows(
+        self, directions_i3: NDArray[np.float64], region: Region, device: Device
+    ) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """See `UnitsView`."""
         basis_ik = self._functions_at(directions_i3)
         count, channel = self._stored.n_plane, self._shape[3]
         operator_mj = self._maker(device).operator(basis_ik, count) if count else np.zeros((len(basis_ik) * channel, 0))
