@@ -448,10 +448,11 @@ def rounds_of(kind, kills, flips):
         return -(-kills // _CHAIN), _CHAIN
     if kind in ("worker", "pack-worker"):
         return max(1, kills * 3 // 5 // 3), 3
+    if kind in ("interrupt", "pack-interrupt"):
+        return max(1, kills // 10), 1
     return {
         "driver-dask": (1, 2),
         "pack-driver-dask": (1, 2),
-        "interrupt": (max(1, kills // 10), 1),
         "flips": (1, flips),
     }.get(kind, (1, 1))
 

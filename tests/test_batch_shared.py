@@ -174,3 +174,17 @@ def test_a_scheduler_that_does_not_answer_is_told_of_first(files, tmp_path, monk
     with pytest.raises(InputError, match="no scheduler answers at tcp:"):
         run_single("fit", files.parent / "stack.h5", tmp_path / "x.h5", engine="tcp://127.0.0.1:9", report=Report())
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", [b"a \n b.h5", b"\xff\xfe.h5"])
+def test_names_that_are_no_text(files, tmp_path, monkeypatch, name):
+    out, report = os.fsdecode(name), Report()
+    monkeypatch.chdir(tmp_path)
+    options = {"method": "uls", "degree": 1}
+    run_single("fit", files.parent / "stack.h5", out, options=options, engine=Here(), report=report)
+    assert os.listdir(tmp_path) == [out]
+    assert report.facts["file"] == out
+    report = Report()
+    run_single("relight", out, "x%d.png", options={"light": [(0, 0, 1), (0, 1, 1)]}, engine=Here(), report=report)
+    assert report.facts == {"files": ["x0.png", "x1.png"]}
+    assert sorted(os.listdir(tmp_path)) == sorted([out, "x0.png", "x1.png"])

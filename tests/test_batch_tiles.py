@@ -215,7 +215,7 @@ def test_hostile_lists_of_shards(complaint):
 def test_what_is_not_for_tiles(stacks, tmp_path):
     with pytest.raises(InputError, match="tiles are for the jobs fit, decode, pack"):
         run_tiles(make_tasks(read_listing(stacks, "normals"), tmp_path, job="normals"), tmp_path)
-    with pytest.raises(InputError, match="store is no option"):
+    with pytest.raises(InputError, match="store is not for a fit that several"):
         fit_in_tiles(stacks, tmp_path, store="float16")
     # What cannot be read fails with its own line, and the others do not.
     shutil.copytree(stacks, tmp_path / "in")

@@ -114,9 +114,17 @@ def run_single(
             raise RuntimeError(f"{each.error}\n{each.trace}")
         raise ChoreError(each.error, each.kind)
     _remove(folder)
-    if target and verb.ending:
-        kept.facts["file"] = path_text(out, "a file to write")  # as it was given, not as the workers know it
+    if target:
+        _name_as_given(kept.facts, path_text(out, "a file to write"), target)
     return kept
+
+
+def _name_as_given(facts: dict[str, Any], given: str, target: str) -> None:
+    """Name what was written as it was asked for, not as the workers know it."""
+    base, known = os.path.dirname(given), os.path.dirname(target)
+    if "files" in facts:
+        facts["files"] = [os.path.join(base, os.path.relpath(each, known)) for each in facts["files"]]
+    facts |= {name: given for name in ("file", "folder") if name in facts}
 
 
 def _check_here(paths: Sequence[str]) -> None:

@@ -61,7 +61,7 @@ def write_summary(
     paths = folder / "summary.csv", folder / "summary.json"
     for path, text in zip(paths, (table.getvalue(), json.dumps(whole, indent=1) + "\n"), strict=True):
         with replacing(path) as part:
-            part.write(text.encode("utf-8"))
+            part.write(text.encode("utf-8", "surrogateescape"))  # names need not be text
     return str(paths[0]), str(paths[1])
 
 

@@ -13,6 +13,7 @@ from clrelight.batch.farmed import run_farmed, shards_of
 from clrelight.batch.run import JOURNAL, Batch, run_batch
 from clrelight.batch.summary import write_summary
 from clrelight.batch.task import Task
+from clrelight.batch.verbs import VERBS
 from clrelight.codec.entropy.units import PRECINCT
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
@@ -75,7 +76,8 @@ def run_tiles(
     joins, unreadable = [], []
     for task in tasks:
         if task.job not in _JOINS:
-            raise InputError(f"tiles are for the jobs {', '.join((*_JOINS, *FARMED))}, not for {task.job}")
+            shared = [name for name in dict.fromkeys((*_JOINS, *FARMED)) if name in VERBS]
+            raise InputError(f"tiles are for the jobs {', '.join(shared)}, not for {task.job}")
         refused = _NOT_OF_ROWS[:3] if task.job == "fit" else ("region", "level", "salvage")
         if other := [name for name in refused if name in task.options]:
             raise InputError(f"{other[0]} is not for a {task.job} that several workers share: let one process do it")
