@@ -55,7 +55,7 @@
       const payloads = this.files.filter((file) => file.kind === "klt");
       if (!payloads.length) return;
       const cores = navigator.hardwareConcurrency || 2;
-      this.workers = makeWorkers(Math.min(Math.max(cores - 1, 2), 6)).map((worker) => ({ worker, busy: 0 }));
+      this.workers = makeWorkers(Math.min(Math.max(cores - 1, 2), 6)).map((worker) => ({ worker, busy: 0, curves: new Set() }));
       const start = fromBase64(this.manifest.start);
       for (const file of payloads) {
         const bytes = embedded(`body-${file.id}`);
@@ -63,9 +63,7 @@
         const address = new URL(`body/${file.id}`, location.href).href;
         const scales = floatsOf(file.units);
         const { id, shape, length, front } = file;
-        const { planes, channels, analysis } = file;
-        const curve = file.bent && { planes, channels, analysis, evaluation: evaluationOf(file) };
-        const told = { type: "open", id, shape, length, front, scales, start, blob, address, curve };
+        const told = { type: "open", id, shape, length, front, scales, start, blob, address };
         for (const { worker } of this.workers) worker.postMessage(told);
       }
       for (const each of this.workers) each.worker.onmessage = ({ data }) => this.take(each, data);
@@ -125,9 +123,18 @@
       const job = ++this.jobs;
       worker.busy++;
       const straight = "payload" in file;
+      if (straight) this.tellCurve(worker, this.files[file.payload]);
       worker.worker.postMessage({ type: "tile", id: straight ? file.payload : file.id, job, level, row, column, straight });
       this.pending.set(wanted.key, { ...wanted, job });
       return true;
+    }
+
+    /** What a worker makes coefficients with, once: of large degrees it takes a moment. */
+    tellCurve(worker, file) {
+      const { id, planes, channels, analysis } = file;
+      file.curve ??= { planes, channels, analysis, evaluation: evaluationOf(file) };
+      if (!worker.curves.has(id)) worker.worker.postMessage({ type: "curve", id, curve: file.curve });
+      worker.curves.add(id);
     }
 
     take(worker, { job, texels, error }) {

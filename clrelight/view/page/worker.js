@@ -51,8 +51,9 @@
         const read = readerOf(data);
         const units = read(0, data.front).then((front) => new Units(data.shape, front, data.length, read, data.start));
         units.catch(() => {}); // told with each tile
-        opened.set(data.id, { units, scales: data.scales, curve: data.curve });
-      } else last = last.then(() => decode(data)); // one at a time: what is decoded is shared
+        opened.set(data.id, { units, scales: data.scales });
+      } else if (data.type === "curve") opened.get(data.id).curve = data.curve;
+      else last = last.then(() => decode(data)); // one at a time: what is decoded is shared
     };
   }
 
