@@ -245,7 +245,7 @@ def test_rows_come_as_the_sums_that_they_are(device, large, level):
     light, region = np.array([[0.36, 0.48, 0.8]]), Region(7 >> level, 300 >> level, 1099 >> level, 1210 >> level, level)
     view = UnitView(Counted(), parsed, coeffs.shape)
     bands = list(view.relight_rows(light, region, device))
-    assert len(read) == len(set(read)) > 10
+    assert len(read) == len(set(read)) > 8
     assert [rows.start for rows, _ in bands] == [0, *(rows.stop for rows, _ in bands[:-1])]
     assert len(bands) == 3
     found = np.concatenate([band for _, band in bands], axis=1)
