@@ -29,6 +29,8 @@ from clrelight.errors import PayloadError
 from clrelight.harmonics.index import degree_of
 from clrelight.matmul import multiply_columns
 
+_SIDE, _LARGER = PRECINCT + 2 * MARGIN, 0.8
+"""Rows that a precinct's transform looks at; of a strip's bytes, those of pieces at the least for which it is taken."""
 _KEPT_BYTES = 1 << 26
 """Bytes of planes that a view keeps, for the lights that follow the first."""
 
@@ -39,8 +41,7 @@ class Strips:
     def __init__(self, reader: UnitReader, shape: Shape, count: int, memory: int, device: Device) -> None:
         self._reader, self._count, self._device = reader, count, device
         _, self._height, self._width, _ = shape
-        # What is decoded, what of it is transformed back, and the planes of the strip.
-        self._step, self._columns = tile_sides(self._height, self._width, count, memory // 3)
+        self._step, self._columns = _strip_sides(shape, count, memory)
         self._held: list[Held] = []
 
     def rows(self, first: int, end: int) -> Iterator[Held]:
@@ -70,8 +71,21 @@ class Strips:
 def bytes_at_once(shape: Shape, count: int) -> int:
     """Return about the bytes that planes take at the least while a body is decoded."""
     _, height, width, _ = shape
-    side = PRECINCT + 2 * MARGIN
-    return 4 * count * (min(height, PRECINCT) * width + 2 * min(height, side) * min(width, side))
+    return 4 * count * (min(height, PRECINCT) * width + 2 * min(height, _SIDE) * min(width, _SIDE))
+
+
+def _strip_sides(shape: Shape, count: int, memory: int) -> tuple[int, int]:
+    """Return the rows of strips, and the columns that are decoded together.
+
+    In pieces, units at the edges of precincts are decoded up to nine times, in strips as wide as the image up to three
+    times: these are taken where they need no more, or at most a quarter where not even pieces fit.
+    """
+    _, height, width, _ = shape
+    rows, columns = tile_sides(height, width, count, memory // 2)  # their window, and what is made of it
+    pieces, wide = bytes_at_once(shape, count), 4 * count * min(height, _SIDE) * width
+    if columns < width and wide * (_LARGER if memory < pieces else 1.0) <= pieces:
+        return min(PRECINCT, height), width
+    return rows, columns
 
 
 class Maker(Protocol):
