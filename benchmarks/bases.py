@@ -80,7 +80,8 @@ def list_cases(patterns: tuple[str, ...], pixels: int) -> Iterator[Case]:
         stack = ingest(folder, report=Report(), lights=folder / "dirs.lp", transfer="linear")
         lion = replace(stack, notes=(), name="loewenkopf")
         yield Case(Source("loewenkopf", "loewenkopf", folder), crop(lion, pixels), *split_lights(lion.n_light, HOLDOUT))
-    for source in find_stacks([pattern for pattern in patterns if pattern != "loewenkopf"]):
+    others = [pattern for pattern in patterns if pattern != "loewenkopf"]
+    for source in find_stacks(others) if others or not patterns else []:
         yield read_case(source, pixels=pixels)
 
 

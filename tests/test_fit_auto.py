@@ -90,8 +90,8 @@ def test_cls_is_fitted_anew_without_the_zone(device):
     stack = make_scene(4, 40, shape_hwc=(4, 20, 3))
     trials = Trials.make(Samples(stack), "uniform", "hemisphere")
     found = try_method(method_class("cls")(), 3, trials)
-    assert np.isfinite(found).sum() == len(trials.refitted)
-    place = int(trials.refitted[2])
+    assert np.isfinite(found).sum() == len(trials.refits)
+    place = trials.refits[2][0]
     kept = np.setdiff1d(np.arange(40), trials.zones[place])
     fitted = fit(stack.select(kept), "cls", 3).coeffs_khwc.reshape(16, -1)
     exact = evaluate_basis(stack.directions_i3[[place]], 3) @ fitted

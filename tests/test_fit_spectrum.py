@@ -298,6 +298,27 @@ def test_few_lights_tell_where_a_function_ends(n_light):
     assert reached > endless + 0.5
 
 
+def shaded_dome(floor, lights):
+    """Lambert's cosine over tilted normals: with shadows attached, and with a floor below them that is not black."""
+    rng = np.random.default_rng(3)
+    rng.standard_normal((16, 600))
+    normals = rng.standard_normal((3, 600)) * [[0.6], [0.6], [0.3]] + [[0.0], [0.0], [1.0]]
+    cosine = np.maximum(lights @ (normals / np.linalg.norm(normals, axis=0)), 0.0)
+    value = floor + (1.0 - floor) * rng.uniform(0.3, 1.0, 600) * cosine
+    return LightStack(np.rint(255 * value).astype(np.uint8).reshape(len(lights), 1, -1, 3), lights, 255.0)
+
+
+def test_functions_clipped_at_black_have_no_end():
+    """Under 9 lights all else asks for degree 3, at which such functions lose 0.9 dB."""
+    lights, between = make_pattern("uniform", 9), spread_points(120, False)
+    black, lifted = shaded_dome(0.0, lights), shaded_dome(0.1, lights)
+    assert prepare_fit(lifted, "spectrum", 25).method.limit == 3
+    free = prepare_fit(black, "spectrum", 25)
+    assert free.method.limit == 25
+    ended, held = prepare_fit(black, "spectrum", 25, options={"limit": 3}), shaded_dome(0.0, between)
+    assert mean_psnr(collect_fit(free), held) > mean_psnr(collect_fit(ended), held) + 0.5
+
+
 @pytest.mark.parametrize("limit", [2, 3])
 def test_a_band_limited_function_is_told(device, limit):
     rng = np.random.default_rng(4)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,9 +94,7 @@ class KrigingModel:
     @cached_property
     def _series(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Least squares over points spread evenly: the moments of the basis, and with the whole map."""
-        points = spread_points(_SPREAD, is_sphere(self.places.directions_g3))
-        basis_tk = evaluate_basis(points, LARGEST_DEGREE)
-        normal_kk = basis_tk.T @ basis_tk / len(points)
+        normal_kk = _spread_moments(is_sphere(self.places.directions_g3))
         return normal_kk, normal_kk @ self.whole_ki
 
     def _kernel_to(self, basis_tk: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -144,6 +142,13 @@ class KrigingModel:
         relative_k = relative_l[degrees_of_coefficients(degree)]
         ridge = float(np.clip(1e-3 * self.theta.noise, *_RIDGE))
         return np.asarray(np.linalg.solve(normal_kk[:, : len(normal_kk)] + np.diag(ridge / relative_k), whole_ki))
+
+
+@cache
+def _spread_moments(sphere: bool) -> NDArray[np.float64]:
+    """Return the moments of the basis over points spread evenly, shape (n_coeff, n_coeff)."""
+    basis_tk = evaluate_basis(spread_points(_SPREAD, sphere), LARGEST_DEGREE)
+    return np.asarray(basis_tk.T @ basis_tk / len(basis_tk))
 
 
 def _floored(variance: NDArray, variance_l: NDArray) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clrelight.fit.evidence import find_end
 from clrelight.fit.left_out import (
@@ -11,6 +10,7 @@ from clrelight.fit.left_out import (
     MOST_PLACES,
     PRIOR_MEAN,
     Learner,
+    Moments,
     begin,
     find_clear_limit,
     search_free,
@@ -21,8 +21,7 @@ from clrelight.fit.zonal import LARGEST_DEGREE, Theta
 
 def learn_theta(
     places: Places,
-    moment_gg: NDArray[np.float64],
-    quantum: float,
+    moments: Moments,
     given: dict[int, float] | None = None,
     limit: int | None = None,
 ) -> Theta:
@@ -31,10 +30,7 @@ def learn_theta(
     Parameters
     ----------
     places : Places
-    moment_gg : ndarray, shape (n_place, n_place)
-        Mean over the columns of the products of two lights' samples.
-    quantum : float
-        Step between two code values, 0 for floats.
+    moments : Moments
     given : dict of int to float, optional
         Parameters (as `Theta.to_logs` has them) that are known.
     limit : int, optional
@@ -42,15 +38,15 @@ def learn_theta(
     """
     fixed = given or {}
     some = pick_spread(places.directions_g3, MOST_PLACES)
-    moment_gg = moment_gg[np.ix_(some, some)]
-    if not float(np.trace(moment_gg)) > 0.0 or len(some) < FEWEST or len(fixed) == len(PRIOR_MEAN):
+    moments = moments.of(some)
+    if not float(np.trace(moments.product_gg)) > 0.0 or len(some) < FEWEST or len(fixed) == len(PRIOR_MEAN):
         return Theta.from_logs(begin(fixed), LARGEST_DEGREE if limit is None else limit)
     chosen = Places(places.directions_g3[some], places.mean_gi[some], places.count_g[some])
-    learner = Learner.make(chosen, moment_gg, quantum, fixed)
+    learner = Learner.make(chosen, moments, fixed)
     if limit is not None:
         learner = learner.limited(limit)
     free = search_free(learner)
     ended = None
     if limit is None and not fixed:
-        ended = find_clear_limit(learner, free) or find_end(learner, free, chosen, moment_gg)
+        ended = find_clear_limit(learner, free) or find_end(learner, free, chosen, moments)
     return ended or Theta.from_logs(free[1], learner.objective.limit)

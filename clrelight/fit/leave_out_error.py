@@ -101,9 +101,14 @@ class Trials:
         return np.flatnonzero(self.places.mean_gi[places].any(axis=0))
 
     @cached_property
-    def refitted(self) -> NDArray[np.intp]:
-        """The places at which methods are tried that must be fitted anew, far from each other."""
-        return pick_spread(self.places.directions_g3, REFITS)
+    def refits(self) -> list[tuple[int, NDArray[np.intp], Lighting]]:
+        """Where methods are fitted anew, places far from each other: place, photographs left, and their lights."""
+        made = []
+        for place in pick_spread(self.places.directions_g3, REFITS).tolist():
+            left = np.setdiff1d(np.arange(self.samples.stack.n_light), self.photographs(self.zones[place]))
+            if len(left):
+                made.append((place, left, make_lighting(self.samples.stack.select(left), self.weights, self.sampling)))
+        return made
 
 
 def krige_left_out(
@@ -119,7 +124,7 @@ def try_method(method: FitMethod, degree: int, trials: Trials) -> NDArray[np.flo
 
     With the hat matrix H of a linear fit, ``(I - H_ZZ)^-1 (beta - H beta)_Z`` are the errors at a zone left out
     exactly (Cook 1977 for zones of one), given lambda. Where a fit follows the samples of any zone, nothing is known.
-    cls and ceb are no linear map: they are fitted anew, without each of `Trials.refitted`.
+    cls and ceb are no linear map: they are fitted anew for each of `Trials.refits`.
     """
     settled = method.settle(trials.lighting, degree, trials.samples)
     plan = settled.plan(trials.lighting, degree)
@@ -158,16 +163,12 @@ def _leave_zones(left_ii: NDArray[np.float64], trials: Trials) -> NDArray[np.flo
 def _refit(method: FitMethod, degree: int, trials: Trials) -> NDArray[np.float64]:
     radiance_ip = trials.samples.radiance_ip[:, trials.few]
     error_g = np.full(len(trials.places), np.nan)
-    for place in trials.refitted:
-        kept = np.setdiff1d(np.arange(radiance_ip.shape[0]), trials.photographs(trials.zones[place]))
-        if not len(kept):
-            continue
-        lighting = make_lighting(trials.samples.stack.select(kept), trials.weights, trials.sampling)
+    basis_gk = evaluate_basis(trials.places.directions_g3, degree)
+    for place, left, lighting in trials.refits:
         plan = method.plan(lighting, degree)
-        z_rp = plan.analysis_ri @ radiance_ip[kept]
-        gain_rp = method.find_gains(plan, z_rp, plan.energy_i @ radiance_ip[kept] ** 2)
-        basis_1k = evaluate_basis(trials.places.directions_g3[[place]], degree)
-        basis_1r = basis_1k if plan.synthesis_kr is None else basis_1k @ plan.synthesis_kr
+        z_rp = plan.analysis_ri @ radiance_ip[left]
+        gain_rp = method.find_gains(plan, z_rp, plan.energy_i @ radiance_ip[left] ** 2)
+        basis_1r = basis_gk[[place]] if plan.synthesis_kr is None else basis_gk[[place]] @ plan.synthesis_kr
         true_1p = trials.mean_gp[[place]][:, trials.few]
         error_g[place] = trials.measure(basis_1r @ (gain_rp * z_rp), true_1p)[0]
     return error_g

@@ -34,8 +34,40 @@ _LIMIT_GAIN = 3.0
 Raftery 1995, Bayes factors); scenes that are band-limited gain far more."""
 FEWEST = 3
 """With fewer lights, parameters are the prior's mean."""
+_BLACK, _LIT = 1.0 / 512.0, 1.0 / 32.0
+"""Samples below the first are black, columns that reach the second are lit; of the brightest sample."""
 LEAST_SQUARE = 1e-8
 """Of the samples' mean square: a smaller squared error at a light that is left out counts as this."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What a sample of pixels tells of the lights.
+
+    Attributes
+    ----------
+    product_gg : ndarray, shape (n_place, n_place)
+        Mean over the columns of the products of two lights' samples.
+    quantum : float
+        Step between two code values, 0 for floats.
+    black : float
+        Share of black samples among the columns that some light reaches.
+    """
+
+    product_gg: NDArray[np.float64]
+    quantum: float
+    black: float
+
+    @classmethod
+    def make(cls, mean_gp: NDArray[np.float64], quantum: float) -> Moments:
+        """Return those of samples in units of the brightest, shape (n_place, P)."""
+        lit_gp = mean_gp[:, mean_gp.max(axis=0) > _LIT]
+        black = float(np.mean(lit_gp < _BLACK)) if lit_gp.size else 0.0
+        return cls(mean_gp @ mean_gp.T / mean_gp.shape[1], quantum, black)
+
+    def of(self, places: NDArray[np.intp]) -> Moments:
+        """Return those of some of the places."""
+        return replace(self, product_gg=self.product_gg[np.ix_(places, places)])
 
 
 @dataclass(frozen=True)
@@ -149,15 +181,15 @@ class Learner:
     high: NDArray[np.float64]
 
     @classmethod
-    def make(cls, places: Places, moment_gg: NDArray[np.float64], quantum: float, fixed: dict[int, float]) -> Learner:
+    def make(cls, places: Places, moments: Moments, fixed: dict[int, float]) -> Learner:
         """Return the search for these lights; see `clrelight.fit.learning.learn_theta`."""
-        square = float(np.trace(moment_gg)) / len(places)
-        least = max(quantum**2 / 12.0 / square, LEAST_SQUARE)
+        square = float(np.trace(moments.product_gg)) / len(places)
+        least = max(moments.quantum**2 / 12.0 / square, LEAST_SQUARE)
         low, high = _LOW.copy(), _HIGH.copy()
         low[4] = min(max(low[4], np.log(least)), high[4] - 1.0)
         for k, value in fixed.items():
             low[k] = high[k] = value
-        return cls(Objective.make(places, moment_gg / square, least), low, high)
+        return cls(Objective.make(places, moments.product_gg / square, least), low, high)
 
     def limited(self, limit: int) -> Learner:
         """Return the same where nothing is above a degree."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +89,13 @@ def find_gap_radii(directions_g3: NDArray[np.float64]) -> NDArray[np.float64]:
     once, and small ones between its lights not at all; `clrelight.holdout.typical_gap`, by area over all of them, is
     another figure: 8 to 22 per cent above the median of these for patterns of lights.
     """
+    return _gap_radii(np.ascontiguousarray(directions_g3, np.float64).tobytes()).copy()
+
+
+@lru_cache(maxsize=4)
+def _gap_radii(directions: bytes) -> NDArray[np.float64]:
+    """`find_gap_radii` of the same lights, which several parts of a choice ask for."""
+    directions_g3 = np.frombuffer(directions).reshape(-1, 3)
     if len(directions_g3) < 4:
         return np.zeros(len(directions_g3))
     points = spread_points(_GRID, is_sphere(directions_g3))

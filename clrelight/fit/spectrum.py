@@ -12,7 +12,7 @@ from clrelight.errors import InputError
 from clrelight.fit.axial import AxialStep, learn_step
 from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.learning import learn_theta
-from clrelight.fit.left_out import FEWEST
+from clrelight.fit.left_out import FEWEST, Moments
 from clrelight.fit.places import find_places, spread_points
 from clrelight.fit.plan import FitPlan, Lighting, is_sphere
 from clrelight.fit.registry import FitMethod, register
@@ -94,11 +94,11 @@ class SpectrumFit(FitMethod):
             if values[name] is not None
         }
         with on_one_thread():
-            moment_gg = mean_gp @ mean_gp.T / mean_gp.shape[1]
-            theta = learn_theta(places, moment_gg, quantum, given, self.limit)
+            moments = Moments.make(mean_gp, quantum)
+            theta = learn_theta(places, moments, given, self.limit)
             # Numbers that were given are told as they were, not as their logarithms' exponentials.
             theta = replace(theta, **{name: values[name] for name in _NAMES if values[name] is not None})
-            step = learn_step(places, theta, moment_gg, self.share)
+            step = learn_step(places, theta, moments.product_gg, self.share)
         share = 0.0 if step is None and self.share is None else self.share
         settled = type(self)(**asdict(theta), share=step.share if step is not None else share)
         object.__setattr__(settled, "step", step)
