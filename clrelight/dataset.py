@@ -288,5 +288,6 @@ def split_lights(n_light: int, holdout: int | None) -> tuple[NDArray[np.intp], N
         raise InputError(f"holdout must be at least 2 (every K-th light is kept out), got {holdout}")
     held = index % holdout == holdout - 1
     if not held.any():
-        raise InputError(f"holdout {holdout} keeps no light out of {n_light}; use at most {n_light}")
+        hint = f"use at most {n_light}" if n_light > 1 else "one light can only be fitted: leave holdout out"
+        raise InputError(f"holdout {holdout} keeps no light out of {n_light}; {hint}")
     return index[~held], index[held]

@@ -84,9 +84,10 @@ def split_chosen(
         group_i = group_directions(directions_i3)
         first_g = np.unique(group_i, return_index=True)[1]
         if len(first_g) < min(holdout, len(group_i)):
+            hint = f"use at most {len(first_g)}" if len(first_g) > 1 else "one can only be fitted: leave holdout out"
             raise InputError(
                 f"holdout {holdout} keeps none of {len(first_g)} directions out, of which there are {len(group_i)} "
-                f"photographs; use at most {len(first_g)}"
+                f"photographs; {hint}"
             )
         chosen = split_lights(len(first_g), holdout)
         if by == "place":

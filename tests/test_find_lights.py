@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import clrelight as cr
 from clrelight import image_sink
@@ -256,12 +257,16 @@ def test_what_cannot_be_found_is_refused(tmp_path):
     write_photographs(tmp_path / "plain", rng.random((4, 40, 50)) * 0.2)
     (tmp_path / "empty").mkdir()
     write_photographs(tmp_path / "lone", np.full((2, 40, 50), 0.1))
+    clouds = [ndimage.gaussian_filter(each, 2.0) for each in rng.standard_normal((6, 60, 70))]
+    write_photographs(tmp_path / "clouds", np.clip(0.3 + np.array(clouds), 0.0, 1.0))
     before = contents(tmp_path)
     out = tmp_path / "l.lp"
     for words, message in (
         ([tmp_path / "plain", out], "no sphere is found"),
         ([tmp_path / "plain", out, "--sphere", "500,500,20"], "outside the photographs"),
         ([tmp_path / "lone", out, "--sphere", "20,20,12"], "no highlight is found"),
+        ([tmp_path / "clouds", out, "--sphere", "35,30,20"], "no highlight is found"),
+        ([tmp_path / "clouds", out, "--sphere", "35,30,20", "--kind", "matte"], "not shaded as a matte sphere"),
         ([tmp_path / "empty", out], "no images"),
         ([tmp_path / "plain", tmp_path / "l.txt"], "lights go to a .lp"),
         ([tmp_path / "plain", out, "--sphere", "20,20,12", "--focal", "-3"], "focal must be"),

@@ -10,6 +10,7 @@ from clrelight.errors import InputError
 from clrelight.fit.recursive import plan_update
 from clrelight.jobs.fit import fit
 from clrelight.jobs.update import update_fit
+from clrelight.sampling import make_pattern
 from clrelight.store import read_fit, write_stack
 from tests.commands import attributes, call, succeed
 from tests.reference import basis
@@ -91,6 +92,31 @@ def test_spline_notes_that_its_lambda_stays(device):
     with pytest.warns(match="lambda stays that of the old photographs"):
         grown = update_fit(old, stack.select(NEW))
     assert grown.config["lam"] == old.config["lam"]
+
+
+def test_a_fit_by_cls_does_not_settle_that_of_more_photographs(device):
+    """Samples apart by what no coefficient sees: the same fit where lambda is 0, and other fits with more of them."""
+    rng, lights_i3 = np.random.default_rng(7), make_pattern("uniform", 40)
+    old_i3, new_i3 = lights_i3[::2], lights_i3[1::2]
+    values_ik = basis.real_harmonics(old_i3, 3)
+    coeffs_k = np.r_[1.0, 0.3 * rng.standard_normal(3), 0.1 * rng.standard_normal(12)]
+    first_i = values_ik @ coeffs_k
+    unseen_in = np.linalg.svd(values_ik)[0][:, values_ik.shape[1] :]
+    apart_i = unseen_in @ rng.standard_normal(unseen_in.shape[1])
+    apart_i *= 0.9 * np.min(first_i[apart_i < 0.0] / -apart_i[apart_i < 0.0])
+    samples_ip = np.stack([first_i, first_i + apart_i], axis=1)
+    more_ip = np.tile(rng.random((20, 1)), 2)
+
+    def by_cls(at_i3, seen_ip):
+        stack = LightStack(seen_ip[:, None, :, None], at_i3, 1.0, "linear")
+        return fit(stack, "cls", 3, precision="double")
+
+    old = by_cls(old_i3, samples_ip)
+    every = by_cls(np.concatenate([old_i3, new_i3]), np.concatenate([samples_ip, more_ip]))
+    assert not old.lambda_hwc.any()
+    np.testing.assert_allclose(columns_of(old)[:, 0], columns_of(old)[:, 1], atol=1e-6)
+    assert (every.lambda_hwc > 0.0).all()
+    assert np.linalg.norm(np.subtract(*columns_of(every).T)) > 0.1
 
 
 @pytest.mark.parametrize("method", ["cls", "ceb", "spectrum", "project", "constrained"])

@@ -23,6 +23,11 @@ _RIVAL = 0.5
 _LOOKED_AT, _ALIKE = 3, 0.5
 _MANY = 5
 """Photographs whose median shows what does not move with the lamp."""
+_OUTSTANDING = 1.5
+"""Noise has hollows as deep as its bumps are high; beside a median, lamps have none. How much higher bumps must be."""
+
+
+Shown = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,8 @@ def find_highlights(
     """Return the brightest highlight of each photograph on a sphere; None where there is none.
 
     What stays as the lamp moves, such as the room in the sphere, is taken off: the median over the photographs. A
-    highlight is looked for by its size, so that broad shading is none.
+    highlight is looked for by its size, so that broad shading is none. Of five photographs and more, bumps that are no
+    higher than hollows are deep are noise or texture, and none is a highlight.
 
     Parameters
     ----------
@@ -96,25 +102,31 @@ def find_highlights(
     search = _Search(inside_hw, circle, sphere, factor, corner_xy)
     noise = _noise(samples_ihw[:, inside_hw] - still_hw[inside_hw])
     found = [search.run(each_hw - still_hw, each_hw, noise, most) for each_hw in samples_ihw]
+    if len(samples_ihw) >= _MANY and not _stand_out([each[2] for each in found if each is not None]):
+        return [None] * len(samples_ihw)
     heights = [each[0].height for each in found if each is not None]
     least = _LEAST_HEIGHT * float(np.median(heights)) if heights else 0.0
     kept = [each if each is not None and each[0].height >= least else None for each in found]
     if blur is None or not any(kept):
         return [None if each is None else each[0] for each in kept]
-    fit = LobeFit(circle, sphere, factor, corner_xy, blur, noise)
     seen = [
-        None if each is None else (samples_hw - still_hw, samples_hw, each[1])
+        None if each is None else (each[0], (samples_hw - still_hw, samples_hw, each[1]))
         for each, samples_hw in zip(kept, samples_ihw, strict=True)
     ]
-    lobe = fit.choose([each for each in seen if each is not None], most)
+    return _settled(seen, LobeFit(circle, sphere, factor, corner_xy, blur, noise), most)
+
+
+def _settled(seen: list[tuple[Highlight, Shown] | None], fit: LobeFit, most: float) -> list[Highlight | None]:
+    """Return highlights whose middles are those of lobes, where these look like them."""
+    lobe = fit.choose([each[1] for each in seen if each is not None], most)
     settled: list[Highlight | None] = []
-    for each, shown in zip(kept, seen, strict=True):
-        better = None if each is None or shown is None else fit.fit(*shown, most, lobe)
+    for each in seen:
+        better = None if each is None else fit.fit(*each[1], most, lobe)
         if each is None or better is None:
             settled.append(None if each is None else each[0])
             continue
         x, y, light_3 = fit.light(better)
-        settled.append(replace(each[0], x=x, y=y, light_3=light_3, off=better.off * factor))
+        settled.append(replace(each[0], x=x, y=y, light_3=light_3, off=better.off * fit.factor))
     return settled
 
 
@@ -123,6 +135,11 @@ def _noise(moved_ip: NDArray[np.floating]) -> float:
     if moved_ip.shape[1] < 2:
         return 0.0
     return float(1.4826 * np.median(np.abs(np.diff(moved_ip, axis=1))) / np.sqrt(2.0))
+
+
+def _stand_out(ratios: list[float]) -> bool:
+    """Return whether in most photographs with bumps these are higher than hollows are deep, as those of lamps are."""
+    return bool(ratios) and float(np.median(ratios)) > _OUTSTANDING
 
 
 @dataclass(frozen=True)
@@ -135,10 +152,11 @@ class _Search:
 
     def run(
         self, moved_hw: NDArray[np.floating], samples_hw: NDArray[np.floating], noise: float, most: float
-    ) -> tuple[Highlight, NDArray[np.bool_]] | None:
-        """Return the brightest highlight of one photograph, and its pixels."""
+    ) -> tuple[Highlight, NDArray[np.bool_], float] | None:
+        """Return the brightest highlight of a photograph, its pixels, and its height by the depth of hollows."""
         narrow = max(0.7, 0.015 * self.circle.radius)
         bumps_hw = self._blurred(moved_hw, narrow) - self._blurred(moved_hw, 0.16 * self.circle.radius)
+        deepest = -float(bumps_hw[self.inside_hw].min(initial=0.0))
         bumps_hw[~self.inside_hw] = -np.inf
         tops: list[tuple[float, float, Highlight, NDArray[np.bool_]]] = []
         for _ in range(_LOOKED_AT):
@@ -162,7 +180,7 @@ class _Search:
         alike = [each for each in tops if each[0] >= _ALIKE * sharpest]
         light, best, blob_hw = max((each[1:] for each in alike), key=lambda each: each[0])
         rival = max((each[1] for each in alike if each[2] is not best), default=0.0) / light
-        return replace(best, rival=rival), blob_hw
+        return replace(best, rival=rival), blob_hw, sharpest / max(deepest, 1e-3 * sharpest)
 
     def _blurred(self, values_hw: NDArray[np.floating], sigma: float) -> NDArray[np.float64]:
         """Return the mean over the neighbours inside the disc."""

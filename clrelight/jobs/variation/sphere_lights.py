@@ -136,15 +136,12 @@ def lights_of_sphere(
     if rim is not None:
         sphere = seen_by_rim(rim, sphere, (height, width), factor, corner)
         circle, refined = sphere.circle, inner_circle(sphere.circle, factor, corner)
+    highlights: tuple[Highlight | None, ...] = ()
     if is_matte:
         refined = _settle(part_ihw, refined)
         circle = refined.scaled(factor, *corner)
         sphere = view_sphere(circle, (height, width), focal, None)
-        shaded = shaded_lights(part_ihw, refined, sphere, factor, corner)
-        length_i = np.linalg.norm(shaded.lights_i3, axis=1, keepdims=True)
-        lights_i3 = np.where(length_i > 0.0, shaded.lights_i3 / np.maximum(length_i, 1e-12), 0.0)
-        highlights: tuple[Highlight | None, ...] = ()
-        residual_i = shaded.residual_i
+        lights_i3, residual_i = _matte_lights(part_ihw, refined, sphere, factor, corner)
     else:
         found = find_highlights(
             part_ihw, refined, sphere, factor, corner, frames.most(), None if rim is None else rim.blur
@@ -156,6 +153,21 @@ def lights_of_sphere(
     worth_i = np.array([sphere.degrees_a_pixel(light_3) for light_3 in lights_i3])
     uncertain_i = uncertainty(sphere, highlights, worth_i, rim, factor)
     return SphereLights(circle, lights_i3, highlights, residual_i, worth_i, uncertain_i)
+
+
+def _matte_lights(
+    part_ihw: NDArray[np.float32], inner: Circle, sphere: SphereView, factor: float, corner: tuple[int, int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return unit vectors to lamps and what is off the law; InputError where the disc is not shaded as a sphere is."""
+    shaded = shaded_lights(part_ihw, inner, sphere, factor, corner)
+    if not _is_shaded(part_ihw, shaded.lights_i3, inner, sphere, factor, corner):
+        at = sphere.circle
+        raise InputError(
+            f"sphere {at.x:.1f},{at.y:.1f},{at.radius:.1f} is not shaded as a matte sphere is: one brightness all over "
+            "explains it better than lamps do; say where it is, or leave out --kind matte if it shines"
+        )
+    length_i = np.linalg.norm(shaded.lights_i3, axis=1, keepdims=True)
+    return np.where(length_i > 0.0, shaded.lights_i3 / np.maximum(length_i, 1e-12), 0.0), shaded.residual_i
 
 
 def shaded_lights(
@@ -170,6 +182,23 @@ def shaded_lights(
     samples_ip = part_ihw[:, y_p[seen_p], x_p[seen_p]]
     # One albedo all over: what a ball is painted with.
     return lights_from_normals(samples_ip, normals_p3[seen_p], np.ones(int(seen_p.sum())))
+
+
+def _is_shaded(
+    part_ihw: NDArray[np.float32],
+    lights_i3: NDArray[np.float64],
+    inner: Circle,
+    sphere: SphereView,
+    factor: float,
+    corner: tuple[int, int],
+) -> bool:
+    """Return whether lamps explain a disc's brightness better than one brightness does, in most photographs."""
+    y_p, x_p = np.nonzero(_disc(part_ihw.shape[1:], inner))
+    normals_p3 = sphere.normals((x_p + 0.5) * factor - 0.5 + corner[0], (y_p + 0.5) * factor - 0.5 + corner[1])
+    samples_ip = part_ihw[:, y_p, x_p].astype(np.float64)
+    left_i = np.sum((samples_ip - np.maximum(lights_i3 @ normals_p3.T, 0.0)) ** 2, axis=1)
+    flat_i = np.sum((samples_ip - samples_ip.mean(axis=1, keepdims=True)) ** 2, axis=1)
+    return bool(np.median(left_i / np.maximum(flat_i, 1e-30)) < 1.0)
 
 
 def _settle(part_ihw: NDArray[np.float32], start: Circle) -> Circle:
