@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clrelight import recycling
-from clrelight.errors import KernelBuildError
+from clrelight.errors import DeviceError, KernelBuildError
 from clrelight.kernel_source import kernel_for, read_kernel_source
 from clrelight.opencl.arguments import DeviceArray, check_arguments
+from clrelight.opencl.child import circumstances
 from clrelight.opencl.devices import DeviceInfo, check_process, choose_device, interrupts_wait, loaded_devices
 from clrelight.opencl.kernel_cache import KernelCache
 from clrelight.opencl.probe import machine_identity
@@ -243,6 +244,8 @@ class Device:
                     warnings.simplefilter("ignore", self._cl.CompilerWarning)  # of any word that a compiler says
                     self._programs[key] = program.build(options, cache_dir=False), name
             except self._cl.RuntimeError as error:  # not the builtin RuntimeError
+                if found := circumstances():
+                    raise DeviceError(f"{file} does not build: {'; '.join(found)}") from None
                 raise KernelBuildError(file, defines, str(error)) from None
         return self._programs[key]
 

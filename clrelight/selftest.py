@@ -25,6 +25,7 @@ from clrelight.relight import relight
 from clrelight.sampling import make_pattern
 from clrelight.selftest_packing import check_packing
 from clrelight.selftest_photographs import check_photographs
+from clrelight.selftest_surfaces import check_surfaces
 from clrelight.statements import Statement
 
 IMAGE_LIMIT = 2e-5
@@ -73,6 +74,7 @@ def run_selftest(device: Device) -> Iterator[Statement]:
     yield from _images(device, (2, 6, 10))
     yield from check_photographs(device)
     yield from check_packing(device)
+    yield from check_surfaces(device)
 
 
 def run_quick_selftest(device: Device) -> Iterator[Statement]:

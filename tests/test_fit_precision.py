@@ -154,7 +154,7 @@ def test_coefficients_that_float32_cannot_hold_are_refused(device):
     stack = make_stack()
     huge = replace(stack, images_ihwc=np.full(stack.images_ihwc.shape, 3e38, np.float32))
     for precision in ("mixed", "double"):
-        with pytest.raises(InputError, match="coefficients exceed float32"):
+        with pytest.raises(InputError, match="coefficients, or images of them, exceed float32"):
             fit(huge, "cls", 2, precision=precision)
 
 

@@ -186,3 +186,30 @@ def test_concurrent_runs_do_not_meet(run):
     environment = {**os.environ, folder.CACHE_VARIABLE: str(run.place)}
     jobs = [subprocess.Popen([sys.executable, "-c", JOB], env=environment, stderr=subprocess.PIPE) for _ in range(3)]
     assert [(job.communicate()[1], job.returncode) for job in jobs] == [(b"", 0)] * 3
+
+
+def test_pyopencl_needs_no_folder_of_the_user(run, tmp_path):
+    """Nor reads the database that it may have left there."""
+    (tmp_path / "file").write_text("")
+    assert run(XDG_CACHE_HOME=str(tmp_path / "file" / "none")) == []
+    import pyopencl.invoker
+
+    kept = getattr(pyopencl.invoker, "invoker_cache", None)
+    assert kept is None, "opened without its cache by the tests' process too"
+    (tmp_path / "xdg" / "pytools").mkdir(parents=True)
+    name = f"pdict-v5-pyopencl-invoker-cache-v42-nano-{'.'.join(map(str, sys.version_info))}.sqlite"
+    (tmp_path / "xdg" / "pytools" / name).write_bytes(b"damaged" * 999)
+    assert run(XDG_CACHE_HOME=str(tmp_path / "xdg")) == []
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a full device is Linux's")
+def test_a_kernel_that_does_not_build_tells_of_a_full_folder(monkeypatch, tmp_path, device):
+    from clrelight.errors import DeviceError
+    from clrelight.opencl import child
+
+    def refuse(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(child.tempfile, "TemporaryFile", refuse)
+    with pytest.raises(DeviceError, match=r"half.cl does not build: temporary files cannot be written: No space left"):
+        device._program("codec/half.cl", {"NONE": "such"})

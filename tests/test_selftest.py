@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clrelight import selftest, selftest_photographs
+from clrelight import selftest, selftest_photographs, selftest_surfaces
 from clrelight.selftest import run_selftest
 from clrelight.selftest_photographs import check_photographs
+from clrelight.selftest_surfaces import check_surfaces
 from clrelight.statements import Statement
 from tests.commands import call
 
@@ -26,6 +27,7 @@ def test_everything_holds(device, short):
         *("basis", "cls", "ceb", "uls", "spline", "half", "uniform", "wavelet", "relight", "psnr"),
         *("cls single", "cls double", "ceb double", "spline double"),
         *("cls newton", "cls bisection", "cls paper", "s3tc", "bc6h", "vq", "projection", "irradiance", "curve", "klt"),
+        *("constrained mixed", "constrained single", "normals", "reflection"),
     }
     limits = {s.limit for s in statements if s.part == "cls double" and s.what.startswith("image error")}
     assert limits == {2e-7}
@@ -64,6 +66,40 @@ def test_photographs_that_are_off_are_found(device, short, monkeypatch, name, of
 
     monkeypatch.setattr(selftest_photographs, name, wrong)
     assert any(s.part == part and not s.holds for s in check_photographs(device))
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("collect_fit", "constrained mixed"),
+        ("NormalSolver", "normals"),
+        ("LawSolver", "normals"),
+        ("integrate_on_device", "reflection"),
+        ("expand_orders", "reflection"),
+        ("project_latlong_on_device", "projection"),
+    ],
+)
+def test_surfaces_that_are_off_are_found(device, monkeypatch, name, part):
+    real = getattr(selftest_surfaces, name)
+
+    def spoilt(found):
+        if name == "collect_fit":
+            return replace(found, coeffs_khwc=found.coeffs_khwc * np.float32(1.0001))
+        if name == "LawSolver":
+            return replace(found, found=spoilt_normals(found.found))
+        return spoilt_normals(found) if name == "NormalSolver" else found * 1.001
+
+    def spoilt_normals(found):
+        return replace(found, normals_p3=np.roll(found.normals_p3, 1, axis=0))
+
+    def wrong(*arguments, **options):
+        if name == "expand_orders" and len(arguments) < 4:
+            return real(*arguments, **options)
+        made = real(*arguments, **options)
+        return (lambda *more: spoilt(made(*more))) if name.endswith("Solver") else spoilt(made)
+
+    monkeypatch.setattr(selftest_surfaces, name, wrong)
+    assert any(s.part == part and not s.holds for s in check_surfaces(device))
 
 
 def test_a_statement_is_no_more_than_its_limit():

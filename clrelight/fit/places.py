@@ -9,11 +9,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.errors import InputError
 from clrelight.fit.plan import Lighting, is_sphere
 from clrelight.holdout import group_directions
 from clrelight.sampling import GOLDEN_ANGLE, from_height
 
 _GRID = 3000
+MOST_LIGHTS = 8192
+"""A matrix of all their pairs takes half a gigabyte, and several are made."""
 _PEAK_WIDTH = np.cos(np.radians(6.0))
 """A gap's centre is the farthest point from all lights among those this near."""
 
@@ -40,8 +43,13 @@ class Places:
 
 
 def find_places(lighting: Lighting) -> Places:
-    """Return the distinct lights; a photograph of weight 0 is none."""
+    """Return the distinct lights; a photograph of weight 0 is none. InputError of more than `MOST_LIGHTS`."""
     counted = np.flatnonzero(lighting.solid_angles_i > 0.0)
+    if len(counted) > MOST_LIGHTS:
+        raise InputError(
+            f"auto and spectrum weigh each light against each other, at most {MOST_LIGHTS}, got {len(counted)}: "
+            "take another method with a degree of its own (--method cls --degree 6), or fewer lights"
+        )
     place_i = group_directions(lighting.directions_i3[counted])
     mean_gi = np.zeros((int(place_i.max(initial=-1)) + 1, len(lighting.directions_i3)))
     mean_gi[place_i, counted] = lighting.row_weights_i[counted] * lighting.copies_i[counted]

@@ -30,7 +30,7 @@ _LIGHTEST = 1e-6
 _LARGEST_EXPONENT = 126
 """Of a factor that is a normal float32, and so is its reciprocal."""
 _TOO_LARGE = (
-    "coefficients exceed float32, for samples are some 1e37 times the peak: "
+    "coefficients, or images of them, exceed float32, for samples are some 1e37 times the peak: "
     "give the stack a peak near its brightest sample"
 )
 _BLOCK = 1 << 13
@@ -55,13 +55,12 @@ class ScaledTile:
     exponent_hwc: NDArray[np.intc] | None
 
     def restore(self, coeffs_khwc: NDArray[np.float32]) -> None:
-        """Turn the samples' coefficients into the stack's, in place; InputError where float32 cannot hold them."""
+        """Turn the samples' coefficients into the stack's, in place; InputError as of `check_images`."""
         if self.exponent_hwc is None:
             return
         with np.errstate(over="ignore", under="ignore"):
             np.ldexp(coeffs_khwc, self.exponent_hwc, out=coeffs_khwc)
-        if not np.isfinite(coeffs_khwc).all():
-            raise InputError(_TOO_LARGE)
+        check_images(coeffs_khwc)
 
 
 class TileScaling:
@@ -147,13 +146,25 @@ class TileScaling:
         return SampleCurve()
 
 
+def check_images(coeffs_kx: NDArray) -> None:
+    """Raise InputError where float32 cannot hold coefficients (n_coeff, ...), or an image of them.
+
+    An image is at most a pixel's norm times that of the functions at a light, which is below the root of their number.
+    """
+    count, most = len(coeffs_kx), float(np.finfo(np.float32).max)
+    largest = float(np.abs(coeffs_kx).max())
+    if most / count < largest <= most:  # else no norm is near, or one is beyond
+        square_x = np.einsum("k...,k...->...", coeffs_kx, coeffs_kx, dtype=np.float64)
+        largest = math.sqrt(count * float(square_x.max()))
+    if not largest <= most:  # so is what is no number
+        raise InputError(_TOO_LARGE)
+
+
 def round_coefficients(values_kp: NDArray, out_kp: NDArray[np.float32]) -> None:
-    """Fill `out_kp` with the values rounded to float32; InputError where float32 cannot hold them."""
-    try:
-        with np.errstate(over="raise", under="ignore"):
-            out_kp[...] = values_kp
-    except FloatingPointError:
-        raise InputError(_TOO_LARGE) from None
+    """Fill `out_kp` with the values rounded to float32; InputError as of `check_images`."""
+    check_images(values_kp)
+    with np.errstate(under="ignore"):
+        out_kp[...] = values_kp
 
 
 def column_peaks(columns_ip: NDArray) -> NDArray:

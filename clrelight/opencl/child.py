@@ -8,10 +8,12 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 
 from clrelight.errors import DeviceError
+from clrelight.opencl.folder import LEAST_ROOM
 
 SPARE_FILES = 24
 """Files that drivers open beside what is open: libraries, pipes to a child, and twelve of their linker's."""
@@ -70,6 +72,13 @@ def circumstances() -> list[str]:
     found = []
     if sys.platform == "linux" and shutil.which("ld") is None:
         found.append("PoCL needs the linker ld, which is not on PATH: it is in the package binutils")
+    if sys.platform == "linux" and not os.path.exists("/proc/self"):
+        found.append("/proc is not mounted, where drivers and this program look what the processor is")
+    try:
+        with tempfile.TemporaryFile() as file:
+            file.write(bytes(LEAST_ROOM))
+    except OSError as error:
+        found.append(f"temporary files cannot be written: {error.strerror or error}; TMPDIR names another folder")
     memory, files = _limits()
     if 0 <= memory < _LITTLE_MEMORY:
         found.append(f"the address space is limited to {memory / 2**30:.1f} GiB, see ulimit -v")

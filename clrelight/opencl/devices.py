@@ -14,7 +14,7 @@ from typing import Any
 from clrelight.errors import DeviceError
 from clrelight.opencl.child import check_descriptors
 from clrelight.opencl.drivers import is_packaged, leave_out_drivers, packaged_version
-from clrelight.opencl.kernel_cache import own_folder
+from clrelight.opencl.kernel_cache import no_pyopencl_cache, own_folder
 from clrelight.opencl.probe import WIDTHS, Verdict, judge_device
 from clrelight.opencl.processor import name_processor
 
@@ -216,7 +216,7 @@ def loaded_devices() -> list[tuple[DeviceInfo, Any]]:
     global _first_process
     _first_process = os.getpid()
     found: list[tuple[DeviceInfo, Any]] = []
-    with own_folder(), interrupts_wait():
+    with own_folder(), no_pyopencl_cache(), interrupts_wait():
         import pyopencl as cl
 
         try:

@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from clrelight.opencl.child import circumstances, describe_end, run_child
+from clrelight.opencl.kernel_cache import PYOPENCL_VARIABLE
 from clrelight.opencl.records import read_record, write_record
 
 VENDORS_VARIABLE = "OCL_ICD_VENDORS"
@@ -86,7 +87,7 @@ def is_packaged(platform_version: str) -> bool:
 
 def _try_loading(file: Path | None) -> str:
     """Return what goes wrong where a process loads all drivers, or one beside those of the Python package."""
-    environment = dict(os.environ)
+    environment = {**os.environ, PYOPENCL_VARIABLE: "1"}
     if file is not None:
         environment[VENDORS_VARIABLE] = _folder_of([file])
     code, _, complaint = run_child(_LOAD, seconds=_SECONDS, environment=environment)

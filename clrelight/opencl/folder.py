@@ -12,6 +12,9 @@ import platformdirs
 
 CACHE_VARIABLE = "CLRELIGHT_CACHE"
 
+LEAST_ROOM = 1 << 20
+"""Bytes that a compiler's files take at least: a disk without so many takes none."""
+
 log = logging.getLogger("clrelight")
 
 
@@ -22,8 +25,9 @@ def cache_folder() -> Path | None:
     folder = Path(named) if named else platformdirs.user_cache_path("clrelight", appauthor=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return folder
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(LEAST_ROOM))
+        return folder
     except OSError as error:
         log.warning(
             "clrelight: %s: %s: kernels are compiled anew in every run (name another folder with %s)",

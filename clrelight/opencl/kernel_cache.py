@@ -24,6 +24,7 @@ from clrelight.errors import DeviceError
 from clrelight.opencl.folder import cache_folder, log, write_whole
 
 POCL_VARIABLE = "POCL_CACHE_DIR"
+PYOPENCL_VARIABLE = "PYOPENCL_NO_CACHE"
 MOST_BYTES = 256 << 20
 """All archives together; those that were not used for longest go first."""
 
@@ -52,6 +53,21 @@ def own_folder() -> Iterator[None]:
 
 
 _run_folder: Path | None = None
+
+
+@contextmanager
+def no_pyopencl_cache() -> Iterator[None]:
+    """Let pyopencl, which looks once while it is imported, keep no database of its own in the user's cache folder.
+
+    Where there is no such folder it cannot be imported, a damaged one ends every launch, and nothing is faster for it.
+    """
+    named = os.environ.get(PYOPENCL_VARIABLE)
+    os.environ[PYOPENCL_VARIABLE] = named or "1"
+    try:
+        yield
+    finally:
+        if named is None:
+            del os.environ[PYOPENCL_VARIABLE]
 
 
 def _make_run_folder() -> Path:

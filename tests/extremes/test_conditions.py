@@ -207,3 +207,11 @@ def test_turning_the_lights_about_z_turns_the_coefficients(method, angle):
 def test_factors_beyond_float32_are_refused(method, energy):
     with pytest.raises(InputError, match=r"energy must be a factor on E_c from 1e-12 to 1e\+12, got"):
         prepare_fit(stack_of(make_pattern("uniform", 9), columns=3), method, 1, options={"energy": energy})
+
+
+@pytest.mark.parametrize("method", ["spectrum", "auto"])
+def test_more_lights_than_pairs_can_be_held_of_are_refused(method):
+    lights = make_pattern("uniform", 8193)
+    stack = LightStack(np.ones((8193, 1, 1, 1), np.uint8), lights, 255.0)
+    with pytest.raises(InputError, match="each other, at most 8192, got 8193: take another method"):
+        fit(stack, method, "auto")

@@ -1,5 +1,7 @@
 """Radiance, peaks and single samples from 1e-30 to 1e30: what squares in float32 could not hold."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit.scaling import TileScaling, column_peaks
 from clrelight.jobs.fit import fit
+from clrelight.relight import relight
 from clrelight.sampling import make_pattern
 from tests.extremes.judge import IMAGE, cap, judge, stack_of, with_images
 from tests.reference import basis
@@ -111,8 +114,24 @@ def test_tiles_are_the_same_as_the_whole(tmp_path):
 
 def test_float32_bounds_what_coefficients_can_be():
     bright = stack_of(LIGHTS, 1e30, peak=1e-30)
-    with pytest.raises(InputError, match="coefficients exceed float32"):
+    with pytest.raises(InputError, match="coefficients, or images of them, exceed float32"):
         fit(bright, "cls", 4)
+
+
+@pytest.mark.parametrize("sphere", [False, True])
+@pytest.mark.parametrize("precision", ["mixed", "single", "double"])
+@pytest.mark.parametrize("method", ["cls", "uls", "spline"])
+def test_what_is_fitted_has_images(device, method, precision, sphere):
+    """Samples up to the largest float32: what is not refused is relit without infinity."""
+    lights = make_pattern("uniform", 40, sphere=sphere)
+    plain = stack_of(lights, columns=8)
+    options = {"lam": 0.1} if method == "spline" else {}
+    for top in (1e36, 3.3e38):
+        images = (plain.images_ihwc * (top / np.float64(plain.images_ihwc.max()))).astype(np.float32)
+        stack = LightStack(images, lights, 1.0)
+        with pytest.raises(InputError, match="images of them, exceed float32") if top > 1e37 else nullcontext():
+            fitted = fit(stack, method, 4, precision=precision, **options)
+            assert np.isfinite(relight(fitted, lights, device=device)).all()
 
 
 @pytest.mark.parametrize("peak", [1e-38, 1e38, np.nextafter(1e-37, 0)])
