@@ -3,7 +3,8 @@
 The grid has all methods at degrees 0 to 25, and `spline` with both lambda; nobody could know its best beforehand. Auto
 sees the fitted lights only. Tested is at lights that are half a typical gap's radius or more from all fitted ones.
 Scenes: loewenkopf, fitted to n of its lights, evenly chosen; the ring; and domes of `benchmarks.auto_domes`.
-A sample of the pixels is fitted, the same for all.
+A sample of the pixels is fitted, the same for all. Rows take minutes each under many lights; what runs have printed
+is summed up by ``python -m benchmarks.auto_grid --rows printed.txt --markdown docs/fitting.md``.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import argparse
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,7 @@ import numpy as np
 
 from benchmarks.auto_domes import SPLINES, list_scenes, make_stack, mean_psnr
 from benchmarks.choice import tell_prediction, thin_folder
+from benchmarks.pages import replace_block
 from clrelight.dataset import LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError
@@ -37,6 +39,9 @@ TESTS = 163
 IN_GAPS = 0.5
 """Of a typical gap's radius: tested lights are at least so far from all others."""
 LION = "loewenkopf"
+
+BEGIN, END = "<!-- auto grid -->", "<!-- /auto grid -->"
+HEADERS = "scene", "lights", "`auto` took", "PSNR", "predicted", "best of the grid", "PSNR", "behind", "choosing, s"
 
 Split = tuple[LightStack, LightStack]
 
@@ -128,16 +133,62 @@ def compare(name: str, count: int, device: Device) -> None:
     print("| " + " | ".join(map(str, [*row, f"{best - reached:+.2f}", f"{seconds:.1f}"])) + " |", flush=True)
 
 
+def read_rows(paths: Sequence[Path]) -> list[list[str]]:
+    """Return the rows of tables that were printed; of a scene and a count the last."""
+    found = {}
+    for path in paths:
+        for line in path.read_text(encoding="utf-8").splitlines():
+            row = [cell.strip() for cell in line.strip("| ").split("|")]
+            if len(row) == len(HEADERS) and row[1].isdigit():
+                found[row[0], int(row[1])] = row
+    return list(found.values())
+
+
+def sum_up(rows: Sequence[Sequence[str]]) -> str:
+    """Return two tables, by scene and by the number of lights: how far `auto` is behind the best, and what it foretold.
+
+    A figure that was foretold is within bounds where it is off by no more than 1.5 dB, 3 dB with fewer than 10 lights.
+    """
+    by_scene = _table("scene", [name for name in SCENES if any(row[0] == name for row in rows)], 0, 1, rows)
+    counts = sorted({int(row[1]) for row in rows})
+    by_count = _table("lights", [str(count) for count in counts], 1, 0, rows)
+    told = [(float(row[4].split()[0]) - float(row[3]), int(row[1])) for row in rows if row[4] != "unknown"]
+    kept = sum(abs(off) <= (3.0 if count < 10 else 1.5) for off, count in told)
+    return (
+        f"{by_scene}\n\n{by_count}\n\n{len(rows)} rows; {len(told)} figures were foretold, {kept} of them within "
+        "bounds; the others were said to be unknown."
+    )
+
+
+def _table(title: str, names: Sequence[str], column: int, other: int, rows: Sequence[Sequence[str]]) -> str:
+    lines = [f"| {title} | rows | behind, median | worst | at | foretold |", "|---" * 6 + "|"]
+    for name in names:
+        some = [row for row in rows if row[column] == name]
+        behind = [float(row[7]) for row in some]
+        worst = some[int(np.argmax(behind))]
+        at = f"{worst[other]} lights" if other == 1 else worst[other]
+        told = sum(row[4] != "unknown" for row in some)
+        lines.append(f"| {name} | {len(some)} | {np.median(behind):.2f} | {max(behind):.2f} | {at} | {told} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
-    """Print a row of a Markdown table for each scene and count."""
+    """Print a row of a Markdown table for each scene and count, or sum up what was printed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", action="append", choices=SCENES, help="Default: all.")
     parser.add_argument("--count", action="append", type=int, help=f"Lights; default: {COUNTS}.")
+    parser.add_argument("--rows", action="append", type=Path, help="Measure nothing: sum up what was printed here.")
+    parser.add_argument("--markdown", type=Path, help=f"Fill what stands between {BEGIN} and {END} with the sum.")
     given = parser.parse_args()
+    if given.rows:
+        summed = sum_up(read_rows(given.rows))
+        print(summed)
+        if given.markdown is not None:
+            replace_block(given.markdown, summed, BEGIN, END)
+        return
     warnings.simplefilter("ignore")
     device = open_device(None)
-    header = "scene", "lights", "`auto` took", "PSNR", "predicted", "best of the grid", "PSNR", "behind", "choosing, s"
-    print("| " + " | ".join(header) + " |\n" + "|---" * len(header) + "|")
+    print("| " + " | ".join(HEADERS) + " |\n" + "|---" * len(HEADERS) + "|")
     for count in given.count or COUNTS:
         for name in given.scene or SCENES:
             compare(name, count, device)

@@ -44,6 +44,7 @@ def check_photographs(device: Device) -> Iterator[Statement]:
     yield from _rate(device)
     for layout, shape in (("latlong", (24, 48)), ("angular", (40, 40))):
         yield from _light(device, layout, shape)
+    yield from _choice(device)
 
 
 def _photographs(dtype: str, peak: int, transfer: str) -> LightStack:
@@ -188,3 +189,19 @@ def _light(device: Device, layout: str, shape: tuple[int, int]) -> Iterator[Stat
     found_nc = integrate_irradiance(environment, normals_n3, device=device)
     error = float(np.abs(found_nc - exact_nc).max() / exact_nc.max())
     yield Statement("irradiance", layout, "error, of the largest", error, 1e-5)
+
+
+def _choice(device: Device) -> Iterator[Statement]:
+    """Functions of degree 3 in 8 bits: what auto takes, and what it makes of lights that it has not seen."""
+    lights_i3, between_t3 = make_pattern("uniform", 40), make_pattern("uniform", 97)
+    coeffs_kp = 0.03 * np.random.default_rng(7).standard_normal((16, _WIDTH))
+    coeffs_kp[0] += 1.7
+    value_ip, truth_tp = (evaluate_basis(directions, 3) @ coeffs_kp for directions in (lights_i3, between_t3))
+    codes = np.rint(255.0 * value_ip).astype(np.uint8)
+    prepared = prepare_fit(LightStack(codes[:, None, :, None], lights_i3, 255.0), "auto", "auto", device=device)
+    yield Statement(
+        "auto", "functions of degree 3", "degrees above or below theirs", float(abs(prepared.degree - 3)), 0.0
+    )
+    found_kp = collect_fit(prepared).coeffs_khwc.reshape(-1, _WIDTH)
+    error = float(np.abs(evaluate_basis(between_t3, prepared.degree) @ found_kp - truth_tp).max() / truth_tp.max())
+    yield Statement("auto", "functions of degree 3", "error between the lights, of the brightest", error, 0.01)

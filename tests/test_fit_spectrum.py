@@ -319,6 +319,22 @@ def test_functions_clipped_at_black_have_no_end():
     assert mean_psnr(collect_fit(free), held) > mean_psnr(collect_fit(ended), held) + 0.5
 
 
+def test_two_rings_tell_no_end():
+    """They do not see (z - z1) (z - z2), which degree 2 has: what is made of it no light judges."""
+    angle = np.arange(7) * 2 * np.pi / 7
+    rings = [
+        np.stack([r * np.cos(angle + t), r * np.sin(angle + t), 0 * angle + z], 1)
+        for r, z, t in ((0.8, 0.6, 0), (0.6, 0.8, 0.3))
+    ]
+    coeffs_kp = 0.1 * np.random.default_rng(4).standard_normal((9, 300)) / 3.0
+    coeffs_kp[0] += 1.7
+    for lights, limit in ((np.concatenate(rings), 25), (make_pattern("uniform", 14), 2)):
+        codes = np.rint(255 * real_harmonics(lights, 2) @ coeffs_kp).astype(np.uint8)
+        assert (
+            prepare_fit(LightStack(codes.reshape(14, 10, 10, 3), lights, 255.0), "spectrum", 25).method.limit == limit
+        )
+
+
 @pytest.mark.parametrize("limit", [2, 3])
 def test_a_band_limited_function_is_told(device, limit):
     rng = np.random.default_rng(4)

@@ -27,7 +27,7 @@ def test_everything_holds(device, short):
         *("basis", "cls", "ceb", "uls", "spline", "half", "uniform", "wavelet", "relight", "psnr"),
         *("cls single", "cls double", "ceb double", "spline double"),
         *("cls newton", "cls bisection", "cls paper", "s3tc", "bc6h", "vq", "projection", "irradiance", "curve", "klt"),
-        *("constrained mixed", "constrained single", "normals", "reflection"),
+        *("constrained mixed", "constrained single", "normals", "reflection", "auto"),
     }
     limits = {s.limit for s in statements if s.part == "cls double" and s.what.startswith("image error")}
     assert limits == {2e-7}
@@ -53,6 +53,7 @@ def test_photographs_of_every_kind_hold(device):
         ("_fit", 1.0001, "cls bisection"),
         ("_fit", 1.0001, "cls paper"),
         ("measure_errors", 1.001, "psnr"),
+        ("collect_fit", 1.02, "auto"),
     ],
 )
 def test_photographs_that_are_off_are_found(device, short, monkeypatch, name, off, part):
@@ -60,7 +61,7 @@ def test_photographs_that_are_off_are_found(device, short, monkeypatch, name, of
 
     def wrong(*arguments, **options):
         found = real(*arguments, **options)
-        if name == "_fit":
+        if name in ("_fit", "collect_fit"):
             return replace(found, coeffs_khwc=found.coeffs_khwc * np.float32(off))
         return found * off
 

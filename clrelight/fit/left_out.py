@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clrelight.fit.places import Places, find_gap_radii, find_zones, stack_zones
 from clrelight.fit.zonal import LARGEST_DEGREE, SHARE, Theta, degree_variances, order_factors
 from clrelight.harmonics.basis import evaluate_basis
-from clrelight.harmonics.index import degrees_of_coefficients
+from clrelight.harmonics.index import coefficient_count, degrees_of_coefficients
 
 PRIOR_MEAN = np.array([-1.0, 2.0, -3.0, -4.0, -8.0, 0.0, 0.0])
 """Of log level, slope, log edge, log heat, log noise, azimuth and log tilt: photographs of many kinds lie around it."""
@@ -29,6 +29,8 @@ _LIMITS = range(1, 13)
 """Degrees at which variances may end."""
 LIMIT_LIGHTS = 0.75
 """Lights for each coefficient that there then are at least: the prior settles the rest."""
+_SEEN = 1e-5
+"""Least singular value of a basis at the lights, in units of the largest: below it something is not seen."""
 _LIMIT_GAIN = 3.0
 """By which what is minimised must then be less. Of log likelihoods that is strong evidence (a factor of 20: Kass and
 Raftery 1995, Bayes factors); scenes that are band-limited gain far more."""
@@ -149,6 +151,14 @@ class Objective:
         basis_gk = evaluate_basis(places.directions_g3, LARGEST_DEGREE)
         return cls(basis_gk, moment_gg, places.count_g, judge_zones(places.directions_g3), least)
 
+    def sees(self, limit: int) -> bool:
+        """Return whether the lights see every function up to a degree, as far as there are lights enough.
+
+        Two rings do not see ``(z - z_1) (z - z_2)``, so that no light left out judges what is made of it.
+        """
+        singular = np.linalg.svd(self.basis_gk[:, : coefficient_count(limit)], compute_uv=False)
+        return bool(singular[-1] > _SEEN * singular[0])
+
     def measure(self, covariance_gg: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Return what is minimised but for the prior, and its gradient in the covariance of the lights."""
         return measure_left_out(covariance_gg, self.moment_gg, self.judged, self.least)
@@ -242,5 +252,5 @@ def _best_limit(learner: Learner, logs: NDArray[np.float64]) -> int:
     """Return the degree beyond which variances may end best, without a search at each."""
     objective = learner.objective
     still, most = hold_still(logs, learner.low, learner.high), len(objective.moment_gg) / LIMIT_LIGHTS
-    limits = [limit for limit in _LIMITS if limit == 1 or (limit + 1) ** 2 <= most]
+    limits = [limit for limit in _LIMITS if limit == 1 or ((limit + 1) ** 2 <= most and objective.sees(limit))]
     return min(limits, key=lambda limit: replace(objective, limit=limit).evaluate(still)[0])
