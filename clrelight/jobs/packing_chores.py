@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from clrelight.bases import SH
 from clrelight.codec.entropy.units import Window, tile_of
+from clrelight.codec.formats.klt_pieces import Pieces
 from clrelight.codec.formats.klt_tiles import TileEncoder
-from clrelight.codec.formats.klt_trials import Part
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.views import Region
 from clrelight.codec.workspace import BoundedWorkspace
@@ -113,9 +113,8 @@ def try_pieces(
     with opened_on(device, kept) as opened:
         view = _view_of(source, plan, memory, opened, kept)
         encoder = view.encoder(transfer)
-        tried = [
-            encoder.try_piece(view.piece(encoder, axes, transfer, Window(*window)), step, count) for window in windows
-        ]
+        pieces = [view.piece(encoder, axes, transfer, Window(*window)) for window in windows]
+        tried = [each for piece in pieces for each in encoder.try_pieces(piece, step, count)]
     write_arrays(
         out,
         {
@@ -176,7 +175,7 @@ class _View:
     source: FittedSource
     encoders: dict[str, TileEncoder] = field(default_factory=dict)
     axes: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=dict)
-    pieces: dict[tuple[Any, ...], Part] = field(default_factory=dict)
+    pieces: dict[tuple[Any, ...], Pieces] = field(default_factory=dict)
 
     def encoder(self, transfer: str) -> TileEncoder:
         return _remember(self.encoders, transfer, lambda: TileEncoder(Pixels(self.source, transfer)), 2)
@@ -188,12 +187,12 @@ class _View:
 
         return _remember(self.axes, path, read, 4)
 
-    def piece(self, encoder: TileEncoder, axes: str, transfer: str, window: Window) -> Part:
+    def piece(self, encoder: TileEncoder, axes: str, transfer: str, window: Window) -> Pieces:
         """Return a piece's wavelet coefficients, which one step after another is tried on."""
         if self.pieces and next(iter(self.pieces))[:2] != (axes, transfer):
             self.pieces.clear()  # their planes are others now
         key = (axes, transfer, window)
-        return _remember(self.pieces, key, lambda: encoder.take_part(window, None, self.planes(axes)), _MOST_PIECES)
+        return _remember(self.pieces, key, lambda: encoder.take_pieces([window], self.planes(axes)), _MOST_PIECES)
 
 
 def _remember(held: dict[Any, Kept], key: Any, make: Callable[[], Kept], most: int) -> Kept:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from clrelight.codec import Encoded
 from clrelight.codec.entropy.units import Tile, Window
-from clrelight.codec.formats.klt_tiles import Tried, sides_of
+from clrelight.codec.formats.klt_pieces import Tried
+from clrelight.codec.formats.klt_tiles import sides_of
 from clrelight.codec.transforms.whitening import Planes
 from clrelight.codec.views import Region
 from clrelight.dataset import LightStack

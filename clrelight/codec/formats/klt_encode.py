@@ -12,11 +12,11 @@ from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.unit_streams import Coded
 from clrelight.codec.entropy.units import Tile, Window, list_tiles, whole_tile
-from clrelight.codec.formats.klt_tiles import MULTIPLIER, TileEncoder, Tried, encode_elsewhere
+from clrelight.codec.formats.klt_pieces import Pieces, Tried
+from clrelight.codec.formats.klt_tiles import MULTIPLIER, TileEncoder, encode_elsewhere
 from clrelight.codec.formats.klt_trials import (
     MULTIPLIER_POWER,
     MULTIPLIERS,
-    Part,
     Trial,
     fill_by_multiplier,
     foretell,
@@ -77,7 +77,7 @@ class Encoder(TileEncoder):
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
         self._windows: list[Window] = []
-        self._pieces: list[Part] = []
+        self._pieces: dict[int, Pieces] = {}
         self._prepared = 0
 
     def encode(self, step: float) -> tuple[bytes, dict[str, float]]:
@@ -121,15 +121,12 @@ class Encoder(TileEncoder):
     # Trials: on pieces of a large map, and in exact coordinates.
 
     def _prepare(self, count: int) -> None:
-        """Make the first planes of the pieces."""
+        """List pieces of which so many planes can be tried."""
         if count <= self._prepared:
             return
         _, height, width, _ = self._shape
         count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
-        self._windows = list_pieces(height, width, count, self._memory)
-        if self._pixels.elsewhere is None:
-            planes = self._whitening.exact(count)
-            self._pieces = [self.take_part(window, None, planes) for window in self._windows]
+        self._windows, self._pieces = list_pieces(height, width, count, self._memory), {}
         self._prepared = count
 
     def _encode_tiles(self, tiles: list[Tile], planes: Planes, step: float, multiplier: float) -> Iterator[Coded]:
@@ -173,11 +170,17 @@ class Encoder(TileEncoder):
 
     def _try_pieces(self, chosen: Sequence[int], step: float, count: int) -> list[Tried]:
         """Return what the first planes of some pieces take at a step."""
-        elsewhere = self._pixels.elsewhere
+        elsewhere, planes = self._pixels.elsewhere, self._whitening.exact(self._prepared)
         if elsewhere is not None:
-            windows, planes = [self._windows[n] for n in chosen], self._whitening.exact(self._prepared)
+            windows = [self._windows[n] for n in chosen]
             return elsewhere.try_pieces(windows, planes, self._pixels.transfer, step, count)
-        return [self.try_piece(self._pieces[n], step, count) for n in chosen]
+        found: dict[int, Tried] = {}
+        for group in sorted({number % _FEW for number in chosen}):
+            if group not in self._pieces:
+                self._pieces[group] = self.take_pieces(self._windows[group::_FEW], planes)
+            tried = self.try_pieces(self._pieces[group], step, count)
+            found |= zip(range(group, len(self._windows), _FEW), tried, strict=True)
+        return [found[n] for n in chosen]
 
     def _fixed_bytes(self, axes: Axes, step: float, streams: float) -> float:
         """Return the bytes beside those of streams, which take about so many."""
@@ -268,7 +271,7 @@ class Encoder(TileEncoder):
     ) -> tuple[bytes, NDArray[np.float64]]:
         """Return a body, and about the bytes that each tile would have at the usual multiplier."""
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
-        self._pieces, self._prepared = [], 0  # their memory is that of tiles now
+        self._pieces, self._prepared = {}, 0  # their memory is that of tiles now
         fixed = self._fixed_bytes(axes, step, float(budget))
         spent, usual, strips = 0.0, np.zeros(len(tiles)), self._strips(planes, tiles)
         for number, tile in enumerate(tiles):

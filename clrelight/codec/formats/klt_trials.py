@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.unit_streams import Coded
-from clrelight.codec.entropy.units import Layout, Tile, Window, lay_out, list_units
+from clrelight.codec.entropy.units import Layout, Tile, Window, lay_out
 from clrelight.codec.transforms.principal import Axes
-from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.search import search_falling
 
@@ -47,18 +46,10 @@ class Part:
     width: int
 
     @classmethod
-    def of(cls, values: DeviceArray, window: Window, tile: Tile | None, sides: tuple[int, int], together: bool) -> Part:
-        """Return what of a window's values is a tile of an image of some sides; without one it is a map of its own."""
-        here, units = window, [] if tile is None else tile.units
-        if tile is None:
-            sides, here, units = window.shape, Window(0, 0, *window.shape), list_units(*window.shape)
-        layout = lay_out(units, sides, here, values.shape[2], together, [(0, values.shape[0])])
+    def of(cls, values: DeviceArray, window: Window, tile: Tile, sides: tuple[int, int], together: bool) -> Part:
+        """Return what of a window's values is a tile of an image of some sides."""
+        layout = lay_out(tile.units, sides, window, values.shape[2], together, [(0, values.shape[0])])
         return cls(values, layout, *window.shape)
-
-    def energy(self, count: int, device: Device) -> NDArray[np.float64]:
-        """Return the sums of squares of the first planes."""
-        values = device.download(self.values)[:count, :, : self.width]
-        return np.einsum("jyx,jyx->j", values, values, dtype=np.float64)
 
 
 @dataclass(frozen=True)
