@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.unit_streams import Coded
 from clrelight.codec.entropy.units import Tile, list_tiles, whole_tile
-from clrelight.codec.formats.klt_fill import MULTIPLIER_POWER, MULTIPLIERS, fill
+from clrelight.codec.formats.klt_fill import MULTIPLIER_POWER, change_multiplier, fill
 from clrelight.codec.formats.klt_search import StepFinder
 from clrelight.codec.formats.klt_tiles import MULTIPLIER, encode_elsewhere
 from clrelight.codec.formats.klt_trials import Part, Trial, foretell, search_step
@@ -135,51 +135,62 @@ class Encoder(StepFinder):
             self._collect(streams, tile, self.encode_part(part, exact, keep=True).streams)
             return self._used_bytes(axes, exact, streams)
 
-        nearer = trial.step * (trial.size / max(_NEAR[1] * budget, 1.0)) ** _STEP_POWER
-        place = search_step(count, float(np.log2(nearer)), self._bounds(), budget, _NEAR)
-        step = float(np.float32(2.0**place))
-        if step != exact:
-            count(place)
-        if self._used_bytes(axes, step, streams) > _NEAR[0] * budget:  # else there is no finer step
-            self._fill(budget, axes, step, streams, (tile, part, MULTIPLIER))
+        step = trial.step * (trial.size / max(_NEAR[1] * budget, 1.0)) ** _STEP_POWER
+        for aims in (_NEAR, _USED):
+            place = search_step(count, float(np.log2(step)), self._bounds(), budget, aims)
+            step = float(np.float32(2.0**place))
+            if step != exact:
+                count(place)
+            if self._used_bytes(axes, step, streams) > aims[0] * budget:  # else there is no finer step
+                self._fill(budget, axes, step, streams, (tile, part, MULTIPLIER))
+            if _LEAST_FILLED * budget <= self._used_bytes(axes, step, streams) <= budget:
+                break  # multipliers do little where there are few bytes
         if len(body := self._pack(axes, step, streams)) > budget:
             raise InputError(f"klt needs {len(body)} bytes for this map at step {step:.3g}, the budget is {budget}")
         return body, step
 
     def _fit_multipliers(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return the body of a map of many tiles, and its step; the multiplier saves what tiles take too much."""
-        rows, step = [(each.top + each.bottom) // 2 for each in self._windows], float(np.float32(trial.step))
-        foretold = foretell(rows, trial.of_pixel, tiles)
+        rows, step = [(each.top + each.bottom) // 2 for each in self._windows], self._bounded(trial.step)
+        foretold, usual = foretell(rows, trial.of_pixel, tiles), np.full(len(tiles), MULTIPLIER)
         best: tuple[bytes, float] | None = None
-        least = 0
+        least, power, wanted = 0, _STEP_POWER, 0.0
         for _ in range(_MAX_PASSES):
-            body, foretold = self._pass_tiles(budget, step, trial.axes, tiles, foretold)
+            body, taken, usual = self._pass_tiles(budget, step, trial.axes, tiles, foretold, usual)
             least = len(body)
             if len(body) <= budget and (best is None or len(body) > len(best[0])):
                 best = body, step
             if _LEAST_FILLED * budget <= len(body) <= budget:
                 break
-            # At the usual multiplier, tiles would have taken what is foretold of them now.
-            factor = (float(foretold.sum()) / (_AIM * budget)) ** _STEP_POWER
-            step, before = self._bounded(step * factor), step
-            foretold *= (before / step) ** (1.0 / _STEP_POWER)
+            # How bytes hang on the multiplier is another thing for each map: now it is to be as it was.
+            more, before = float(np.log(taken.sum() / (_AIM * budget))), step
+            if wanted and wanted != more:
+                power = min(max(power * wanted / (wanted - more), _STEP_POWER / 2.0), 4.0 * _STEP_POWER)
+            step, wanted = self._bounded(step * float(np.exp(power * more))), more
+            foretold = taken * (before / step) ** (1.0 / power)
         if best is None:
             raise InputError(f"klt needs {least} bytes for this map at step {step:.3g}, the budget is {budget}")
         return best
 
     def _pass_tiles(
-        self, budget: int, step: float, axes: Axes, tiles: list[Tile], foretold: NDArray[np.float64]
-    ) -> tuple[bytes, NDArray[np.float64]]:
-        """Return a body, and about the bytes that each tile would have at the usual multiplier."""
+        self,
+        budget: int,
+        step: float,
+        axes: Axes,
+        tiles: list[Tile],
+        foretold: NDArray[np.float64],
+        usual: NDArray[np.float64],
+    ) -> tuple[bytes, NDArray[np.float64], NDArray[np.float64]]:
+        """Return a body, the bytes of each tile and the multiplier; at the `usual` ones they would be as foretold."""
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         self._pieces, self._prepared = {}, 0  # their memory is that of tiles now
-        fixed = self._fixed_bytes(axes, step, float(budget))
-        spent, usual, strips = 0.0, np.zeros(len(tiles)), self._strips(planes, tiles)
+        fixed, strips = self._fixed_bytes(axes, step, float(budget)), self._strips(planes, tiles)
+        taken, likely, multiplier_i = np.zeros(len(tiles)), np.zeros(len(tiles)), usual.copy()
         for number, tile in enumerate(tiles):
             # What has come so far tells how the trials err.
-            trust = float(usual.sum() / foretold[:number].sum()) if number else 1.0
-            ratio = max(budget - fixed - spent, 1.0) / (float(foretold[number:].sum()) * trust)
-            multiplier = _multiplier_of(ratio)
+            trust = float(likely.sum() / foretold[:number].sum()) if number else 1.0
+            ratio = max(budget - fixed - taken.sum(), 1.0) / (float(foretold[number:].sum()) * trust)
+            multiplier = multiplier_i[number] = change_multiplier(float(usual[number]), ratio)
             if number + 1 == len(tiles):
                 strips = None
                 self._pixels.forget()  # indices of this one take as much again as its values
@@ -187,11 +198,11 @@ class Encoder(StepFinder):
                 coded = self.encode_part(part, step, multiplier, keep=True)
             else:
                 coded = self._encode_tile(tile, planes, step, multiplier, strips)
-            spent += coded.size
-            usual[number] = coded.size * (multiplier / MULTIPLIER) ** MULTIPLIER_POWER
+            taken[number] = coded.size
+            likely[number] = coded.size * (multiplier / usual[number]) ** MULTIPLIER_POWER
             self._collect(streams, tile, coded.streams)
         self._fill(budget, axes, step, streams, (tile, part, multiplier))
-        return self._pack(axes, step, streams), usual
+        return self._pack(axes, step, streams), taken, multiplier_i
 
     def _fill(self, budget: int, axes: Axes, step: float, streams: list[bytes], last: tuple[Tile, Part, float]) -> None:
         """Code streams of the tile that came last, at some multiplier, anew: the body fills a budget then."""
@@ -215,8 +226,3 @@ class Encoder(StepFinder):
 
     def _bounded(self, step: float) -> float:
         return float(np.float32(min(max(step, self._finest), STEP_RANGE[1])))
-
-
-def _multiplier_of(ratio: float) -> float:
-    """Return the multiplier at which bytes are so many times those at the usual one."""
-    return min(max(MULTIPLIER * max(ratio, 1e-6) ** (-1.0 / MULTIPLIER_POWER), MULTIPLIERS[0]), MULTIPLIERS[1])

@@ -78,6 +78,12 @@ def fill(
     return min(tried, key=lambda each: (each[0] < 0, abs(each[0])))[1]
 
 
+def change_multiplier(multiplier: float, ratio: float) -> float:
+    """Return the multiplier at which bytes are so many times what they are at one, about; at most twice or half it."""
+    least, most = max(multiplier / 2.0, MULTIPLIERS[0]), min(multiplier * 2.0, MULTIPLIERS[1])
+    return min(max(multiplier * ratio ** (-1.0 / MULTIPLIER_POWER), least), most)
+
+
 def _choose(units: Sequence[Unit], size_t: NDArray[np.int64], change: float) -> list[int]:
     """Return the streams to code again, that bytes change by so many.
 

@@ -58,7 +58,7 @@ class StepFinder(TileEncoder):
         self._progress = progress
         shape, self._transfer, self._memory = pixels.shape, transfer, memory
         self._n_pixel = shape[1] * shape[2]
-        self._whitening = whitening_of(shape, pixels.of_row, colour_axes(metric, transfer), pixels.basis)
+        self._whitening = whitening_of(shape, pixels.of_places, colour_axes(metric, transfer), pixels.basis)
         largest = float(np.abs(self._whitening.mean_d).max())
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)

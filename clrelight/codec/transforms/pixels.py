@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,9 +50,9 @@ class Pixels:
         """Return what is coded, (n_coeff, rows, columns, channel); the next call may overwrite it."""
         return self._coded(self._read(rows, columns))
 
-    def of_row(self, row: int, columns: slice) -> NDArray[np.float32]:
-        """Return the same of some pixels of a row, (n_coeff, columns, channel)."""
-        return self._coded(self._source.read_some(row, columns))[:, 0]
+    def of_places(self, places: Sequence[tuple[int, slice]]) -> NDArray[np.float32]:
+        """Return the same of some pixels of some rows, (n_coeff, pixels, channel)."""
+        return self._coded(self._source.read_scattered(places))[:, 0]
 
     def _coded(self, coeffs_khwc: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.transfer == "srgb":
