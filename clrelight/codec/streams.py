@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -100,6 +100,10 @@ class Source(ABC):
         coeffs_khwc = self.read_rows(row, row + 1)
         self.check(coeffs_khwc, row)
         return coeffs_khwc[:, :, columns]
+
+    def read_scattered(self, places: Sequence[tuple[int, slice]]) -> NDArray[np.float32]:
+        """Return pixels of several rows, (n_coeff, 1, pixels, channel), one row after another; as `read_some`."""
+        return np.concatenate([self.read_some(*place).copy() for place in places], axis=2)  # rows may be overwritten
 
     def read_samples(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
         """Return what coefficients are `linear` in, (n_sample, rows, columns, channel), C-contiguous."""

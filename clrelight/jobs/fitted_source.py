@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -65,6 +65,16 @@ class FittedSource(Source):
             self.check(coeffs_khwc, row)
             return coeffs_khwc[:, :, columns]
         return self._fitted(np.ascontiguousarray(samples_ihwc[:, :, columns]), rows, columns, since)
+
+    def read_scattered(self, places: Sequence[tuple[int, slice]]) -> NDArray[np.float32]:
+        """See `Source`; where coefficients are linear in samples, all pixels are fitted at once."""
+        if self.linear is None or self._mask_hw is not None:
+            return super().read_scattered(places)
+        since = time.perf_counter()
+        read = [self._bands.part((row, row + 1), (0, self.shape[2]))[:, :, columns].copy() for row, columns in places]
+        scaled = self._scaling.scale(np.concatenate(read, axis=2), places[0][0])
+        since = self._report.add("read", since)
+        return self._fit.run(0, 1, scaled, since).coeffs_khwc
 
     def _fitted(
         self, samples_ihwc: NDArray, rows: tuple[int, int], columns: slice, since: float

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.units import Tile, Window, tile_of
+from clrelight.codec.entropy.units import Window, tile_of
+from clrelight.codec.formats.klt_pieces import Pieces
 from clrelight.codec.formats.klt_tiles import TileEncoder
-from clrelight.codec.formats.klt_trials import Part
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.views import Region
 from clrelight.codec.workspace import BoundedWorkspace
@@ -26,7 +26,7 @@ from clrelight.jobs.measure_parts import measure_windows
 from clrelight.jobs.report import Report, report_for
 from clrelight.jobs.shared_fits import shared_fit
 
-_MOST_PIECES, _MOST_TILES = 64, 2
+_MOST_PIECES = 64
 _held = Held()
 Kept = TypeVar("Kept")
 
@@ -42,7 +42,6 @@ def code_tile(
     step: float,
     multiplier: float,
     memory: int,
-    again: bool = False,
     device: Device | str | None = None,
     report: Report | None = None,
 ) -> Report:
@@ -64,8 +63,6 @@ def code_tile(
         Of the quantiser, and what a bit must save.
     memory : int
         Bytes for parts.
-    again : bool
-        Keep its wavelet coefficients, as another multiplier may be tried.
     device, report
         As of `clrelight.jobs.fit.fit`.
 
@@ -77,12 +74,9 @@ def code_tile(
     kept = report_for(report)
     with opened_on(device, kept) as opened:
         view = _view_of(source, plan, memory, opened, kept)
-        encoder = view.encoder(transfer)
-        if again:
-            part = view.tile(encoder, axes, transfer, sides)
-            streams = encoder.encode_part(part, step, multiplier, keep=True).streams
-        else:
-            streams = encoder.encode_here(view.tile_of(sides), view.planes(axes), step, multiplier).streams
+        encoder, planes = view.encoder(transfer), view.planes(axes)
+        tile = tile_of(*view.source.shape[1:3], Window(*sides).sides)
+        streams = encoder.encode_here(tile, planes, step, multiplier).streams
     content = np.frombuffer(b"".join(streams), np.uint8)
     write_arrays(out, {"sizes": np.array([len(each) for each in streams], np.int64), "streams": content})
     return kept
@@ -114,9 +108,8 @@ def try_pieces(
     with opened_on(device, kept) as opened:
         view = _view_of(source, plan, memory, opened, kept)
         encoder = view.encoder(transfer)
-        tried = [
-            encoder.try_piece(view.piece(encoder, axes, transfer, Window(*window)), step, count) for window in windows
-        ]
+        pieces = [view.piece(encoder, axes, transfer, Window(*window)) for window in windows]
+        tried = [each for piece in pieces for each in encoder.try_pieces(piece, step, count)]
     write_arrays(
         out,
         {
@@ -177,8 +170,7 @@ class _View:
     source: FittedSource
     encoders: dict[str, TileEncoder] = field(default_factory=dict)
     axes: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=dict)
-    pieces: dict[tuple[Any, ...], Part] = field(default_factory=dict)
-    tiles: dict[tuple[Any, ...], Part] = field(default_factory=dict)
+    pieces: dict[tuple[Any, ...], Pieces] = field(default_factory=dict)
 
     def encoder(self, transfer: str) -> TileEncoder:
         return _remember(self.encoders, transfer, lambda: TileEncoder(Pixels(self.source, transfer)), 2)
@@ -190,25 +182,12 @@ class _View:
 
         return _remember(self.axes, path, read, 4)
 
-    def tile_of(self, sides: Sequence[int]) -> Tile:
-        return tile_of(*self.source.shape[1:3], Window(*sides).sides)
-
-    def tile(self, encoder: TileEncoder, axes: str, transfer: str, sides: Sequence[int]) -> Part:
-        """Return a tile's wavelet coefficients, which one multiplier after another is tried on."""
-        self.pieces.clear()  # their memory is that of tiles now
-
-        def take() -> Part:
-            made = self.tile_of(sides)
-            return encoder.take_part(made.window, made, self.planes(axes))
-
-        return _remember(self.tiles, (axes, transfer, tuple(sides)), take, _MOST_TILES)
-
-    def piece(self, encoder: TileEncoder, axes: str, transfer: str, window: Window) -> Part:
+    def piece(self, encoder: TileEncoder, axes: str, transfer: str, window: Window) -> Pieces:
         """Return a piece's wavelet coefficients, which one step after another is tried on."""
         if self.pieces and next(iter(self.pieces))[:2] != (axes, transfer):
             self.pieces.clear()  # their planes are others now
         key = (axes, transfer, window)
-        return _remember(self.pieces, key, lambda: encoder.take_part(window, None, self.planes(axes)), _MOST_PIECES)
+        return _remember(self.pieces, key, lambda: encoder.take_pieces([window], self.planes(axes)), _MOST_PIECES)
 
 
 def _remember(held: dict[Any, Kept], key: Any, make: Callable[[], Kept], most: int) -> Kept:

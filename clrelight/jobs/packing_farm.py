@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from clrelight.codec import Encoded
 from clrelight.codec.entropy.units import Tile, Window
-from clrelight.codec.formats.klt_tiles import Tried, sides_of
+from clrelight.codec.formats.klt_pieces import Tried
+from clrelight.codec.formats.klt_tiles import sides_of
 from clrelight.codec.transforms.whitening import Planes
 from clrelight.codec.views import Region
 from clrelight.fit import PreparedFit
@@ -52,18 +53,11 @@ class PackingFarm:
         return cls(farm, source, share_fit(farm, prepared, lights), memory)
 
     def code(
-        self,
-        tiles: Sequence[Tile],
-        planes: Planes,
-        transfer: str,
-        step: float,
-        multiplier: float,
-        *,
-        again: bool = False,
+        self, tiles: Sequence[Tile], planes: Planes, transfer: str, step: float, multiplier: float
     ) -> Iterator[list[bytes]]:
         """See `clrelight.codec.formats.klt_tiles.TileCoder`."""
         axes = self._axes(planes)
-        given = {"axes": axes, "transfer": transfer, "step": step, "multiplier": multiplier, "again": again}
+        given = {"axes": axes, "transfer": transfer, "step": step, "multiplier": multiplier}
         chores = [self._chore(CODE_TILE, {**given, "sides": list(sides_of(tile))}, axes) for tile in tiles]
         for made in self.farm.do(chores, "coding"):
             ends = np.cumsum(made["sizes"]).tolist()

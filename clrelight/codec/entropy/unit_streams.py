@@ -63,15 +63,15 @@ class Coded:
     Attributes
     ----------
     streams : list of bytes
-    error_j, bits_j : ndarray, shape (n_plane,), float64
-        Squared error of each plane in squared steps, and about the bits that it took.
+    error_tj, bits_tj : ndarray, shape (n_stream, n_plane), float32
+        Squared error of each stream's planes in squared steps, and about the bits that they took.
     symbol_ms, flag_f2 : ndarray, int64
         How often contexts saw symbols, and flags 0 and 1, where that was counted.
     """
 
     streams: list[bytes]
-    error_j: NDArray[np.float64]
-    bits_j: NDArray[np.float64]
+    error_tj: NDArray[np.float32]
+    bits_tj: NDArray[np.float32]
     symbol_ms: NDArray[np.int64]
     flag_f2: NDArray[np.int64]
 
@@ -79,6 +79,16 @@ class Coded:
     def size(self) -> int:
         """Bytes of all streams."""
         return sum(map(len, self.streams))
+
+    @property
+    def error_j(self) -> NDArray[np.float64]:
+        """Squared error of each plane."""
+        return self.error_tj.sum(axis=0, dtype=np.float64)
+
+    @property
+    def bits_j(self) -> NDArray[np.float64]:
+        """About the bits of each plane."""
+        return self.bits_tj.sum(axis=0, dtype=np.float64)
 
 
 def encode_streams(
@@ -163,8 +173,8 @@ def encode_streams(
     n_symbol = CONTEXTS * SYMBOLS
     return Coded(
         streams,
-        error_tj.sum(axis=0, dtype=np.float64),
-        bits_tj.sum(axis=0, dtype=np.float64),
+        error_tj,
+        bits_tj,
         seen_n[:n_symbol].reshape(CONTEXTS, SYMBOLS),
         seen_n[n_symbol:].reshape(FLAGS, 2),
     )

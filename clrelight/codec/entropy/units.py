@@ -9,6 +9,7 @@ side by side. What stands in a stream: docs/bitstream.md.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -157,12 +158,21 @@ class Layout:
     unit_uf: NDArray[np.int32]
     part_t4: NDArray[np.int32]
 
+    @property
+    def levels(self) -> NDArray[np.int32]:
+        """The level of each stream's first unit."""
+        return self.unit_uf[self.part_t4[:, 0], 0]
+
+    def of_streams(self, chosen: Sequence[int]) -> Layout:
+        """Return the layout of some streams only, in order."""
+        return replace(self, part_t4=np.ascontiguousarray(self.part_t4[list(chosen)]))
+
     def batches(self, *, apart: bool = False) -> list[tuple[int, int]]:
         """Return the first and last but one of the streams that need none of each other, in order.
 
         Where groups of planes are to be `apart`, streams of a batch are also of one group.
         """
-        level_t = self.unit_uf[self.part_t4[:, 0], 0]
+        level_t = self.levels
         rank_t = np.where(level_t == 0, LEVELS + 1, level_t)
         changes = (np.diff(rank_t) != 0) & (rank_t[1:] < LEVELS)  # LL is no parent
         if apart:

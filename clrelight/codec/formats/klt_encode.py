@@ -2,83 +2,38 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.unit_streams import Coded
-from clrelight.codec.entropy.units import Tile, Window, list_tiles, whole_tile
-from clrelight.codec.formats.klt_tiles import MULTIPLIER, TileEncoder, Tried, encode_elsewhere
-from clrelight.codec.formats.klt_trials import (
-    MULTIPLIER_POWER,
-    MULTIPLIERS,
-    Part,
-    Trial,
-    fill_by_multiplier,
-    foretell,
-    list_pieces,
-    search_step,
-)
-from clrelight.codec.formats.klt_units import HEAD_SIZE, Head, count_streams, is_together, pack_axes, pack_body
-from clrelight.codec.transforms.colour import RADIANCE, colour_axes
-from clrelight.codec.transforms.pixels import Pixels
-from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
+from clrelight.codec.entropy.units import Tile, list_tiles, whole_tile
+from clrelight.codec.formats.klt_fill import MULTIPLIER_POWER, change_multiplier, fill
+from clrelight.codec.formats.klt_search import StepFinder
+from clrelight.codec.formats.klt_tiles import MULTIPLIER, encode_elsewhere
+from clrelight.codec.formats.klt_trials import Part, Trial, foretell, search_step
+from clrelight.codec.formats.klt_units import Head, count_streams, is_together, pack_body
+from clrelight.codec.transforms.principal import STEP_RANGE, Axes
 from clrelight.codec.transforms.strips import Strips
-from clrelight.codec.transforms.whitening import Planes, whitening_of
-from clrelight.codec.workspace import Progress
+from clrelight.codec.transforms.whitening import Planes
 from clrelight.errors import InputError
-from clrelight.memory import ARRAY_MEMORY
 
-_TRIED = 0.08
-"""An axis along which pixels deviate less than this part of a step is not tried."""
-_LEAST_USED, _AIM = 0.992, 0.997
-_FOUND, _NEARLY, _FEW = (0.985, 0.993), (0.93, 0.97), 4
-"""Parts of a budget where a search on all pieces ends, and one on every n-th; and where they aim."""
-_LEAST_FILLED, _MAX_PASSES = 0.99, 3
-_STEP_POWER = 0.9
+_USED = (0.992, 0.997, 1.0)
+"""Parts of a budget where a search for the step of one stream ends, and aims; it ends at the last, too."""
+_NEAR = (0.9, 0.997, 1.1)
+"""The same where multipliers make up for the rest."""
+_SLACK = 0.004
+"""Part of a budget that they may leave."""
+_LEAST_FILLED, _AIM, _MAX_PASSES = 0.99, 0.997, 3
+_STEP_POWER = 0.8
 """Steps grow about with this power of what bytes are to shrink by."""
 
 
-class Encoder(TileEncoder):
-    """A map ready to be encoded at any step.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        The map.
-    transfer : str
-        The curve behind which what `pixels` gives is.
-    metric : str
-        One of `clrelight.codec.transforms.colour.METRICS`: which errors cost alike.
-    memory : int
-        Bytes that the planes of a tile may take.
-    progress : callable
-        Told how many rows of the image are coded.
-    """
-
-    def __init__(
-        self,
-        pixels: Pixels,
-        transfer: str,
-        metric: str = RADIANCE,
-        memory: int = ARRAY_MEMORY,
-        progress: Progress = lambda done, total: None,
-    ) -> None:
-        super().__init__(pixels)
-        self._progress = progress
-        shape, self._transfer, self._memory = pixels.shape, transfer, memory
-        self._n_pixel = shape[1] * shape[2]
-        self._whitening = whitening_of(shape, pixels.of_row, colour_axes(metric, transfer), pixels.basis)
-        largest = float(np.abs(self._whitening.mean_d).max())
-        # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
-        self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
-        self._windows: list[Window] = []
-        self._pieces: list[Part] = []
-        self._prepared = 0
+class Encoder(StepFinder):
+    """A map ready to be encoded at any step, or within any number of bytes."""
 
     def encode(self, step: float) -> tuple[bytes, dict[str, float]]:
         """Return the body at a step, and the step with the number of planes; InputError if the step is too fine."""
@@ -89,22 +44,24 @@ class Encoder(TileEncoder):
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         tiles = self._tiles(axes)
         for tile, coded in zip(tiles, self._encode_tiles(tiles, planes, step, MULTIPLIER), strict=True):
-            self._collect(streams, tile, coded)
+            self._collect(streams, tile, coded.streams)
         return self._pack(axes, step, streams), {"step": step, "planes": float(len(axes.scales_j))}
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
         """Return the body that fills a budget of bytes best, and what was found; InputError if none is as small."""
         trial = self._find_step(budget)
         tiles = self._tiles(trial.axes)
-        if len(tiles) <= 1:
+        if not tiles or is_together(self._shape):
             body, step = self._fit_step(budget, trial, tiles)
+        elif len(tiles) == 1:
+            body, step = self._fit_streams(budget, trial, tiles[0])
         else:
             body, step = self._fit_multipliers(budget, trial, tiles)
         return body, {"step": step, "planes": float(len(trial.axes.scales_j))}
 
-    def _collect(self, streams: list[bytes], tile: Tile, coded: Coded) -> None:
+    def _collect(self, streams: list[bytes], tile: Tile, coded: Sequence[bytes]) -> None:
         """Put a tile's streams among those of the image."""
-        for t, stream in zip(tile.streams, coded.streams, strict=True):
+        for t, stream in zip(tile.streams, coded, strict=True):
             streams[t] = stream
         self._progress(tile.bottom, self._shape[1])
 
@@ -115,31 +72,11 @@ class Encoder(TileEncoder):
         head = Head(whitening.exponent, step, len(axes.scales_j), self._transfer, 0, self._pixels.basis)
         return pack_body(head, whitening.rotation_cc, axes, self._mean(step), streams)
 
-    def _mean(self, step: float) -> NDArray[np.int64]:
-        return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
-
-    # Trials: on pieces of a large map, and in exact coordinates.
-
-    def _prepare(self, count: int) -> None:
-        """Make the first planes of the pieces."""
-        if count <= self._prepared:
-            return
-        _, height, width, _ = self._shape
-        count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
-        self._windows = list_pieces(height, width, count, self._memory)
-        if self._pixels.elsewhere is None:
-            planes = self._whitening.exact(count)
-            self._pieces = [self.take_part(window, None, planes) for window in self._windows]
-        self._prepared = count
-
-    def _encode_tiles(
-        self, tiles: list[Tile], planes: Planes, step: float, multiplier: float, again: bool = False
-    ) -> Iterator[Coded]:
+    def _encode_tiles(self, tiles: list[Tile], planes: Planes, step: float, multiplier: float) -> Iterator[Coded]:
         """Return the streams of tiles, one after another; where others help, parts of all are begun at once."""
         coder, sides = self._pixels.elsewhere, (self._shape[1], self._shape[2])
         if coder is not None and not is_together(self._shape):
-            curve = self._pixels.transfer
-            return encode_elsewhere(coder, tiles, sides, planes, curve, step, multiplier, again=again)
+            return encode_elsewhere(coder, tiles, sides, planes, self._pixels.transfer, step, multiplier)
         strips = self._strips(planes, tiles)
         return (self.encode_here(tile, planes, step, multiplier, strips) for tile in tiles)
 
@@ -150,64 +87,6 @@ class Encoder(TileEncoder):
         if self._pixels.elsewhere is None:
             return self.encode_here(tile, planes, step, multiplier, strips)
         return next(self._encode_tiles([tile], planes, step, multiplier))
-
-    def _try(self, step: float, every: int = 1) -> Trial:
-        """Return about the bytes at a step, and the axes that are worth theirs, by every n-th piece."""
-        count = int((self._whitening.deviation_j > _TRIED * step).sum())
-        self._prepare(count)
-        vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
-        axes = quantise_axes(vectors, deviation, self._n_pixel, step)
-        streams, sizes = 0.0, np.zeros(0)
-        if count:
-            chosen = range(len(self._windows))[every // 2 :: every] or range(len(self._windows))
-            tried = self._try_pieces(chosen, step, count)
-            sizes, areas = np.array([each.size for each in tried]), np.array([self._windows[n].n_pixel for n in chosen])
-            share = self._n_pixel / areas.sum()
-            bits_j = np.sum([each.bits_j for each in tried], axis=0) * share
-            energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
-            saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
-            saved_j -= energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
-            pays = saved_j > MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
-            axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
-            streams = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0)
-            sizes = sizes / areas
-        size = self._fixed_bytes(axes, step, streams) + streams
-        return Trial(step, size, axes, sizes)
-
-    def _try_pieces(self, chosen: Sequence[int], step: float, count: int) -> list[Tried]:
-        """Return what the first planes of some pieces take at a step."""
-        elsewhere = self._pixels.elsewhere
-        if elsewhere is not None:
-            windows, planes = [self._windows[n] for n in chosen], self._whitening.exact(self._prepared)
-            return elsewhere.try_pieces(windows, planes, self._pixels.transfer, step, count)
-        return [self.try_piece(self._pieces[n], step, count) for n in chosen]
-
-    def _fixed_bytes(self, axes: Axes, step: float, streams: float) -> float:
-        """Return the bytes beside those of streams, which take about so many."""
-        tables = pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
-        return HEAD_SIZE + len(tables) + self._index_about(streams)
-
-    def _index_about(self, streams: float) -> float:
-        count = count_streams(self._shape)
-        return index_bytes([int(streams / count) + 1] * count)
-
-    def _find_step(self, budget: int) -> Trial:
-        """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
-        place = -5.0
-        for every, aims in ((_FEW, _NEARLY), (1, _FOUND)):
-            trials: dict[float, Trial] = {}
-
-            def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
-                trials[place] = self._try(2.0**place, every)
-                return trials[place].size
-
-            place = search_step(count, place, self._bounds(), budget, aims)
-            if len(self._windows) <= 1:
-                break
-        return trials[place]
-
-    def _bounds(self) -> tuple[float, float]:
-        return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))
 
     # What is written: planes solved against the axes as they are coded.
 
@@ -222,7 +101,7 @@ class Encoder(TileEncoder):
         )
 
     def _fit_step(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
-        """Return the body of a map that is one tile, at the step where it fits the budget best, and that step."""
+        """Return the body of a map of one stream, at the step where it fits the budget best, and that step."""
         planes = self._whitening.solved(trial.axes)
         parts = [self.take_part(tile.window, tile, planes) for tile in tiles]
         fitting: list[tuple[int, bytes, float]] = []
@@ -238,62 +117,112 @@ class Encoder(TileEncoder):
                 fitting.append((len(body), body, exact))
             return len(body)
 
-        search_step(count, float(np.log2(trial.step)), self._bounds(), budget, (_LEAST_USED, _AIM))
+        search_step(count, float(np.log2(trial.step)), self._bounds(), budget, _USED)
         if not fitting:
             raise InputError(f"klt needs {least} bytes for this map even at its coarsest step, the budget is {budget}")
         _, body, step = max(fitting, key=lambda each: each[0])
         return body, step
 
+    def _fit_streams(self, budget: int, trial: Trial, tile: Tile) -> tuple[bytes, float]:
+        """Return the body of a map that is one tile of many streams, and its step."""
+        axes, planes, exact = trial.axes, self._whitening.solved(trial.axes), 0.0
+        self._pieces, self._prepared = {}, 0  # their memory is that of the tile now
+        part, streams = self.take_part(tile.window, tile, planes, lent=True), [b""] * count_streams(self._shape)
+
+        def count(place: float) -> float:
+            nonlocal exact
+            exact = float(np.float32(2.0**place))
+            self._collect(streams, tile, self.encode_part(part, exact, keep=True).streams)
+            return self._used_bytes(axes, exact, streams)
+
+        step = trial.step * (trial.size / max(_NEAR[1] * budget, 1.0)) ** _STEP_POWER
+        for aims in (_NEAR, _USED):
+            place = search_step(count, float(np.log2(step)), self._bounds(), budget, aims)
+            step = float(np.float32(2.0**place))
+            if step != exact:
+                count(place)
+            if self._used_bytes(axes, step, streams) > aims[0] * budget:  # else there is no finer step
+                self._fill(budget, axes, step, streams, (tile, part, MULTIPLIER))
+            if _LEAST_FILLED * budget <= self._used_bytes(axes, step, streams) <= budget:
+                break  # multipliers do little where there are few bytes
+        if len(body := self._pack(axes, step, streams)) > budget:
+            raise InputError(f"klt needs {len(body)} bytes for this map at step {step:.3g}, the budget is {budget}")
+        return body, step
+
     def _fit_multipliers(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return the body of a map of many tiles, and its step; the multiplier saves what tiles take too much."""
-        rows, step = [(each.top + each.bottom) // 2 for each in self._windows], trial.step
-        foretold = foretell(rows, trial.of_pixel, tiles)
+        rows, step = [(each.top + each.bottom) // 2 for each in self._windows], self._bounded(trial.step)
+        foretold, usual = foretell(rows, trial.of_pixel, tiles), np.full(len(tiles), MULTIPLIER)
         best: tuple[bytes, float] | None = None
-        least = 0
+        least, power, wanted = 0, _STEP_POWER, 0.0
         for _ in range(_MAX_PASSES):
-            step = float(np.float32(step))
-            body, foretold = self._pass_tiles(budget, step, trial.axes, tiles, foretold)
+            body, taken, usual = self._pass_tiles(budget, step, trial.axes, tiles, foretold, usual)
             least = len(body)
             if len(body) <= budget and (best is None or len(body) > len(best[0])):
                 best = body, step
             if _LEAST_FILLED * budget <= len(body) <= budget:
                 break
-            # At the usual multiplier, tiles would have taken what is foretold of them now.
-            factor = (float(foretold.sum()) / (_AIM * budget)) ** _STEP_POWER
-            step, before = min(max(step * factor, self._finest), STEP_RANGE[1]), step
-            foretold *= (before / step) ** (1.0 / _STEP_POWER)
+            # How bytes hang on the multiplier is another thing for each map: now it is to be as it was.
+            more, before = float(np.log(taken.sum() / (_AIM * budget))), step
+            if wanted and wanted != more:
+                power = min(max(power * wanted / (wanted - more), _STEP_POWER / 2.0), 4.0 * _STEP_POWER)
+            step, wanted = self._bounded(step * float(np.exp(power * more))), more
+            foretold = taken * (before / step) ** (1.0 / power)
         if best is None:
             raise InputError(f"klt needs {least} bytes for this map at step {step:.3g}, the budget is {budget}")
         return best
 
     def _pass_tiles(
-        self, budget: int, step: float, axes: Axes, tiles: list[Tile], foretold: NDArray[np.float64]
-    ) -> tuple[bytes, NDArray[np.float64]]:
-        """Return a body, and about the bytes that each tile would have at the usual multiplier."""
+        self,
+        budget: int,
+        step: float,
+        axes: Axes,
+        tiles: list[Tile],
+        foretold: NDArray[np.float64],
+        usual: NDArray[np.float64],
+    ) -> tuple[bytes, NDArray[np.float64], NDArray[np.float64]]:
+        """Return a body, the bytes of each tile and the multiplier; at the `usual` ones they would be as foretold."""
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
-        self._pieces, self._prepared = [], 0  # their memory is that of tiles now
-        fixed = self._fixed_bytes(axes, step, float(budget))
-        spent, usual, strips = 0.0, np.zeros(len(tiles)), self._strips(planes, tiles)
+        self._pieces, self._prepared = {}, 0  # their memory is that of tiles now
+        fixed, strips = self._fixed_bytes(axes, step, float(budget)), self._strips(planes, tiles)
+        taken, likely, multiplier_i = np.zeros(len(tiles)), np.zeros(len(tiles)), usual.copy()
         for number, tile in enumerate(tiles):
-            left = budget - fixed - spent
             # What has come so far tells how the trials err.
-            trust = float(usual.sum() / foretold[:number].sum()) if number else 1.0
-            ratio = max(left, 1.0) / (float(foretold[number:].sum()) * trust)
-            multiplier = min(max(MULTIPLIER * ratio ** (-1.0 / MULTIPLIER_POWER), MULTIPLIERS[0]), MULTIPLIERS[1])
+            trust = float(likely.sum() / foretold[:number].sum()) if number else 1.0
+            ratio = max(budget - fixed - taken.sum(), 1.0) / (float(foretold[number:].sum()) * trust)
+            multiplier = multiplier_i[number] = change_multiplier(float(usual[number]), ratio)
             if number + 1 == len(tiles):
                 strips = None
-                coded, multiplier = fill_by_multiplier(self._trying(tile, planes, step), left, multiplier)
+                self._pixels.forget()  # indices of this one take as much again as its values
+                part = self.take_part(tile.window, tile, planes, lent=True)
+                coded = self.encode_part(part, step, multiplier, keep=True)
             else:
                 coded = self._encode_tile(tile, planes, step, multiplier, strips)
-            spent += coded.size
-            usual[number] = coded.size * (multiplier / MULTIPLIER) ** MULTIPLIER_POWER
-            self._collect(streams, tile, coded)
-        return self._pack(axes, step, streams), usual
+            taken[number] = coded.size
+            likely[number] = coded.size * (multiplier / usual[number]) ** MULTIPLIER_POWER
+            self._collect(streams, tile, coded.streams)
+        self._fill(budget, axes, step, streams, (tile, part, multiplier))
+        return self._pack(axes, step, streams), taken, multiplier_i
 
-    def _trying(self, tile: Tile, planes: Planes, step: float) -> Callable[[float], Coded]:
-        """Return what codes a tile at any multiplier."""
-        if self._pixels.elsewhere is not None:
-            return lambda multiplier: next(self._encode_tiles([tile], planes, step, multiplier, again=True))
-        self._pixels.forget()  # indices of this one take as much again as its values
-        part = self.take_part(tile.window, tile, planes, lent=True)
-        return functools.partial(self.encode_part, part, step, keep=True)
+    def _fill(self, budget: int, axes: Axes, step: float, streams: list[bytes], last: tuple[Tile, Part, float]) -> None:
+        """Code streams of the tile that came last, at some multiplier, anew: the body fills a budget then."""
+        tile, part, usual = last
+
+        def spare(coded: Sequence[bytes]) -> int:
+            self._collect(streams, tile, coded)
+            return budget - self._used_bytes(axes, step, streams)
+
+        def encode(chosen: Sequence[int], multiplier: float) -> Coded:
+            layout = part.layout.of_streams(chosen)
+            return self.encode_part(replace(part, layout=layout), step, multiplier, keep=True)
+
+        first = [streams[t] for t in tile.streams]
+        self._collect(streams, tile, fill(encode, tile.units, first, usual, spare, _SLACK * budget))
+
+    def _used_bytes(self, axes: Axes, step: float, streams: Sequence[bytes]) -> int:
+        """Return the bytes of a body of streams."""
+        sizes = [len(stream) for stream in streams]
+        return self._table_bytes(axes, step) + index_bytes(sizes) + sum(sizes)
+
+    def _bounded(self, step: float) -> float:
+        return float(np.float32(min(max(step, self._finest), STEP_RANGE[1])))

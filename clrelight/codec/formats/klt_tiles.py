@@ -7,11 +7,9 @@ transform of a window is that of the image on all but its margin (`clrelight.cod
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clrelight.codec.entropy.unit_streams import (
     CONTEXTS,
@@ -22,13 +20,15 @@ from clrelight.codec.entropy.unit_streams import (
     default_tables,
     encode_streams,
 )
-from clrelight.codec.entropy.units import LEVELS, PRECINCT, Tile, Window, tile_of
+from clrelight.codec.entropy.units import LEVELS, PRECINCT, Layout, Tile, Window, tile_of
+from clrelight.codec.formats.klt_pieces import Pieces, Tried
 from clrelight.codec.formats.klt_trials import Part
 from clrelight.codec.formats.klt_units import is_together
 from clrelight.codec.transforms.lifting import transform_planes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.strips import Strips
 from clrelight.codec.transforms.whitening import Planes, reshaped, with_type
+from clrelight.opencl.arguments import DeviceArray
 
 MULTIPLIER = 0.12
 """Lagrange multiplier of rate–distortion optimisation: squared steps of error that a bit must save."""
@@ -36,40 +36,13 @@ PART_PIXELS = 3 << 19
 """Pixels of a part, at most: a second or two of work. Smaller ones have more of what they read in their margins."""
 
 
-@dataclass(frozen=True)
-class Tried:
-    """What a piece took at a step.
-
-    Attributes
-    ----------
-    size : int
-        Bytes of its streams.
-    bits_j, error_j : ndarray, shape (n_plane,), float64
-        See `clrelight.codec.entropy.unit_streams.Coded`.
-    energy_j : ndarray, shape (n_plane,), float64
-        Sums of squares of its planes.
-    """
-
-    size: int
-    bits_j: NDArray[np.float64]
-    error_j: NDArray[np.float64]
-    energy_j: NDArray[np.float64]
-
-
 class TileCoder(Protocol):
     """Codes tiles in other processes."""
 
     def code(
-        self,
-        tiles: Sequence[Tile],
-        planes: Planes,
-        transfer: str,
-        step: float,
-        multiplier: float,
-        *,
-        again: bool = False,
+        self, tiles: Sequence[Tile], planes: Planes, transfer: str, step: float, multiplier: float
     ) -> Iterator[list[bytes]]:
-        """Return the streams of each tile, in the order of the tiles; they may be asked for `again`, at others."""
+        """Return the streams of each tile, in the order of the tiles."""
 
     def try_pieces(
         self, windows: Sequence[Window], planes: Planes, transfer: str, step: float, count: int
@@ -109,15 +82,10 @@ def encode_elsewhere(
     transfer: str,
     step: float,
     multiplier: float,
-    *,
-    again: bool = False,
 ) -> Iterator[Coded]:
-    """Return the streams of tiles of an image of some height and width, one after another, which are begun at once.
-
-    They may be asked for `again`, at another multiplier.
-    """
+    """Return the streams of tiles of an image of some height and width, one after another, which are begun at once."""
     cut = [cut_tile(tile, *sides) for tile in tiles]
-    made = coder.code([part for each in cut for part in each], planes, transfer, step, multiplier, again=again)
+    made = coder.code([part for each in cut for part in each], planes, transfer, step, multiplier)
     for tile, parts in zip(tiles, cut, strict=True):
         yield _join(tile, [(part, next(made)) for part in parts], len(planes[1]))
 
@@ -125,7 +93,7 @@ def encode_elsewhere(
 def _join(tile: Tile, parts: Sequence[tuple[Tile, list[bytes]]], n_plane: int) -> Coded:
     """Return the streams of a tile from those of its parts; what is measured beside them is not known."""
     found = {t: stream for part, streams in parts for t, stream in zip(part.streams, streams, strict=True)}
-    unknown = np.full(n_plane, np.nan)
+    unknown = np.full((1, n_plane), np.nan, np.float32)
     return Coded(
         [found[t] for t in tile.streams],
         unknown,
@@ -149,8 +117,8 @@ class TileEncoder:
     def __init__(self, pixels: Pixels) -> None:
         self._shape, self._pixels, self._device = pixels.shape, pixels, pixels.device
 
-    def take_part(self, window: Window, tile: Tile | None, planes: Planes, *, lent: bool = False) -> Part:
-        """Return wavelet coefficients of the planes of a window, of which a tile's are coded; None: all, as a map."""
+    def take_part(self, window: Window, tile: Tile, planes: Planes, *, lent: bool = False) -> Part:
+        """Return wavelet coefficients of the planes of a window, of which a tile's are coded."""
         rows, columns = (window.top, window.bottom), (window.left, window.right)
         values = self._pixels.planes(rows, columns, planes, lent=lent)
         transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
@@ -170,19 +138,22 @@ class TileEncoder:
             return self.take_part(tile.window, tile, planes, lent=True)
         return Part.of(strips.take(tile), strips.window_of(tile), tile, self._shape[1:3], False)
 
-    def encode_part(
-        self, part: Part, step: float, multiplier: float = MULTIPLIER, count: int | None = None, keep: bool = False
-    ) -> Coded:
-        """Return the streams of a part's first planes; its values are lost unless they are to be kept."""
-        shape = (part.values.shape[0] if count is None else count, *part.values.shape[1:])
-        values = reshaped(part.values, shape)
-        index = with_type(self._pixels.lend("index", shape) if keep else values, np.int32)
-        layout = part.layout.of_first(shape[0])
+    def encode_part(self, part: Part, step: float, multiplier: float = MULTIPLIER, keep: bool = False) -> Coded:
+        """Return the streams of a part; its values are lost unless they are to be kept."""
+        return self._encode(part.values, part.layout, step, multiplier, keep)
+
+    def take_pieces(self, windows: Sequence[Window], planes: Planes) -> Pieces:
+        """Return wavelet coefficients of the planes of windows of one size, each a map of its own."""
+        return Pieces.of(self._pixels, windows, planes, is_together(self._shape))
+
+    def try_pieces(self, pieces: Pieces, step: float, count: int) -> list[Tried]:
+        """Return what the first planes of pieces take at a step."""
+        values = reshaped(pieces.values, (count, *pieces.values.shape[1:]))
+        coded = self._encode(values, pieces.layout.of_first(count), step, MULTIPLIER, True)
+        return pieces.share(coded, count)
+
+    def _encode(self, values: DeviceArray, layout: Layout, step: float, multiplier: float, keep: bool) -> Coded:
+        index = with_type(self._pixels.lend("index", values.shape) if keep else values, np.int32)
         return encode_streams(
             self._device, layout, values, index, default_tables(), multiplier, 1.0 / step, count=self._counts
         )
-
-    def try_piece(self, piece: Part, step: float, count: int) -> Tried:
-        """Return what the first planes of a piece take at a step."""
-        coded = self.encode_part(piece, step, count=count, keep=True)
-        return Tried(coded.size, coded.bits_j, coded.error_j, piece.energy(count, self._device))

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.unit_streams import Coded
-from clrelight.codec.entropy.units import Layout, Tile, Window, lay_out, list_units
+from clrelight.codec.entropy.units import Layout, Tile, Window, lay_out
 from clrelight.codec.transforms.principal import Axes
-from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.search import search_falling
 
@@ -21,12 +19,7 @@ _WHOLE = 1 << 19
 _PIECE, _PIECES = 128, 48
 _LEAST_TRIED, _MAX_TRIED = 1 << 22, 1 << 26
 """Values of the planes that are tried at once: what bounds memory, of which they take an eighth."""
-_MAX_TRIALS, _MAX_LAST = 24, 7
-MULTIPLIERS = (0.03, 0.6)
-"""The range of multipliers by which the tiles of a large map meet a budget."""
-MULTIPLIER_POWER = 0.45
-"""Bytes fall about with this power of the multiplier."""
-_LEAST_LAST = 0.98
+_MAX_TRIALS = 24
 
 
 @dataclass(frozen=True)
@@ -47,18 +40,10 @@ class Part:
     width: int
 
     @classmethod
-    def of(cls, values: DeviceArray, window: Window, tile: Tile | None, sides: tuple[int, int], together: bool) -> Part:
-        """Return what of a window's values is a tile of an image of some sides; without one it is a map of its own."""
-        here, units = window, [] if tile is None else tile.units
-        if tile is None:
-            sides, here, units = window.shape, Window(0, 0, *window.shape), list_units(*window.shape)
-        layout = lay_out(units, sides, here, values.shape[2], together, [(0, values.shape[0])])
+    def of(cls, values: DeviceArray, window: Window, tile: Tile, sides: tuple[int, int], together: bool) -> Part:
+        """Return what of a window's values is a tile of an image of some sides."""
+        layout = lay_out(tile.units, sides, window, values.shape[2], together, [(0, values.shape[0])])
         return cls(values, layout, *window.shape)
-
-    def energy(self, count: int, device: Device) -> NDArray[np.float64]:
-        """Return the sums of squares of the first planes."""
-        values = device.download(self.values)[:count, :, : self.width]
-        return np.einsum("jyx,jyx->j", values, values, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -83,20 +68,26 @@ class Trial:
 
 
 def search_step(
-    count: Callable[[float], float], place: float, bounds: tuple[float, float], budget: int, aims: tuple[float, float]
+    count: Callable[[float], float],
+    place: float,
+    bounds: tuple[float, float],
+    budget: int,
+    aims: tuple[float, float, float],
 ) -> float:
-    """Return the logarithm of a step whose bytes come nearest to a budget from below, or of the coarsest one.
+    """Return the logarithm of a step whose bytes come nearest to part of a budget from below, or of the coarsest one.
 
-    It ends where the part of the budget that is used is the first of `aims` or more, and aims at the second.
+    It ends where the part of the budget that is used is the first of `aims` to the last, and aims at the second.
     """
-    aim, limit = math.log(aims[1] * max(budget, 1)), math.log(budget) if budget > 0 else -math.inf
+    whole = math.log(budget) if budget > 0 else -math.inf
+    least, aim, limit = (whole + math.log(part) for part in aims)
+    aim = max(aim, 0.0)
     tried = search_falling(
         lambda place: math.log(max(count(place), 1.0)),
         place,
         bounds,
         aim,
         limit=limit,
-        is_enough=lambda size: limit + math.log(aims[0]) <= size <= limit,
+        is_enough=lambda size: least <= size <= limit,
         expect=lambda place, size: place - 0.8 * (aim - size),
         # In logarithms of 2 a step's bytes fall by a power between 0.3 and 3.
         slopes=(-4.8, -0.48),
@@ -129,28 +120,3 @@ def foretell(rows: list[int], of_pixel: NDArray[np.float64], tiles: list[Tile]) 
     means = [(of_pixel[at == row].mean() + of_pixel.mean()) / 2 for row in centres]
     middles = [(tile.top + tile.bottom) / 2 for tile in tiles]
     return np.interp(middles, centres, means) * [tile.n_pixel for tile in tiles]
-
-
-def fill_by_multiplier(encode: Callable[[float], Coded], left: float, multiplier: float) -> tuple[Coded, float]:
-    """Return what the multiplier that fills the bytes left best makes, and itself; fewest bytes if none does."""
-    tried: list[tuple[Coded, float]] = []
-
-    def measure(place: float) -> float:
-        tried.append((encode(math.exp(place)), math.exp(place)))
-        return math.log(max(tried[-1][0].size, 1.0))
-
-    limit = math.log(max(left, 1.0))
-    aim = limit + math.log((1.0 + _LEAST_LAST) / 2.0)
-    search_falling(
-        measure,
-        math.log(multiplier),
-        (math.log(MULTIPLIERS[0]), math.log(2 * MULTIPLIERS[1])),
-        aim,
-        limit=limit,
-        is_enough=lambda _: _LEAST_LAST * left <= tried[-1][0].size <= left,
-        expect=lambda place, size: place - (aim - size) / MULTIPLIER_POWER,
-        slopes=(-10.0, -0.5),
-        most=_MAX_LAST,
-        width=1e-4,
-    )
-    return min(tried, key=lambda each: (each[0].size > left, abs(each[0].size - left)))

@@ -121,7 +121,7 @@ class Encoder:
                 known[key] = self._code_all(codes_m)[0]
             return known[key]
 
-        budget, aims = self._budget, (_USED, _AIM)
+        budget, aims = self._budget, (_USED, _AIM, 1.0)
         shift = search_step(by_steps, 0.0, self._steps.bounds(), budget, aims)
         if not self._best or shift <= self._steps.bounds()[0]:
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,9 +50,9 @@ class Pixels:
         """Return what is coded, (n_coeff, rows, columns, channel); the next call may overwrite it."""
         return self._coded(self._read(rows, columns))
 
-    def of_row(self, row: int, columns: slice) -> NDArray[np.float32]:
-        """Return the same of some pixels of a row, (n_coeff, columns, channel)."""
-        return self._coded(self._source.read_some(row, columns))[:, 0]
+    def of_places(self, places: Sequence[tuple[int, slice]]) -> NDArray[np.float32]:
+        """Return the same of some pixels of some rows, (n_coeff, pixels, channel)."""
+        return self._coded(self._source.read_scattered(places))[:, 0]
 
     def _coded(self, coeffs_khwc: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.transfer == "srgb":
@@ -69,11 +70,11 @@ class Pixels:
         self.fill(made, rows, columns, planes)
         return made
 
-    def fill(self, made: DeviceArray, rows: Span, columns: Span, planes: Planes) -> None:
-        """Queue planes of a part of the image, into the first rows of `made`."""
+    def fill(self, made: DeviceArray, rows: Span, columns: Span, planes: Planes, at: int = 0) -> None:
+        """Queue planes of a part of the image, into the rows of `made` from `at` on."""
         way = self._way_to(planes)
         if way.fused is not None:
-            way.fused.run(made, self._source, rows, columns)
+            way.fused.run(made, self._source, rows, columns, at)
             return
         width, linear = columns[1] - columns[0], self._source.linear
         row_bytes = 4 * width * (2 * way.n_value + made.shape[0])
@@ -82,7 +83,7 @@ class Pixels:
             piece = (top, min(top + step, rows[1]))
             held = self._read(piece, columns) if linear is None else self._source.read_samples(piece, columns)
             values = self._values(np.ascontiguousarray(held), way.first, curve)
-            self._place(made, values, (held.shape[1], width), way, top - rows[0])
+            self._place(made, values, (held.shape[1], width), way, at + top - rows[0])
 
     def rows_at_once(self, columns: Span, planes: Planes) -> int:
         """Return the rows of a part of the image that are read together."""
@@ -233,7 +234,7 @@ class _Fused:
         """Return the rows that are read while the device computes those before."""
         return max(PIECE_BYTES // (self.first.shape[1] * width * channel * self.sample_type.itemsize), 1)
 
-    def run(self, made: DeviceArray, source: Source, rows: Span, columns: Span) -> None:
+    def run(self, made: DeviceArray, source: Source, rows: Span, columns: Span, at: int) -> None:
         """Queue planes; the next samples are read while the device computes."""
         device, curve, channel = self.device, self.linear.curve, source.shape[3]
         width, room = columns[1] - columns[0], self.last.shape[1]
@@ -249,7 +250,7 @@ class _Fused:
                 "make_planes_jyx",
                 (-(-width // self.tile), piece[1] - piece[0]),
                 *(made, device.upload(held), self.first.packed_o, heights[0], self.last.packed_o, heights[1]),
-                *(self.table, self.offset, 1.0 / curve.peak, top - rows[0], self.first.shape[0], *made.shape),
+                *(self.table, self.offset, 1.0 / curve.peak, at + top - rows[0], self.first.shape[0], *made.shape),
                 *(*held.shape, heights[0].shape[0], heights[1].shape[0]),
                 defines={
                     **sample_defines(self.sample_type),

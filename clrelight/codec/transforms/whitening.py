@@ -5,7 +5,7 @@ All of it is one matrix from the coefficients of a pixel to its planes, found fr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,8 +23,8 @@ _SAMPLED_ROWS, _SAMPLED_PIXELS, _SAMPLED_VALUES = 256, 1 << 16, 1 << 24
 
 Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
-ReadRow = Callable[[int, slice], NDArray[np.float32]]
-"""Returns some pixels of a row of all maps, (n_coeff, columns, channel)."""
+ReadPlaces = Callable[[Sequence[tuple[int, slice]]], NDArray[np.float32]]
+"""Returns some pixels of some rows of all maps, (n_coeff, pixels, channel), one row after another."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Whitening:
 
 
 def whitening_of(
-    shape: tuple[int, int, int, int], read: ReadRow, turn_dc: NDArray[np.float64] | None = None, basis: str = SH
+    shape: tuple[int, int, int, int], read: ReadPlaces, turn_dc: NDArray[np.float64] | None = None, basis: str = SH
 ) -> Whitening:
     """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does.
 
@@ -102,16 +102,15 @@ def _whiten(
     return Whitening(exponent, rotation_cc, forward_dq, mean_d, vectors[:, ::-1].T, deviation)
 
 
-def _sample(shape: tuple[int, int, int, int], read: ReadRow) -> NDArray[np.float64]:
+def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.float64]:
     """Return the coefficients of pixels that lie all over the image, (n_pixel, n_coeff, channel)."""
     n_coeff, height, width, channel = shape
     most = min(_SAMPLED_PIXELS, _SAMPLED_VALUES // (n_coeff * channel))
     step = -(-height // _SAMPLED_ROWS)
     rows = range(step // 2, height, step)
     column_step = -(-width * len(rows) // most)
-    # Copies: rows that are read may be overwritten.
-    chosen = [read(y, slice((7 * i) % column_step, width, column_step)).copy() for i, y in enumerate(rows)]
-    return np.concatenate(chosen, axis=1).transpose(1, 0, 2).astype(np.float64)
+    chosen_kpc = read([(y, slice((7 * i) % column_step, width, column_step)) for i, y in enumerate(rows)])
+    return chosen_kpc.transpose(1, 0, 2).astype(np.float64)
 
 
 def reshaped(array: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:

@@ -1,0 +1,103 @@
+"""How streams fill a budget: those of some places of the two finest levels are coded again, which no others hang on.
+
+Where much is missing, or too much, all are. The multiplier by which a bit must save error is what decoders never see.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.entropy.unit_streams import Coded
+from clrelight.codec.entropy.units import Unit
+from clrelight.search import search_falling
+
+MULTIPLIERS = (0.03, 0.6)
+"""The range of multipliers by which the tiles of a large map meet a budget."""
+MULTIPLIER_POWER = 0.45
+"""Bytes fall about with this power of the multiplier."""
+_GIVES = 0.1
+"""Part of their bytes that streams are to give or take: at multipliers much apart bytes would be spent unevenly."""
+_LEAST_PLACES, _MAX_TRIALS = 4, 7
+
+
+def fill(
+    encode: Callable[[Sequence[int], float], Coded],
+    units: Sequence[Unit],
+    first: Sequence[bytes],
+    multiplier: float,
+    spare: Callable[[Sequence[bytes]], int],
+    slack: float,
+) -> list[bytes]:
+    """Return streams that leave as few bytes of a budget as can be, and pass it only if all do.
+
+    Parameters
+    ----------
+    encode : callable
+        Codes some streams, by their numbers, at a multiplier; indices of others stay where they are.
+    units : sequence of Unit
+        What streams are of, one each.
+    first : sequence of bytes
+        The streams, which were coded last, at `multiplier`.
+    multiplier : float
+    spare : callable
+        How many bytes of the budget some streams leave, below 0 where they pass it.
+    slack : float
+        Bytes that may be left.
+    """
+    left = spare(first)
+    tried = [(left, list(first))]
+    if 0 <= left <= slack:
+        return tried[0][1]
+    chosen = _choose(units, np.array([len(stream) for stream in first]), left - slack / 2.0)
+    held = sum(len(first[t]) for t in chosen)
+    limit, aim = (math.log(max(held + each, 1.0)) for each in (left, left - slack / 2.0))
+
+    def measure(place: float) -> float:
+        streams = list(first)
+        for t, stream in zip(chosen, encode(chosen, math.exp(place)).streams, strict=True):
+            streams[t] = stream
+        tried.append((spare(streams), streams))
+        return math.log(max(held + left - tried[-1][0], 1.0))
+
+    search_falling(
+        measure,
+        math.log(multiplier) - (aim - math.log(max(held, 1))) / MULTIPLIER_POWER,
+        (math.log(MULTIPLIERS[0]), math.log(2 * MULTIPLIERS[1])),
+        aim,
+        limit=limit,
+        is_enough=lambda _: 0 <= tried[-1][0] <= slack,
+        expect=lambda place, size: place - (aim - size) / MULTIPLIER_POWER,
+        slopes=(-10.0, -0.5),
+        most=_MAX_TRIALS,
+        width=1e-4,
+    )
+    return min(tried, key=lambda each: (each[0] < 0, abs(each[0])))[1]
+
+
+def change_multiplier(multiplier: float, ratio: float) -> float:
+    """Return the multiplier at which bytes are so many times what they are at one, about; at most twice or half it."""
+    least, most = max(multiplier / 2.0, MULTIPLIERS[0]), min(multiplier * 2.0, MULTIPLIERS[1])
+    return min(max(multiplier * ratio ** (-1.0 / MULTIPLIER_POWER), least), most)
+
+
+def _choose(units: Sequence[Unit], size_t: NDArray[np.int64], change: float) -> list[int]:
+    """Return the streams to code again, that bytes change by so many.
+
+    Places of level 2 all over the image, with what lies below each on level 1; or all streams there are.
+    """
+    below: dict[tuple[int, int], list[int]] = {}
+    for t, unit in enumerate(units):
+        if unit.level in (1, 2):
+            scale = 3 - unit.level
+            place = unit.row // scale // unit.side, unit.column // scale // unit.side
+            below.setdefault(place, []).append(t)
+    places = list(below.values())
+    share = abs(change) / max(_GIVES * sum(size_t[each].sum() for each in places), 1.0)
+    if share > 1.0:
+        return list(range(len(size_t)))
+    count = min(max(math.ceil(share * len(places)), _LEAST_PLACES), len(places))
+    return sorted(t for n in range(count) for t in places[(2 * n + 1) * len(places) // (2 * count)])

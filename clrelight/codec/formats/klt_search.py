@@ -1,0 +1,144 @@
+"""How the codec `klt` finds its step: a few pieces of a map are tried, then more of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clrelight.codec.entropy.symbols import zero_order_bits
+from clrelight.codec.entropy.unit_index import index_bytes
+from clrelight.codec.entropy.units import Window
+from clrelight.codec.formats.klt_pieces import Pieces, Tried
+from clrelight.codec.formats.klt_tiles import MULTIPLIER, TileEncoder
+from clrelight.codec.formats.klt_trials import Trial, list_pieces, search_step
+from clrelight.codec.formats.klt_units import HEAD_SIZE, count_streams, pack_axes
+from clrelight.codec.transforms.colour import RADIANCE, colour_axes
+from clrelight.codec.transforms.pixels import Pixels
+from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
+from clrelight.codec.transforms.whitening import whitening_of
+from clrelight.codec.workspace import Progress
+from clrelight.memory import ARRAY_MEMORY
+
+_TRIED = 0.08
+"""An axis along which pixels deviate less than this part of a step is not tried."""
+_NEARLY, _FOUND, _FEW = (0.93, 0.97, 1.0), (0.95, 0.99, 1.04), 4
+"""Parts of a budget where a search on every n-th piece ends, and aims; and those of one on all."""
+_PIECES_COST = 1.05
+"""What pieces take of what a map does for each of their pixels: 1.03 to 1.07."""
+
+
+class StepFinder(TileEncoder):
+    """A map whose step is looked for.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        The map.
+    transfer : str
+        The curve behind which what `pixels` gives is.
+    metric : str
+        One of `clrelight.codec.transforms.colour.METRICS`: which errors cost alike.
+    memory : int
+        Bytes that the planes of a tile may take.
+    progress : callable
+        Told how many rows of the image are coded.
+    """
+
+    def __init__(
+        self,
+        pixels: Pixels,
+        transfer: str,
+        metric: str = RADIANCE,
+        memory: int = ARRAY_MEMORY,
+        progress: Progress = lambda done, total: None,
+    ) -> None:
+        super().__init__(pixels)
+        self._progress = progress
+        shape, self._transfer, self._memory = pixels.shape, transfer, memory
+        self._n_pixel = shape[1] * shape[2]
+        self._whitening = whitening_of(shape, pixels.of_places, colour_axes(metric, transfer), pixels.basis)
+        largest = float(np.abs(self._whitening.mean_d).max())
+        # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
+        self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
+        self._windows: list[Window] = []
+        self._pieces: dict[int, Pieces] = {}
+        self._prepared = 0
+
+    def _mean(self, step: float) -> NDArray[np.int64]:
+        return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
+
+    def _prepare(self, count: int) -> None:
+        """List pieces of which so many planes can be tried."""
+        if count <= self._prepared:
+            return
+        _, height, width, _ = self._shape
+        count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
+        self._windows, self._pieces = list_pieces(height, width, count, self._memory), {}
+        self._prepared = count
+
+    def _try(self, step: float, every: int = 1) -> Trial:
+        """Return about the bytes at a step, and the axes that are worth theirs, by every n-th piece."""
+        count = int((self._whitening.deviation_j > _TRIED * step).sum())
+        self._prepare(count)
+        vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
+        axes = quantise_axes(vectors, deviation, self._n_pixel, step)
+        streams, sizes = 0.0, np.zeros(0)
+        if count:
+            chosen = range(len(self._windows))[every // 2 :: every] or range(len(self._windows))
+            tried = self._try_pieces(chosen, step, count)
+            sizes, areas = np.array([each.size for each in tried]), np.array([self._windows[n].n_pixel for n in chosen])
+            # Streams of a piece's coarse levels are shorter than those of a map, and learn as much anew.
+            share = self._n_pixel / areas.sum() / (_PIECES_COST if len(self._windows) > 1 else 1.0)
+            bits_j = np.sum([each.bits_j for each in tried], axis=0) * share
+            energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
+            saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
+            saved_j -= energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
+            pays = saved_j > MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
+            axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
+            streams = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0)
+            sizes = sizes * share / self._n_pixel * len(areas)
+        size = self._fixed_bytes(axes, step, streams) + streams
+        return Trial(step, size, axes, sizes)
+
+    def _try_pieces(self, chosen: Sequence[int], step: float, count: int) -> list[Tried]:
+        """Return what the first planes of some pieces take at a step."""
+        elsewhere, planes = self._pixels.elsewhere, self._whitening.exact(self._prepared)
+        if elsewhere is not None:
+            windows = [self._windows[n] for n in chosen]
+            return elsewhere.try_pieces(windows, planes, self._pixels.transfer, step, count)
+        found: dict[int, Tried] = {}
+        for group in sorted({number % _FEW for number in chosen}):
+            if group not in self._pieces:
+                self._pieces[group] = self.take_pieces(self._windows[group::_FEW], planes)
+            tried = self.try_pieces(self._pieces[group], step, count)
+            found |= zip(range(group, len(self._windows), _FEW), tried, strict=True)
+        return [found[n] for n in chosen]
+
+    def _fixed_bytes(self, axes: Axes, step: float, streams: float) -> float:
+        """Return the bytes beside those of streams, which take about so many."""
+        count = count_streams(self._shape)
+        return self._table_bytes(axes, step) + index_bytes([int(streams / count) + 1] * count)
+
+    def _table_bytes(self, axes: Axes, step: float) -> int:
+        """Return the bytes of a body in front of its index."""
+        return HEAD_SIZE + len(pack_axes(self._whitening.rotation_cc, axes, self._mean(step)))
+
+    def _find_step(self, budget: int) -> Trial:
+        """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
+        place = -5.0
+        for every, aims in ((_FEW, _NEARLY), (1, _FOUND)):
+            trials: dict[float, Trial] = {}
+
+            def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
+                trials[place] = self._try(2.0**place, every)
+                return trials[place].size
+
+            place = search_step(count, place, self._bounds(), budget, aims)
+            if len(self._windows) <= 1:
+                break
+        return trials[place]
+
+    def _bounds(self) -> tuple[float, float]:
+        return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))

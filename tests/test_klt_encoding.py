@@ -1,0 +1,65 @@
+"""How klt finds its step and fills a budget: pieces are coded as if alone, and what is coded anew decodes."""
+
+import numpy as np
+import pytest
+
+from clrelight.codec.entropy.units import Window, list_units
+from clrelight.codec.formats.klt import Klt
+from clrelight.codec.formats.klt_encode import Encoder
+from clrelight.codec.formats.klt_fill import _choose
+from clrelight.codec.streams import ArraySource
+from clrelight.codec.transforms.pixels import Pixels
+
+
+def rough_map(height, width):
+    """Return coefficients of degree 1 whose detail differs from place to place, and a little noise."""
+    rng = np.random.default_rng(7)
+    y, x = np.mgrid[:height, :width] / 37.0
+    planes = [np.cos((1 + 5 * rng.random()) * x + 9 * rng.random() * y * (y > 4)) for _ in range(6)]
+    coeffs = np.einsum("kr,rhw->khw", rng.standard_normal((4, 6)), np.array(planes))
+    return (coeffs + 0.03 * rng.standard_normal(coeffs.shape)).astype(np.float32)[..., None]
+
+
+@pytest.mark.parametrize(("height", "width"), [(128, 128), (61, 90)])
+def test_pieces_side_by_side_are_those_alone(device, height, width):
+    encoder = Encoder(Pixels(ArraySource(rough_map(600, 520), device)), "linear")
+    planes = encoder._whitening.exact(3)
+    windows = [Window(top, left, top + height, left + width) for top in (0, 96, 416) for left in (32, 352)]
+    together = encoder.take_pieces(windows, planes)
+    for step, count in ((0.02, 3), (0.3, 2)):
+        alone = [encoder.try_pieces(encoder.take_pieces([window], planes), step, count)[0] for window in windows]
+        for one, other in zip(encoder.try_pieces(together, step, count), alone, strict=True):
+            assert one.size == other.size > 0
+            for name in ("bits_j", "error_j", "energy_j"):
+                np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+                assert getattr(one, name).shape == (count,)
+
+
+@pytest.mark.parametrize("rate", [0.02, 0.15, 1.0])
+def test_what_fills_a_budget_decodes(device, rate):
+    coeffs = rough_map(530, 600)
+    encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear")
+
+    def error_of(body):
+        return float(np.mean((Klt.decode_body(body, coeffs.shape, device) - coeffs) ** 2))
+
+    budget = int(rate * coeffs.size / 8)
+    filled, found = encoder.encode_within(budget)
+    plain, _ = encoder.encode(found["step"])
+    assert 0.99 * budget <= len(filled) <= budget
+    # At the same step, more bytes are less error, and the other way round.
+    assert error_of(filled) == pytest.approx(error_of(plain) * len(plain) / len(filled), rel=0.15)
+
+
+def test_streams_are_chosen_with_all_that_hang_on_them():
+    units = list_units(700, 900)
+    sizes = np.full(len(units), 100)
+    assert _choose(units, sizes, -1e9) == list(range(len(units)))
+    chosen = _choose(units, sizes, 50.0)
+    assert 4 <= len(chosen) < len(units) / 2
+    held = {(units[t].level, units[t].row, units[t].column) for t in chosen}
+    assert {level for level, _, _ in held} == {1, 2}
+    for unit in units:
+        if unit.level == 1:
+            parent = (2, unit.row // 128 * 64, unit.column // 128 * 64)
+            assert ((1, unit.row, unit.column) in held) == (parent in held)
