@@ -81,9 +81,9 @@ def _gathered(
     found = [read_results(path) for path in paths]
     pictures: dict[str, NDArray[np.uint8]] = {}
     profiles: dict[str, NDArray[np.float64]] = {}
-    for each in reversed(found):  # of what two parts have the first counts, as in one process
-        pictures |= each.pictures
-        profiles |= each.profiles
+    for each in found:  # of what two parts have the first counts, as in one process
+        pictures = {**pictures, **{name: each.pictures[name] for name in each.pictures if name not in pictures}}
+        profiles = {**profiles, **{name: each.profiles[name] for name in each.profiles if name not in profiles}}
     results = Results(np.concatenate([each.table for each in found]), pictures=pictures, profiles=profiles)
     write_results(out, results)
     return results
