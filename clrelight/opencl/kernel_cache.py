@@ -85,8 +85,8 @@ def _check_limit() -> None:
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
     if limit != resource.RLIM_INFINITY and limit < _FILE_BYTES:
         raise DeviceError(
-            f"kernels are compiled into files of {_FILE_BYTES >> 20} MB and more, those of this process may have {limit} "
-            "bytes: raise ulimit -f"
+            f"kernels are compiled into files of {_FILE_BYTES >> 20} MB and more, those of this process may have "
+            f"{limit} bytes: raise ulimit -f"
         )
 
 
