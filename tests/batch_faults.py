@@ -182,7 +182,7 @@ def interrupt(place, count):
     """Ctrl-C and SIGTERM: one line, nothing unfinished, and the same command goes on."""
     place.fresh()
     started = start_batch(*place.words("--jobs", 2))
-    await_line(place.out / "journal.jsonl", '"run"')
+    await_line(place.out / "journal.jsonl", '"run"', _PATIENCE_SECONDS)
     place.wait()
     children = children_of(started)
     number = place.random.choice([signal.SIGINT, signal.SIGTERM])

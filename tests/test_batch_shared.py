@@ -24,10 +24,11 @@ from clrelight.jobs.relight import relight
 from clrelight.jobs.report import Report
 from clrelight.jobs.unpack import unpack
 from clrelight.lighting.light import Light
+from clrelight.results import TIME_FIELDS
 from clrelight.sampling import make_pattern
-from clrelight.store import read_fit, write_encoded, write_light, write_stack
-from tests.batches import strays_in
-from tests.commands import succeed
+from clrelight.store import read_fit, read_results, write_encoded, write_light, write_stack
+from tests.batches import make_stacks, strays_in
+from tests.commands import call, succeed
 from tests.test_batch import Here
 from tests.test_batch_pack import Failing
 
@@ -126,7 +127,7 @@ def test_fits_of_parts(files, tmp_path, monkeypatch, options):
     fit(stack, out=tmp_path / "one.h5", report=alone, **options)
     engine = Here()
     run_single("fit", stack, tmp_path / "two.h5", options=options, engine=engine, report=report)
-    assert len(engine.begun) > 1
+    assert len(engine.begun) > 1 + len(["closed"])
     assert sorted(os.listdir(tmp_path)) == ["one.h5", "two.h5"]
     assert (tmp_path / "two.h5").read_bytes() == (tmp_path / "one.h5").read_bytes()
     assert report.psnr == alone.psnr
@@ -188,3 +189,26 @@ def test_names_that_are_no_text(files, tmp_path, monkeypatch, name):
     run_single("relight", out, "x%d.png", options={"light": [(0, 0, 1), (0, 1, 1)]}, engine=Here(), report=report)
     assert report.facts == {"files": ["x0.png", "x1.png"]}
     assert sorted(os.listdir(tmp_path)) == sorted([out, "x0.png", "x1.png"])
+
+
+def test_a_grid_by_workers(tmp_path):
+    make_stacks(tmp_path, ["a"], shape=(24, 20, 3))
+    words = ("--methods", "uls,cls", "--degrees", "1,2", "--codecs", "none,uniform", "--holdout", 3)
+    assert call("bench", tmp_path / "a.h5", "--out", tmp_path / "one.h5", *words).code == 0
+    options = {"methods": ("uls", "cls"), "degrees": (1, 2), "codecs": ("none", "uniform"), "holdout": 3}
+    engine = Here()
+    run_single("bench", tmp_path / "a.h5", tmp_path / "two.h5", options=options, engine=engine, report=Report())
+    assert len(engine.begun) == 4 + len(["closed"])
+    one, two = (read_results(tmp_path / f"{name}.h5") for name in ("one", "two"))
+    for name in set(one.table.dtype.names) - set(TIME_FIELDS):
+        np.testing.assert_array_equal(one.table[name], two.table[name])
+    assert [*one.pictures] == [*two.pictures]
+    assert [*one.profiles] == [*two.profiles]
+    for mine, theirs in ((one.pictures, two.pictures), (one.profiles, two.profiles)):
+        assert all(np.array_equal(mine[name], theirs[name]) for name in mine)
+    assert sorted(os.listdir(tmp_path)) == ["a.h5", "one.h5", "two.h5"]
+    for told, words in {"is there": ("a.h5", "--out", "two.h5"), "is none": ("ring", "--out", "x.h5")}.items():
+        names = [tmp_path / word if word.endswith(".h5") else word for word in words]
+        ended = call("bench", *names, "--jobs", 1)
+        assert (ended.code, ended.err.count("\n")) == (2, 1)
+        assert told in ended.err

@@ -125,9 +125,9 @@ def test_where_compiled_files_would_not_fit(monkeypatch):
     with pytest.raises(DeviceError, match="there is no such room in"):
         kernel_cache._make_run_folder()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 19, before[1]))
     try:
-        with pytest.raises(DeviceError, match="may have 1048576 bytes: raise ulimit -f"):
+        with pytest.raises(DeviceError, match="may have 524288 bytes: raise ulimit -f"):
             kernel_cache._make_run_folder()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

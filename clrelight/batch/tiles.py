@@ -23,7 +23,7 @@ from clrelight.store.schemas import ENCODED
 from clrelight.store.shards import MOST_SHARDS, shard_name
 from clrelight.store.writing import IN_MEMORY_BYTES
 
-FARMED = ("pack", "fit", "unpack", "relight", "psnr", "transfer")
+FARMED = ("pack", "fit", "unpack", "relight", "psnr", "transfer", "bench")
 """Jobs that go their own way, and have parts done."""
 _ROWS_OF = {"fit-join": "fit-rows", "decode-join": "decode-rows"}
 _NOT_OF_ROWS = ("store", "confidence", "basis", "measure")

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from clrelight.cli.engines import engine_options
+from clrelight.cli.grids import bench_grid
 from clrelight.cli.options import (
     ByteCount,
     Degrees,
@@ -19,18 +21,16 @@ from clrelight.cli.options import (
     json_option,
     whole_number,
 )
-from clrelight.cli.output import make_report, print_facts, print_json, print_notes, print_report
+from clrelight.cli.output import make_report, print_facts, print_json, print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.psnr import psnr_lines
 from clrelight.cli.speed import DEFAULT_OUT, bench_speed
-from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
 PAGE = "report.html"
 
 if TYPE_CHECKING:
-    from clrelight.experiment import Experiment
-    from clrelight.results import Results
+    pass
 
 
 @click.command()
@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     "--memory", type=ByteCount(), metavar="BYTES", help="Speed: budget for one tile of a fit; default 256MiB."
 )
 @click.option("--report", "report_to", type=click.Path(), help="Speed: folder for tables and pictures.")
+@engine_options
 @device_option
 @json_option
 def bench(
@@ -91,6 +92,8 @@ def bench(
     quick: bool,
     memory: int | None,
     report_to: str | None,
+    engine: str | None,
+    jobs: int | None,
     device: str | None,
     as_json: bool,
 ) -> None:
@@ -107,13 +110,14 @@ def bench(
       clrelight bench ring --out results.h5
       clrelight bench stack.h5 --holdout 5 --methods cls,ceb --codecs none,wavelet --rates 1,2
       clrelight bench experiment.toml --out results.h5
+      clrelight bench stack.h5 --methods uls,cls,ceb --out grid.h5 --jobs 2
       clrelight bench --speed --sizes 64,256,1024 --report speed
     """
     of_experiments = given(methods=methods, codecs=codecs, rates=rates, holdout=holdout, size=size)
     of_experiments.update(
         given(holdout_by=holdout_by, precision=precision, pattern=pattern, seed=seed, force=force or None)
     )
-    of_experiments.update(given(albedo=albedo, material=material))
+    of_experiments.update(given(albedo=albedo, material=material, engine=engine, jobs=jobs))
     of_speed = given(sizes=sizes, threads=threads, rounds=rounds, quick=quick or None, memory=memory, report=report_to)
     _check_kind(speed, what, of_experiments, of_speed)
     if speed:
@@ -137,7 +141,8 @@ def bench(
         synth.update(given(albedo=albedo, material=material))
         grid = given(methods=methods, degrees=degrees, codecs=codecs, rates=rates, holdout=holdout, precision=precision)
         grid.update(given(holdout_by=holdout_by))
-        _bench_grid(what, out or "results.h5", grid, synth, force=force, device=device, as_json=as_json)
+        workers = (engine, jobs)
+        bench_grid(what, out or "results.h5", grid, synth, workers, force=force, device=device, as_json=as_json)
 
 
 def _check_kind(speed: bool, what: str | None, of_experiments: dict, of_speed: dict) -> None:
@@ -160,74 +165,6 @@ def _only_number(option: str, numbers: tuple[int, ...] | None) -> int | None:
     if numbers is not None and (len(numbers) != 1 or numbers[0] < 1):
         raise InputError(f"{option} must be one number of at least 1, got {','.join(map(str, numbers))}")
     return None if numbers is None else numbers[0]
-
-
-def _bench_grid(
-    what: str, out: str, grid: dict, synth: dict, *, force: bool, device: str | None, as_json: bool
-) -> None:
-    from clrelight.device import open_device
-    from clrelight.experiment import run_experiment
-    from clrelight.experiment.scenes import read_notes
-    from clrelight.report import summary_rows
-    from clrelight.store import check_output
-
-    experiment = _experiment(what, grid, synth)
-    check_output(out, [what])
-    taken = read_notes(experiment)
-    told: list[str] = []
-    with progress_bar("bench") as bar:
-        results = run_experiment(
-            experiment,
-            out,
-            device=open_device(device),
-            force=force,
-            progress=lambda step, done, total: bar(done, total, step),
-            tell=told.append,
-        )
-    if as_json:
-        print_json({"file": out, "rows": _rows(results), "notes": taken + told})
-        return
-    print_notes(taken + told + _notes(results))
-    print_table(
-        *summary_rows(results), expendable=("encode (s)", "fit (s)", "noise, predicted (dB)", "noise (dB)", "kB")
-    )
-    print_facts({"results": out, "next": f"clrelight report {out} --out report"})
-
-
-def _experiment(what: str, grid: dict, synth: dict) -> Experiment:
-    from clrelight.experiment import load_experiment, paper_experiment
-    from datasets_synth.scenes import SCENES, scenes_with
-
-    for option in synth:
-        if what not in scenes_with(option):
-            owners = scenes_with(option)
-            kind = f"the {owners[0]} scene" if len(owners) == 1 else f"the scenes {', '.join(owners)}"
-            raise InputError(f"--{option} is an option of {kind}, not of {what}")
-    if what in SCENES:
-        return paper_experiment(what, synth=synth, **grid)
-    if Path(what).suffix.lower() == ".toml":
-        if grid:
-            raise InputError(f"--{next(iter(grid))}: {what} says itself what to measure")
-        return load_experiment(what)
-    return paper_experiment(what, **grid)
-
-
-def _rows(results: Results) -> list[dict]:
-    names = results.table.dtype.names or ()
-    return [{name: row[name] for name in names} for row in results.table]
-
-
-def _notes(results: Results) -> list[str]:
-    """Return the notes of the rows, each once for all the codecs that have it."""
-    codecs: dict[tuple[str, ...], list[str]] = {}
-    for row in results.table:
-        scene, method, codec, note = (row[name].decode() for name in ("scene", "method", "codec", "note"))
-        if note:
-            codecs.setdefault((scene, method, str(row["degree"]), note), []).append(codec)
-    return [
-        f"{scene}, {method} degree {degree}, {', '.join(dict.fromkeys(names))}: {note}"
-        for (scene, method, degree, note), names in codecs.items()
-    ]
 
 
 @click.command()

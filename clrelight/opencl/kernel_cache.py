@@ -28,8 +28,8 @@ PYOPENCL_VARIABLE = "PYOPENCL_NO_CACHE"
 MOST_BYTES = 256 << 20
 """All archives together; those that were not used for longest go first."""
 
-_FILE_BYTES, _ROOM_BYTES = 4 << 20, 32 << 20
-"""Of what LLVM writes for the programs of a command: the largest file, and all of them, at most about."""
+_FILE_BYTES, _ROOM_BYTES = 1 << 20, 32 << 20
+"""Of what LLVM writes for the programs of a command: a large file, and all of them, about."""
 _DIGEST = hashlib.sha256
 _STALE_SECONDS = 7 * 86400.0
 _building = threading.RLock()
@@ -101,8 +101,8 @@ def _check_limit() -> None:
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
     if limit != resource.RLIM_INFINITY and limit < _FILE_BYTES:
         raise DeviceError(
-            f"kernels are compiled into files of up to {_FILE_BYTES >> 20} MB, those of this process may have {limit} "
-            "bytes: raise ulimit -f"
+            f"kernels are compiled into files of {_FILE_BYTES >> 20} MB and more, those of this process may have "
+            f"{limit} bytes: raise ulimit -f"
         )
 
 
