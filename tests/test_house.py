@@ -34,7 +34,7 @@ FLOORS = [
     {"fit", "codec", "lighting", "brdf", "shrm", "transfer", "variation", "metrics", "perception", "relight"},
     {
         *("store", "exchange", "export", "ingest", "results"),
-        *("selftest", "selftest_packing", "selftest_photographs", "truth"),
+        *("selftest", "selftest_packing", "selftest_photographs", "selftest_surfaces", "truth"),
     },
     {"jobs"},
     {"experiment", "view"},

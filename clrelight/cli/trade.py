@@ -53,6 +53,13 @@ _MARK = "# The setting that clrelight trade chose:"
 @click.option("--holdout", type=whole_number(2), metavar="K", default=5, show_default=True,
               help="Every K-th light is in no fit, and measures all.")  # fmt: skip
 @holdout_by_option
+@click.option(
+    "--megapixels",
+    type=float,
+    default=0.25,
+    show_default=True,
+    help="Measure larger images in windows of so many together, and reckon for the whole; inf: measure all.",
+)
 @click.option("--force", is_flag=True, help="Start anew although the results file exists.")
 @device_option
 @json_option
@@ -72,9 +79,9 @@ def trade(
     """Measure what each choice costs in quality, time and bytes, and answer a budget.
 
     Varied are method, degree, the search of cls, the number of lights, precision, codec and rate; what is beaten
-    clearly is not varied further. The same command goes on where it stopped. With a budget or a least PSNR, the setting
-    to use is printed, and written for fit --config and for bench; where nothing measured keeps within them, the nearest
-    is named (exit code 2; the results stay).
+    clearly is not varied further. The same command goes on where it stopped. The setting to use is printed, and written
+    for fit --config and for bench: the smallest that is at most 0.3 dB below the best, or with a budget or a least PSNR
+    the best within them; where nothing measured is, the nearest is named (exit code 2; the results stay).
 
     \b
     Example:
@@ -87,7 +94,7 @@ def trade(
     from clrelight.experiment.trade import sweep_trade
     from clrelight.holdout import describe_distance
     from clrelight.report.folder import check_report
-    from clrelight.report.trade import write_trade_report
+    from clrelight.report.trade import about_excerpt, write_trade_report
     from clrelight.store import check_output, open_stack
 
     limits = Limits(budget_seconds, budget_bytes, min_psnr)
@@ -95,7 +102,7 @@ def trade(
     target = Path(config or Path(out).with_suffix(".toml"))
     check_output(out, [stack])
     check_output(target, [stack, out])
-    if limits.are_set and config is None and target.exists() and not target.read_bytes().startswith(_MARK.encode()):
+    if config is None and target.exists() and not target.read_bytes().startswith(_MARK.encode()):
         raise InputError(f"{target} is there and was not written by trade: name another file with --config")
     check_report(report_to)
     with open_stack(stack) as source, progress_bar("trade") as bar:
@@ -111,30 +118,29 @@ def trade(
             tell=notes.append,
         )
         distance = describe_distance(source.directions_i3, *varied.split(source.directions_i3))
+    chosen = limits.choose(trials)
     facts: dict[str, Any] = {"results": out, "rows": len(trials), "held_out": distance, "notes": notes}
+    if trials[0].scale > 1.0:
+        facts["measured"] = about_excerpt(trials)
     if report_to is not None:
-        facts["report"] = str(write_trade_report(trials, name, report_to)[0])
-    chosen = limits.choose(trials) if limits.are_set else None
-    if chosen is not None:
-        facts |= _write_choice(chosen, stack, varied, target)
+        facts["report"] = str(write_trade_report(trials, name, report_to, chosen)[0])
+    facts |= _write_choice(chosen, stack, varied, target)
     if as_json:
         facts["trials"] = [_facts(trial) for trial in trials]
-        print_json(facts if chosen is None else {**facts, "choice": _facts(chosen)})
+        print_json({**facts, "choice": _facts(chosen)})
         return
     print_notes(facts.pop("notes"))
     facts["unseen"] = facts.pop("held_out")
-    _print_tables(trials)
-    if chosen is not None:
-        facts["it reaches"] = f"{decibel(chosen.psnr)} held out, {chosen.size} bytes, {chosen.seconds:.3g} s"
-        facts |= _commands(stack, target, chosen.setting)
-    print_facts(facts)
+    _print_tables(trials, chosen)
+    facts["it reaches"] = f"{decibel(chosen.psnr)} held out, {chosen.size} bytes, {chosen.seconds:.3g} s"
+    print_facts(facts | _commands(stack, target, chosen.setting))
 
 
-def _print_tables(trials: Sequence[Trial]) -> None:
+def _print_tables(trials: Sequence[Trial], chosen: Trial) -> None:
     from clrelight.report.markup import to_strings
     from clrelight.report.trade import front_table, step_table
 
-    for table in (step_table(trials), front_table(trials)):
+    for table in (step_table(trials), front_table(trials, chosen)):
         click.echo(f"{table.caption}:")
         print_table(*to_strings(table))
         click.echo("")
@@ -172,7 +178,8 @@ def _summary(chosen: Trial) -> str:
 
 def _facts(trial: Trial) -> dict[str, Any]:
     names = trial.row.dtype.names or ()
-    return {"label": trial.label, **{name: trial.row[name] for name in names}}
+    whole = {"seconds": trial.seconds, "bytes": trial.size}
+    return {"label": trial.label, **{name: trial.row[name] for name in names}, **whole}
 
 
 COMMANDS = (trade,)

@@ -47,6 +47,8 @@ class Axes:
         Every `holdout`-th light is in no fit, and measures them all.
     holdout_by : str
         Which ones, one of `clrelight.holdout.HOLDOUTS`.
+    megapixels : float
+        Larger images are measured in windows of so many megapixels together; inf: whole.
     """
 
     methods: tuple[str, ...] = METHODS
@@ -59,8 +61,11 @@ class Axes:
     rates: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
     holdout: int = 5
     holdout_by: str = "index"
+    megapixels: float = 0.1
 
     def __post_init__(self) -> None:
+        if not self.megapixels > 0.0:
+            raise InputError(f"megapixels must be above 0, got {self.megapixels:g}")
         # Makes every setting once, so that what is unknown is said before anything is measured.
         plain = tuple(method for name in self.methods for method in make_methods(name, {}))
         if any(isinstance(method, str) for method in plain):

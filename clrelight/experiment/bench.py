@@ -24,7 +24,7 @@ from clrelight.experiment.portraits import Portrait, portrait_of
 from clrelight.experiment.provenance import software_versions, source_commit
 from clrelight.experiment.row import append, fill, fixed, json_text, without_quality
 from clrelight.experiment.scenes import Survey, survey_stack
-from clrelight.fit import FitMethod, FitReport, collect_fit, prepare_fit
+from clrelight.fit import FitMethod, FitReport, PreparedFit, collect_fit, prepare_fit
 from clrelight.fit.precision import MIXED, check_precision
 from clrelight.fit.selection import AUTO
 from clrelight.harmonics.index import coefficient_count
@@ -76,6 +76,7 @@ class Bench:
         self.fit_stack = stack if len(self.fitted) == stack.n_light else stack.select(self.fitted)
         self.survey = survey or survey_stack(stack)
         self._fit: tuple[tuple, CoefficientMap, FitMethod, float] | None = None
+        self._planned: dict[tuple, float] = {}
         self._warm: list[dict[str, Any]] = []
 
     def check_earlier(self, results: Results, out: str | os.PathLike[str]) -> None:
@@ -194,28 +195,41 @@ class Bench:
         key = (method, degree)
         if self._fit is None or self._fit[0] != key:
             self._fit = None  # let the old map go before the new one is made
-            asked = self.experiment
-            try:
-                prepared = prepare_fit(
-                    self.fit_stack,
-                    method,
-                    degree,
-                    weights=asked.weights,
-                    sampling=asked.sampling,
-                    precision=asked.precision,
-                    device=self.device,
-                )
-            except InputError as error:
-                raise _RefusalError(str(error)) from error
+            prepared = self._prepare(method, degree)
             # A kernel is built when it is first launched, which is no part of the time of a fit.
             row_ihwc = self.fit_stack.images_ihwc[:, :1]
             first_row = replace(self.fit_stack, images_ihwc=row_ihwc, mask_hw=None, surface=None)
             collect_fit(replace(prepared, stack=first_row, report=FitReport()))
-            planned = sum(prepared.report.seconds.values())
+            planned = self._planned[key] = sum(prepared.report.seconds.values())
             coefficients, seconds = self._timed(lambda: collect_fit(prepared), _BUILDING)
             taken = prepared.choice.chosen.method if prepared.choice else prepared.method
             self._fit = (key, coefficients, taken, planned + seconds)
         return self._fit[1], self._fit[2], self._fit[3]
+
+    def _prepare(self, method: FitMethod | str, degree: int | str) -> PreparedFit:
+        asked = self.experiment
+        try:
+            return prepare_fit(
+                self.fit_stack,
+                method,
+                degree,
+                weights=asked.weights,
+                sampling=asked.sampling,
+                precision=asked.precision,
+                device=self.device,
+            )
+        except InputError as error:
+            raise _RefusalError(str(error)) from error
+
+    def plan_seconds(self, method: FitMethod | str, degree: int | str) -> float:
+        """Return what of a fit's seconds no pixel adds to, measured anew where need be; 0 of what is refused."""
+        key = (method, degree)
+        if key not in self._planned:
+            try:
+                self._planned[key] = sum(self._prepare(method, degree).report.seconds.values())
+            except _RefusalError:
+                return 0.0
+        return self._planned[key]
 
     @cached_property
     def _portrait(self) -> Portrait:

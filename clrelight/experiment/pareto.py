@@ -15,6 +15,9 @@ from clrelight.fit.cls import ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED
 from clrelight.results import NO_CODEC
 
+WORSE = 0.3
+"""Decibels at held-out lights that a setting may be below the best to be recommended for its size."""
+
 
 @dataclass(frozen=True)
 class Model:
@@ -35,23 +38,43 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A model as stored by a codec, and its row of the results."""
+    """A model as stored by a codec, and its row of the results.
+
+    Attributes
+    ----------
+    model : Model
+    setting : CodecSetting
+    row : numpy.void
+        As measured, of an excerpt of a large image.
+    scale : float
+        Pixels of the image for each that was measured: seconds and bytes here are those of the whole image.
+    planned : float
+        Seconds of a fit that an image takes whatever its size.
+    """
 
     model: Model
     setting: CodecSetting
     row: np.void
+    scale: float = 1.0
+    planned: float = 0.0
+
+    @property
+    def stages(self) -> tuple[float, float, float]:
+        """Seconds of fitting, encoding and decoding the whole image; NaN for what was refused."""
+        fit, encode, decode = (float(self.row[f"seconds_{stage}"]) for stage in ("fit", "encode", "decode"))
+        planned = min(self.planned, fit)
+        return planned + (fit - planned) * self.scale, encode * self.scale, decode * self.scale
 
     @property
     def seconds(self) -> float:
         """Of fitting, encoding and decoding; inf for what was refused."""
-        row = self.row
-        total = float(row["seconds_fit"] + row["seconds_encode"] + row["seconds_decode"])
+        total = sum(self.stages)
         return math.inf if math.isnan(total) else total
 
     @property
     def size(self) -> int:
         """Bytes with every side table."""
-        return int(self.row["encoded_bytes"])
+        return round(int(self.row["encoded_bytes"]) * self.scale)
 
     @property
     def psnr(self) -> float:
@@ -92,6 +115,12 @@ def storage_label(setting: CodecSetting) -> str:
     if setting.id == NO_CODEC:
         return "float32"
     return setting.id if math.isnan(setting.rate) else f"{setting.id} {setting.rate:g} bit"
+
+
+def recommend(trials: Sequence[Trial]) -> Trial:
+    """Return the smallest trial that is at most `WORSE` dB below the best of all, the best of equally small ones."""
+    least = max(trial.psnr for trial in trials) - WORSE
+    return min((trial for trial in trials if trial.psnr >= least), key=lambda t: (t.size, -t.psnr, t.seconds))
 
 
 def near_pareto_front(trials: Sequence[Trial], slack: float) -> list[Trial]:
@@ -168,7 +197,7 @@ class Limits:
         return over
 
     def choose(self, trials: Sequence[Trial]) -> Trial:
-        """Return the best trial within the limits.
+        """Return the best trial within the limits, or what `recommend` does where nothing is limited.
 
         The best is the one with the highest PSNR; where a PSNR is asked for, the smallest; where bytes are limited too,
         the fastest; where all three are, again the one with the highest PSNR.
@@ -178,6 +207,8 @@ class Limits:
         InputError
             If there is none; the message says which one misses the limits by the least.
         """
+        if not self.are_set:
+            return recommend(trials)
         within = [each for each in trials if self.excess(each) == 0.0]
         if not within:
             nearest = min(trials, key=self.excess)

@@ -13,6 +13,7 @@ from clrelight.durable import claiming, no_locks
 from clrelight.errors import InputError
 from clrelight.experiment.axes import HALF, LEAST_LIGHTS, Axes
 from clrelight.experiment.bench import Bench
+from clrelight.experiment.excerpt import excerpt_of
 from clrelight.experiment.grid import CodecSetting, Experiment, make_settings
 from clrelight.experiment.pareto import Model, Trial, near_pareto_front, storage_label
 from clrelight.experiment.row import row_key
@@ -101,7 +102,8 @@ class _Sweep:
         progress: Progress | None,
         force: bool,
     ) -> None:
-        self.stack, self.scene, self.out, self.axes, self.device = _in_memory(stack), scene, out, axes, device
+        part, self.scale = excerpt_of(stack, axes.megapixels * 1e6)
+        self.stack, self.scene, self.out, self.axes, self.device = _in_memory(part), scene, out, axes, device
         self.report = progress or (lambda what, count, total: None)
         n_fit = len(axes.split(stack.directions_i3)[0])
         if n_fit < LEAST_LIGHTS:
@@ -113,7 +115,7 @@ class _Sweep:
         if too_many := [n for n in fewer if n > n_fit]:
             raise InputError(f"{too_many[0]} lights cannot be fitted: {n_fit} of {stack.n_light} are not held out")
         self.fewer = sorted({n for n in fewer if n < n_fit}, reverse=True)
-        self.survey = survey_stack(stack)
+        self.survey = survey_stack(self.stack)
         for precision in axes.precisions:
             check_precision(precision, device)
         self.benches: dict[tuple[int | None, str], Bench] = {}
@@ -180,7 +182,9 @@ class _Sweep:
             self.results = bench.measure(self.results, identity, model.method, model.degree, setting)
             write_results(self.out, self.results)
             self.rows[key] = self.results.table[-1]
-        return Trial(model, setting, self.rows[key])
+        # Of a whole image there is nothing to reckon.
+        planned = bench.plan_seconds(model.method, model.degree) if self.scale > 1.0 else 0.0
+        return Trial(model, setting, self.rows[key], self.scale, planned)
 
     def _plain(self) -> list[Trial]:
         return [trial for trial in self.trials if trial.setting.codec is None and trial.model.precision == MIXED]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clrelight.experiment.axes import HALF
-from clrelight.experiment.pareto import Trial, pareto_front, search_label, storage_label
+from clrelight.experiment.pareto import Trial, pareto_front, recommend, search_label, storage_label
 from clrelight.experiment.trade import find_reference
 from clrelight.fit.cls import ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED
@@ -131,6 +131,13 @@ def _changes(base: Trial, trial: Trial) -> tuple[float, ...]:
     return psnr, psnr - base.psnr, seconds, seconds / base.seconds, size / 1000.0, size / base.size
 
 
+def about_excerpt(trials: Sequence[Trial]) -> str:
+    """Return what part of an image was measured, and what is reckoned from it."""
+    row, scale = trials[0].row, trials[0].scale
+    part = int(row["height"]) * int(row["width"]) / 1e6
+    return f"{part:.2g} of {part * scale:.3g} megapixels, in windows; seconds and bytes are reckoned for all of them"
+
+
 def half_table(trials: Sequence[Trial]) -> Table:
     """Return what half precision costs each method at each degree, fitted to all lights."""
     plain = {trial.model: trial for trial in trials if trial.setting.codec is None}
@@ -146,22 +153,24 @@ def half_table(trials: Sequence[Trial]) -> Table:
     return Table("Half precision instead of float32", _HALF_COLUMNS, tuple(rows))
 
 
-def front_table(trials: Sequence[Trial]) -> Table:
-    """Return the settings that are optimal in bytes and PSNR, or in time and PSNR, the smallest first."""
+def front_table(trials: Sequence[Trial], taken: Trial | None = None) -> Table:
+    """Return the settings that are optimal in bytes and PSNR, or in time and PSNR, the smallest first.
+
+    `taken` is marked, by default what is recommended where nothing is asked for.
+    """
     by_size, by_time = pareto_front(trials, "size", "psnr"), pareto_front(trials, "seconds", "psnr")
+    taken = taken or recommend(trials)
     rows: list[tuple[Cell, ...]] = []
-    for trial in sorted({*by_size, *by_time}, key=lambda t: (t.size, t.seconds)):
+    for trial in sorted({*by_size, *by_time, taken}, key=lambda t: (t.size, t.seconds)):
         row = trial.row
         fronts = [name for name, kept in (("bytes", by_size), ("time", by_time)) if trial in kept]
-        stages = (float(row[name]) for name in ("seconds_fit", "seconds_encode", "seconds_decode"))
-        rows.append(
-            (trial.label, trial.psnr, float(row["psnr_pooled"]), trial.size / 1000.0, *stages, " and ".join(fronts))
-        )
+        said = ", ".join([*([" and ".join(fronts)] if fronts else []), *(["taken"] if trial is taken else [])])
+        rows.append((trial.label, trial.psnr, float(row["psnr_pooled"]), trial.size / 1000.0, *trial.stages, said))
     return Table("What nothing smaller, or nothing faster, beats", _FRONT_COLUMNS, tuple(rows))
 
 
-def trade_chart(trials: Sequence[Trial], name: str) -> Any:
-    """Draw all trials as PSNR against time, PSNR against bytes, and bytes against time, with their fronts."""
+def trade_chart(trials: Sequence[Trial], name: str, taken: Trial | None = None) -> Any:
+    """Draw all trials as PSNR against time, PSNR against bytes, bytes against time; fronts; what is taken."""
     from matplotlib.lines import Line2D
 
     figure = canvas.new_figure(canvas.WIDTH, 560)
@@ -178,6 +187,9 @@ def trade_chart(trials: Sequence[Trial], name: str) -> Any:
             axes.plot(
                 x, y, _marker(trial), color=colour, markerfacecolor=colour if trial.model.lights is None else "white"
             )
+        taken = taken or recommend(trials)
+        ring: dict[str, Any] = {"markersize": 13, "markerfacecolor": "none", "markeredgecolor": canvas.INK}
+        axes.plot(_shown(taken, cost), _shown(taken, value), "o", **ring)
         edge = [(_shown(t, cost), _shown(t, value)) for t in pareto_front(usable, cost, value)]
         axes.step(*zip(*edge, strict=True), where="post", color=canvas.FAINT, linewidth=5, alpha=0.6, zorder=0)
         axes.set_xscale("log")
@@ -199,6 +211,7 @@ def trade_chart(trials: Sequence[Trial], name: str) -> Any:
         Line2D([], [], linestyle="", marker="o", color=canvas.INK, markerfacecolor="white", label="fewer lights")
     )
     handles.append(Line2D([], [], color=canvas.FAINT, linewidth=5, alpha=0.6, label="front"))
+    handles.append(Line2D([], [], linestyle="", marker="o", label="taken", **ring))
     figure.legend(
         handles=handles,
         loc="lower left",
@@ -232,8 +245,12 @@ def _marker(trial: Trial) -> str:
     return "s" if trial.setting.id == HALF else "v"
 
 
-def write_trade_report(trials: Sequence[Trial], name: str, out_dir: str | os.PathLike[str]) -> list[Path]:
+def write_trade_report(
+    trials: Sequence[Trial], name: str, out_dir: str | os.PathLike[str], taken: Trial | None = None
+) -> list[Path]:
     """Write the tables (Markdown, HTML; all rows as CSV) and the chart into a folder; the page's path comes first.
+
+    Rows are as measured; tables and chart have seconds and bytes of the whole image.
 
     Raises
     ------
@@ -245,17 +262,18 @@ def write_trade_report(trials: Sequence[Trial], name: str, out_dir: str | os.Pat
     def make(aside: Path) -> list[str]:
         title = f"{name}: what each choice costs"
         with canvas.house_style():
-            chart = trade_chart(trials, name)
+            chart = trade_chart(trials, name, taken)
             canvas.save(chart, aside / CHART)
             svg = to_svg(chart, "trade", plain(f"{title}: held-out PSNR, size and time of each setting"))
         rows = all_rows(Results(np.array([trial.row for trial in trials])))
         write_text(aside / "rows.csv", to_csv(rows))
-        tables = [made for made in (step_table(trials), front_table(trials), half_table(trials)) if made.rows]
-        parts = [f"# {title}\n", f"![fronts]({CHART})\n"]
+        tables = [made for made in (step_table(trials), front_table(trials, taken), half_table(trials)) if made.rows]
+        parts = [f"# {title}\n", f"{about_excerpt(trials)}\n\n" * (trials[0].scale > 1.0) + f"![fronts]({CHART})\n"]
         for made in tables:
             parts += [f"## {made.caption}\n", to_markdown(made)]
         write_text(aside / "trade.md", "\n".join(parts))
-        sections = [Section("Fronts", 2, (), f"<figure>{svg}</figure>")]
+        lead = f"<p>{about_excerpt(trials)}</p>" * (trials[0].scale > 1.0)
+        sections = [Section("Fronts", 2, (), f"{lead}<figure>{svg}</figure>")]
         sections += [Section(made.caption, 2, (), table_html(made)) for made in tables]
         sections.append(Section("All settings that were tried", 2, (), table_html(rows, file="rows.csv")))
         write_text(aside / "trade.html", page(title, [], sections))
