@@ -35,6 +35,8 @@ from clrelight.memory import ARRAY_MEMORY
 
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
+_AXIS_MULTIPLIER = 0.1
+"""Squared steps of error that a bit of an axis must save: the faintest planes may be what lights from one side show."""
 _LEAST_USED, _AIM = 0.992, 0.997
 _FOUND, _NEARLY, _FEW = (0.985, 0.993), (0.93, 0.97), 4
 """Parts of a budget where a search on all pieces ends, and one on every n-th; and where they aim."""
@@ -164,7 +166,7 @@ class Encoder(TileEncoder):
             energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
             saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
             saved_j -= energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
-            pays = saved_j > MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
+            pays = saved_j > _AXIS_MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
             streams = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0)
             sizes = sizes / areas
