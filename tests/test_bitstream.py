@@ -19,7 +19,14 @@ from clrelight.errors import PayloadError
 from tests.reference import entropy
 from tests.reference.bc6h import decode_bc6h
 from tests.reference.cpca import decode_cpca
-from tests.reference.klt import PlaneTables, decode_klt, decode_planes, decode_vectors, hemisphere_axes
+from tests.reference.klt import (
+    PlaneTables,
+    decode_by_shells,
+    decode_klt,
+    decode_planes,
+    decode_vectors,
+    hemisphere_axes,
+)
 from tests.reference.klt4 import START, crc, decode_klt4, read_streams
 from tests.reference.payload import Refused, open_payload, without_minimum_padding, without_padding
 from tests.reference.s3tc import decode_s3tc
@@ -129,7 +136,8 @@ def taken(monkeypatch):
         monkeypatch.setattr(module, name, run)
 
     spy(klt_regions, "decode_streams", lambda a, _: found["indices"].append(a[0].download(a[5]).copy()))
-    spy(klt_units, "code_vectors", lambda _, result: found["vectors"].append(result))
+    for name in ("code_vectors", "code_by_shells"):
+        spy(klt_units, name, lambda _, result: found["vectors"].append(result))
     return found
 
 
@@ -261,7 +269,7 @@ def test_how_far_the_inverse_transform_looks(rows):
 
 def test_a_klt_payload_behind_the_curve_is_among_those(device):
     codec = codec_class("klt").from_config({"step": 2.0**-5, "transfer": "srgb"})
-    assert encode(smooth_map(2, (12, 12, 3)), codec, device).body[10] == 1
+    assert encode(smooth_map(2, (12, 12, 3)), codec, device).body[10] == 1 + 8  # and tables by shells
 
 
 def test_the_tables_that_units_start_from_are_those_of_the_page():
@@ -303,14 +311,33 @@ def test_planes_of_any_size(shape, scale):
         decoder.finish()
 
 
-def test_vectors_of_any_size():
+@pytest.mark.parametrize(
+    ("code", "decode"), [(principal.code_vectors, decode_vectors), (principal.code_by_shells, decode_by_shells)]
+)
+@pytest.mark.parametrize("components", [1, 2, 16, 23])
+def test_vectors_of_any_size(code, decode, components):
     rng = np.random.default_rng(7)
-    entries = np.rint(np.clip(rng.laplace(scale=[[[1.0]], [[1e3]], [[1e6]]], size=(3, 3, 16)), -(2**24), 2**24))
-    encoder = range_coding.Encoder()
-    principal.code_vectors(encoder, entries.shape, entries.astype(np.int64))
-    decoder = entropy.RangeDecoder(encoder.to_bytes())
-    np.testing.assert_array_equal(decode_vectors(decoder, *entries.shape), entries)
-    decoder.finish()
+    entries = rng.laplace(scale=[[[1.0]], [[1e3]], [[1e6]], [[0.1]], [[0.0]]], size=(5, 3, components))
+    for rows in (entries, entries[::-1]):
+        given = np.rint(np.clip(rows, -(2**24), 2**24)).astype(np.int64)
+        encoder = range_coding.Encoder()
+        code(encoder, given.shape, given)
+        theirs, ours = entropy.RangeDecoder(encoder.to_bytes()), range_coding.Decoder(encoder.to_bytes())
+        np.testing.assert_array_equal(decode(theirs, *given.shape), given)
+        np.testing.assert_array_equal(code(ours, given.shape, None), given)
+        theirs.finish()
+        ours.finish()
+
+
+def test_entries_of_a_high_degree_that_are_zero_take_no_bytes():
+    entries = np.zeros((20, 3, 24**2), np.int64)
+    entries[:, :, :9] = np.random.default_rng(3).integers(-9, 9, (20, 3, 9))
+    sizes = []
+    for components in (9, 24**2):
+        encoder = range_coding.Encoder()
+        principal.code_by_shells(encoder, (20, 3, components), entries[:, :, :components])
+        sizes.append(len(encoder.to_bytes()))
+    assert sizes[1] < sizes[0] + 40  # 3 bits each were 650 bytes for the first vector alone
 
 
 def test_tables_are_those_of_the_page():

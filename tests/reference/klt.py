@@ -31,6 +31,37 @@ from tests.reference.wavelet_decoder import Learnt, decode_indices
 Decoded = namedtuple("Decoded", "mean axes indices coeffs")
 
 
+def decode_by_shells(decoder, count, channels, components):
+    """Decode vectors of which the first comes shell by shell."""
+    tables = Tables(lambda i: geometric(min(Fraction(9, 160) * floor_of(i), Fraction(10**6)) if i else Fraction(1, 30)))
+    signs = sign_tables()
+    vectors = np.zeros((count, channels, components), np.int64)
+
+    def take(activity):
+        entries = take_magnitudes(decoder, tables, [class_of(min(int(a), 2**20)) for a in activity.ravel()])
+        require(max(entries) <= 2**24, "entry")
+        others = [i for i, entry in enumerate(entries) if entry]
+        for i, negative in zip(others, take_symbols(decoder, signs, [0] * len(others)), strict=True):
+            entries[i] *= -1 if negative else 1
+        return np.reshape(entries, activity.shape)
+
+    before = np.zeros((channels, components), np.int64)
+    for row in range(count):
+        if row == 0:
+            known = [64 * 16] * channels
+            for first in (s * s for s in range(components) if s * s < components):
+                shell = range(first, min(first + 2 * round(first**0.5) + 1, components))
+                found = take(np.array([[k] * len(shell) for k in known]))
+                vectors[0][:, shell.start : shell.stop] = found
+                known = [16 * int(abs(each).sum()) // len(shell) for each in found]
+            before = 16 * np.abs(vectors[0])
+            continue
+        bordered = np.pad(before, ((0, 0), (1, 1)))
+        vectors[row] = take((2 * before + bordered[:, :-2] + bordered[:, 2:]) // 4)
+        before = (before + 16 * np.abs(vectors[row])) // 2
+    return vectors
+
+
 def decode_vectors(decoder, count, channels, components):
     tables = Tables(lambda i: geometric(min(Fraction(9, 20) * floor_of(i), Fraction(10**6)) if i else Fraction(3, 20)))
     signs = sign_tables()

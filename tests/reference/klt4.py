@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.reference.bases import FUNCTIONS, cell_centres, gram, hemisphere_quadrature
 from tests.reference.entropy import RangeDecoder, class_of, join_plane, list_bands
-from tests.reference.klt import Decoded, decode_vectors, hemisphere_axes, radiance_of
+from tests.reference.klt import Decoded, decode_by_shells, decode_vectors, hemisphere_axes, radiance_of
 from tests.reference.payload import require, without_minimum_padding
 
 BASES = ("sh", "hsh", "gram-schmidt", "zernike", "makhotkin", "haar")
@@ -305,6 +305,7 @@ def decode_klt4(body, shape):
     require(len(body) >= 15 and degree <= 40, "head")
     version, levels, exponent, step, n, transfer, size = struct.unpack_from("<BBhfHBI", body)
     basis, transfer = BASES[transfer >> 4] if transfer >> 4 < len(BASES) else "", transfer & 15
+    decode, transfer = (decode_by_shells if transfer & 8 else decode_vectors), transfer & 7
     require((version, levels) == (4, 5) and abs(exponent) <= 150 and transfer in (0, 1) and basis, "head")
     require(2.0**-22 <= step <= 8 and size >= channels**2 + n and len(body) >= 15 + size, "head")
     rotation = np.frombuffer(body, "i1", channels**2, 15).reshape(channels, channels) / 127
@@ -313,8 +314,8 @@ def decode_klt4(body, shape):
     components = inverse.shape[1]
     require(n <= channels * components, "planes")
     decoder = RangeDecoder(body[15 + channels**2 + n : 15 + size])
-    mean = decode_vectors(decoder, 1, channels, components)[0]
-    axes = decode_vectors(decoder, n, channels, components)
+    mean = decode(decoder, 1, channels, components)[0]
+    axes = decode(decoder, n, channels, components)
     decoder.finish()
     together = height * width <= 1 << 18
     count = 0 if n == 0 else 1 if together else len(list_units(height, width))

@@ -11,7 +11,7 @@ from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.units import Window
 from clrelight.codec.formats.klt_pieces import Pieces, Tried
-from clrelight.codec.formats.klt_tiles import MULTIPLIER, TileEncoder
+from clrelight.codec.formats.klt_tiles import TileEncoder
 from clrelight.codec.formats.klt_trials import Trial, list_pieces, search_step
 from clrelight.codec.formats.klt_units import HEAD_SIZE, count_streams, pack_axes
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
@@ -23,6 +23,8 @@ from clrelight.memory import ARRAY_MEMORY
 
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
+_AXIS_MULTIPLIER = 0.1
+"""Squared steps of error that a bit of an axis must save: the faintest planes may be what lights from one side show."""
 _NEARLY, _FOUND, _FEW = (0.93, 0.97, 1.0), (0.95, 0.99, 1.04), 4
 """Parts of a budget where a search on every n-th piece ends, and aims; and those of one on all."""
 _PIECES_COST = 1.05
@@ -95,7 +97,7 @@ class StepFinder(TileEncoder):
             energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
             saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
             saved_j -= energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
-            pays = saved_j > MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
+            pays = saved_j > _AXIS_MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
             streams = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0)
             sizes = sizes * share / self._n_pixel * len(areas)

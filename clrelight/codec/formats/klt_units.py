@@ -15,7 +15,14 @@ from clrelight.codec.entropy.range_coding import Decoder, Encoder
 from clrelight.codec.entropy.unit_index import Stored, read_index, seal_front
 from clrelight.codec.entropy.units import LEVELS, count_units
 from clrelight.codec.transforms.metric import Metric, hemisphere_metric, metric_degree
-from clrelight.codec.transforms.principal import MEAN_STEPS, STEP_RANGE, Axes, code_vectors, make_operator
+from clrelight.codec.transforms.principal import (
+    MEAN_STEPS,
+    STEP_RANGE,
+    Axes,
+    code_by_shells,
+    code_vectors,
+    make_operator,
+)
 from clrelight.codec.transforms.whitening import AXES
 from clrelight.codec.workspace import Shape
 from clrelight.conventions import TRANSFERS
@@ -27,10 +34,15 @@ BASES = ("sh", "hsh", "gram-schmidt", "zernike", "makhotkin", "haar")
 _TOGETHER = 1 << 18
 """Pixels up to which all units are one stream: they learn from each other, one after another."""
 _HEAD = struct.Struct("<BBhfHBI")
+_BY_SHELLS = 8
+"""Of the byte of curve and basis: mean and axes are coded by `code_by_shells`."""
 
 
 class Head(NamedTuple):
-    """What a body starts with: the power of two, the step, the number of planes, the curve, bytes of axes, basis."""
+    """What a body starts with: the power of two, the step, the number of planes, the curve, bytes of axes, basis.
+
+    `by_shells` says how mean and axes are coded; old bodies have them otherwise.
+    """
 
     exponent: int
     step: float
@@ -38,10 +50,11 @@ class Head(NamedTuple):
     transfer: str
     axes_bytes: int
     basis: str = SH
+    by_shells: bool = True
 
     def pack(self) -> bytes:
         """Return the bytes that `parse_head` takes."""
-        curve = TRANSFERS.index(self.transfer) + 16 * BASES.index(self.basis)
+        curve = TRANSFERS.index(self.transfer) + _BY_SHELLS * self.by_shells + 16 * BASES.index(self.basis)
         return _HEAD.pack(VERSION, LEVELS, self.exponent, self.step, self.n_plane, curve, self.axes_bytes)
 
 
@@ -89,8 +102,8 @@ def pack_axes(rotation_cc: NDArray[np.int8], axes: Axes, mean: NDArray[np.int64]
     channel, count = len(rotation_cc), len(axes.scales_j)
     shape = (channel, len(mean) // channel)
     encoder = Encoder()
-    code_vectors(encoder, (1, *shape), mean.reshape(1, *shape))
-    code_vectors(encoder, (count, *shape), axes.entries_jd.reshape(count, *shape))
+    code_by_shells(encoder, (1, *shape), mean.reshape(1, *shape))
+    code_by_shells(encoder, (count, *shape), axes.entries_jd.reshape(count, *shape))
     return rotation_cc.tobytes() + axes.scales_j.tobytes() + encoder.to_bytes()
 
 
@@ -103,12 +116,13 @@ def parse_head(body: bytes, shape: Shape) -> Head:
     if levels != LEVELS or abs(exponent) > 150 or not STEP_RANGE[0] <= step <= STEP_RANGE[1]:
         raise PayloadError(f"a klt body cannot have {levels} levels, exponent {exponent} and step {step}")
     number, curve = divmod(curve, 16)
+    by_shells, curve = curve >= _BY_SHELLS, curve % _BY_SHELLS
     if curve >= len(TRANSFERS) or number >= len(BASES):
         raise PayloadError(f"a klt body cannot have transfer curve {curve} and basis {number}")
     component = len(_metric(shape[0], BASES[number]).forward_jk)
     if count > shape[3] * component or size < shape[3] ** 2 + count:
         raise PayloadError(f"a klt body with {size} bytes of tables cannot have {count} planes")
-    return Head(exponent, step, count, TRANSFERS[curve], size, BASES[number])
+    return Head(exponent, step, count, TRANSFERS[curve], size, BASES[number], by_shells)
 
 
 def _metric(n_coeff: int, basis: str) -> Metric:
@@ -138,8 +152,9 @@ def _read_tables(tables: bytes, head: Head, n_coeff: int, channel: int) -> NDArr
     rotation_cc = np.frombuffer(tables, "<i1", channel * channel).reshape(channel, channel)
     scales = np.frombuffer(tables, "<u1", count, channel * channel)
     decoder = Decoder(tables[channel * channel + count :])
-    mean = code_vectors(decoder, (1, channel, component), None).ravel() / MEAN_STEPS
-    entries = code_vectors(decoder, (count, channel, component), None).reshape(count, channel * component)
+    code = code_by_shells if head.by_shells else code_vectors
+    mean = code(decoder, (1, channel, component), None).ravel() / MEAN_STEPS
+    entries = code(decoder, (count, channel, component), None).reshape(count, channel * component)
     decoder.finish()
     vectors_jd = np.concatenate([Axes(entries, scales).vectors_jd, mean[None]])
     return make_operator(np.ldexp(metric.inverse_kj, head.exponent) * head.step, rotation_cc, vectors_jd)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -25,6 +26,8 @@ _COARSER = 1.4
 _ROUNDING = 0.3
 _SAMPLED_PIXELS = 16384
 MAX_ENTRY = 1 << 24
+_FIRST_EXPECTED = 16 * 64
+"""Sixteenths of an entry's size that are expected where nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,8 @@ def make_operator(
 def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray[np.int64] | None) -> NDArray[np.int64]:
     """Code vectors of shape (rows, channel, component) one after another, each entry near others of its size.
 
-    The context of an entry is the size of the same one, its left and its right neighbour in the row before.
+    The context of an entry is the size of the same one, its left and its right neighbour in the row before. Of old
+    bodies: those that are written now have `code_by_shells`.
     """
     rows, channel, component = shape
     models = ModelSet(_entry_prior())
@@ -91,27 +95,76 @@ def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray
     before[:, 1:-1] = 4
     for row in range(rows):
         activity = 2 * before[:, 1:-1] + before[:, :-2] + before[:, 2:]
-        given = None if entries_rcj is None else entries_rcj[row].ravel()
-        contexts = classify(np.minimum(activity.ravel(), 1 << 20))
-        sizes = code_integers(coder, models, contexts, None if given is None else np.abs(given))
-        nonzero = np.flatnonzero(sizes)
-        negative = coder.code(
-            signs, np.zeros(len(nonzero), np.int32), None if given is None else (given[nonzero] < 0).astype(np.int32)
-        )
-        if sizes.size and sizes.max() > MAX_ENTRY:
-            raise PayloadError("the range-coded bytes are damaged: a table entry is too large")
-        values = sizes.copy()
-        values[nonzero[negative == 1]] *= -1
-        entries[row] = values.reshape(channel, component)
+        entries[row] = _code_entries(coder, models, signs, activity, None if entries_rcj is None else entries_rcj[row])
         # Half of what was expected stays, so that one row of zeros does not end the expectation.
         before[:, 1:-1] = (before[:, 1:-1] + 3 * np.abs(entries[row])) >> 2
     return entries
+
+
+def code_by_shells(
+    coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray[np.int64] | None
+) -> NDArray[np.int64]:
+    """Code vectors of shape (rows, channel, component) as `code_vectors` does, the first one from smooth to rough.
+
+    Of the first vector a shell of components, those of one degree, is expected to be as large as the shell before it:
+    a map of a high degree has hundreds of entries that are 0, and nothing else says so. What is expected is in
+    sixteenths.
+    """
+    rows, channel, component = shape
+    models = ModelSet(_shell_prior())
+    signs = ModelSet(even_prior(1, 2))
+    entries = np.zeros(shape, np.int64)
+    if not rows:
+        return entries
+    given = None if entries_rcj is None else entries_rcj[0]
+    expected_c = np.full(channel, _FIRST_EXPECTED)
+    for shell in range(math.isqrt(component - 1) + 1):
+        part = slice(shell * shell, min((shell + 1) ** 2, component))
+        activity = np.repeat(expected_c[:, None], part.stop - part.start, axis=1)
+        found = _code_entries(coder, models, signs, activity, None if given is None else given[:, part])
+        entries[0][:, part] = found
+        expected_c = 16 * np.abs(found).sum(axis=1) // (part.stop - part.start)
+    before = np.zeros((channel, component + 2), np.int64)
+    before[:, 1:-1] = 16 * np.abs(entries[0])
+    for row in range(1, rows):
+        activity = (2 * before[:, 1:-1] + before[:, :-2] + before[:, 2:]) >> 2
+        entries[row] = _code_entries(coder, models, signs, activity, None if entries_rcj is None else entries_rcj[row])
+        before[:, 1:-1] = (before[:, 1:-1] + 16 * np.abs(entries[row])) >> 1
+    return entries
+
+
+def _code_entries(
+    coder: Coder,
+    models: ModelSet,
+    signs: ModelSet,
+    activity_cj: NDArray[np.int64],
+    given_cj: NDArray[np.int64] | None,
+) -> NDArray[np.int64]:
+    """Code entries in the contexts of their activity, and the signs of those that are not 0."""
+    given = None if given_cj is None else given_cj.ravel()
+    contexts = classify(np.minimum(activity_cj.ravel(), 1 << 20))
+    sizes = code_integers(coder, models, contexts, None if given is None else np.abs(given))
+    nonzero = np.flatnonzero(sizes)
+    negative = coder.code(
+        signs, np.zeros(len(nonzero), np.int32), None if given is None else (given[nonzero] < 0).astype(np.int32)
+    )
+    if sizes.size and sizes.max() > MAX_ENTRY:
+        raise PayloadError("the range-coded bytes are damaged: a table entry is too large")
+    values = sizes.astype(np.int64)
+    values[nonzero[negative == 1]] *= -1
+    return values.reshape(activity_cj.shape)
 
 
 @functools.cache
 def _entry_prior() -> NDArray[np.int64]:
     means = [Fraction(9, 20) * class_floor(i) for i in range(1, CLASSES)]
     return geometric_prior([Fraction(3, 20), *(min(mean, Fraction(10**6)) for mean in means)])
+
+
+@functools.cache
+def _shell_prior() -> NDArray[np.int64]:
+    means = [Fraction(9, 160) * class_floor(i) for i in range(1, CLASSES)]
+    return geometric_prior([Fraction(1, 30), *(min(mean, Fraction(10**6)) for mean in means)])
 
 
 def sample_stride(n_pixel: int) -> int:
