@@ -25,7 +25,7 @@ from clrelight.codec.entropy.units import (
     low_side,
     place_units,
 )
-from clrelight.codec.formats.klt_regions import _around, _cover
+from clrelight.codec.formats.klt_regions import _cover, around
 from clrelight.codec.transforms.lifting import list_subbands, padded_width
 from clrelight.codec.views import Region
 
@@ -102,14 +102,14 @@ def unit_layouts() -> list[World]:
             worlds.append(World(units, height, width, whole, together, whole, 0))
         level = 1 + number % LEVELS
         rows, columns = low_side(height, level), low_side(width, level)
-        part = _around(Region(rows // 2, columns // 2, rows, columns, level), height, width)
+        part = around(Region(rows // 2, columns // 2, rows, columns, level), height, width)
         worlds.append(World(units, height, width, whole, True, part, level))
     for number, (height, width) in enumerate(LARGE):
         units = list_units(height, width)
         top, left = (height - 1) // PRECINCT * PRECINCT, (width - 1) // PRECINCT * PRECINCT
         chosen = [u for u in units if u.row << (u.level or LEVELS) >= top and u.column << (u.level or LEVELS) >= left]
         cover = _cover(chosen, height, width)
-        part = _around(Region(top, left, height, width), height, width)
+        part = around(Region(top, left, height, width), height, width)
         for window, level in ((cover, 0), (part, number), (Window(0, 0, 32, min(64, width)), 0)):
             worlds.append(World(chosen, height, width, cover, False, window, level))
     return worlds
