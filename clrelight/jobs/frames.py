@@ -36,6 +36,7 @@ MAX_STEPS = 1 << 16
 Rotation = float | tuple[str, Sequence[float]]
 """Degrees about z, or a form of `rotation_matrix` and its numbers."""
 Image = NDArray[np.float32] | Rows
+_RowsOf = Callable[[NDArray[np.float64]], Iterator[tuple[slice, NDArray[np.float32]]]]
 Shown = tuple[Iterator[Image], str]
 """Images one by one, in linear radiance, and the transfer of their stack."""
 
@@ -205,9 +206,6 @@ def tell_below(below: float, count: int, report: Report) -> None:
     if below > 0:
         share = f"{'up to ' if count > 1 else ''}{below:.1%}"
         report.note(f"{share} of the light comes from below the horizon, where the fit knows nothing: it is cut")
-
-
-_RowsOf = Callable[[NDArray[np.float64]], Iterator[tuple[slice, NDArray[np.float32]]]]
 
 
 @dataclass(frozen=True)
