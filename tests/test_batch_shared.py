@@ -134,6 +134,14 @@ def test_fits_of_parts(files, tmp_path, monkeypatch, options):
     assert {**report.facts, "file": ""} == {**alone.facts, "file": ""}
 
 
+def test_what_is_written_beside_a_fit_is_named_as_it_was_asked_for(files, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options, report = {"method": "spectrum", "degree": 1, "confidence": "seen.png"}, Report()
+    run_single("fit", files.parent / "stack.h5", "a.h5", options=options, engine=Here(), report=report)
+    assert (report.facts["file"], report.facts["confidence"]["file"]) == ("a.h5", "seen.png")
+    assert sorted(os.listdir()) == ["a.h5", "seen.png"]
+
+
 @pytest.mark.parametrize(
     ("name", "options"),
     [
