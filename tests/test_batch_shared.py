@@ -15,7 +15,7 @@ from clrelight.codec.formats.wavelet import Wavelet
 from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError
-from clrelight.jobs import fitting
+from clrelight.jobs import fitting, frames
 from clrelight.jobs import measure as measuring
 from clrelight.jobs.decode import decode
 from clrelight.jobs.fit import fit
@@ -134,6 +134,14 @@ def test_fits_of_parts(files, tmp_path, monkeypatch, options):
     assert {**report.facts, "file": ""} == {**alone.facts, "file": ""}
 
 
+def test_what_is_written_beside_a_fit_is_named_as_it_was_asked_for(files, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options, report = {"method": "spectrum", "degree": 1, "confidence": "seen.png"}, Report()
+    run_single("fit", files.parent / "stack.h5", "a.h5", options=options, engine=Here(), report=report)
+    assert (report.facts["file"], report.facts["confidence"]["file"]) == ("a.h5", "seen.png")
+    assert sorted(os.listdir()) == ["a.h5", "seen.png"]
+
+
 @pytest.mark.parametrize(
     ("name", "options"),
     [
@@ -166,6 +174,25 @@ def test_pictures_by_workers(files, tmp_path, name, options):
         found[folder] = contents, facts, sorted(report.notes)
     assert found["one"] == found["two"]
     assert found["two"][0]
+
+
+@pytest.mark.parametrize("at_once", [1, 3, 10])
+def test_the_last_picture_alone_is_that_of_one_process(files, tmp_path, monkeypatch, at_once):
+    """A product of few rows is summed in another order: pictures are made with those beside which one process does."""
+    fit(files.parent / "stack.h5", "spline", 3, out=tmp_path / "fit.h5", report=Report())
+    height, width, channel = read_fit(tmp_path / "fit.h5").image_shape
+    monkeypatch.setattr(frames, "TILE_BYTES", at_once * 4 * height * width * channel)
+    found, engine = [], Here()
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        options = {"light": make_pattern("uniform", 25)}
+        if folder == "one":
+            relight(tmp_path / "fit.h5", out=tmp_path / folder / "a%d.exr", **options)
+        else:
+            run_single("relight", tmp_path / "fit.h5", tmp_path / folder / "a%d.exr", options=options, engine=engine)
+        found.append({path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()})
+    assert found[0] == found[1]
+    assert len([name for name in engine.begun if "@relight-some-" in name]) == {1: 4, 3: 3, 10: 3}[at_once]
 
 
 def test_a_scheduler_that_does_not_answer_is_told_of_first(files, tmp_path, monkeypatch):

@@ -51,6 +51,21 @@ def test_what_fills_a_budget_decodes(device, rate):
     assert error_of(filled) == pytest.approx(error_of(plain) * len(plain) / len(filled), rel=0.15)
 
 
+def test_tiles_fit_a_budget_whatever_their_trials_said(device):
+    """Noise at the top alone: three passes over the tiles missed the budget, and it was refused."""
+    shape, rows, deviation, rate = (4, 2100, 700, 3), 700, 0.3, 2.0
+    y, x = np.mgrid[: shape[1], : shape[2]]
+    coeffs = np.empty(shape, np.float32)
+    for k in range(shape[0]):
+        for c in range(shape[3]):
+            coeffs[k, :, :, c] = 0.3**k**0.5 * np.sin(x / (7 + k) + y / (11 + c) + k)
+    noise = np.random.default_rng(2).normal(0.0, deviation, (shape[0], rows, *shape[2:]))
+    coeffs[:, :rows] += noise.astype(np.float32)
+    budget = int(rate * coeffs.size / 8)
+    body, _ = Encoder(Pixels(ArraySource(coeffs, device)), "linear", memory=1 << 24).encode_within(budget)
+    assert 0.9 * budget <= len(body) <= budget
+
+
 def test_streams_are_chosen_with_all_that_hang_on_them():
     units = list_units(700, 900)
     sizes = np.full(len(units), 100)

@@ -93,6 +93,14 @@ def test_what_is_wrong_is_said_and_kept_for_a_day(fresh, monkeypatch, code, faul
     assert judge() == probe.Verdict(8)
 
 
+@pytest.mark.parametrize("code", ["this is no Python", "import clrelight.no_such_module", "from os import nothing"])
+def test_files_of_ours_that_are_half_written_say_nothing_of_a_device(fresh, monkeypatch, code):
+    monkeypatch.setattr(probe, "_CODE", code)
+    assert "Error: " in judge().fault
+    monkeypatch.setattr(probe, "_CODE", answer(1.0))
+    assert judge() == probe.Verdict(8)
+
+
 def test_a_driver_that_hangs_is_left(fresh, monkeypatch):
     monkeypatch.setattr(probe, "_CODE", HANG)
     monkeypatch.setattr(probe, "SECONDS", 0.5)

@@ -57,3 +57,10 @@ def test_what_passes_float32_is_its_largest(device, channel):
     found = unmixing(device, operator).coefficients(iter([Held(region, device.hold(planes))]), region)
     assert np.isfinite(found).all()
     assert (found[0, [0, 2]] == np.finfo(np.float32).max).all()
+
+
+def test_so_is_a_mean_alone(device):
+    region = Region(0, 0, 4, 5)
+    found = unmixing(device, np.array([[[1e39], [-1e300]]])).coefficients(iter([Held(region, None)]), region)
+    most = np.finfo(np.float32).max
+    np.testing.assert_array_equal(found, np.broadcast_to([most, -most], (1, 4, 5, 2)))

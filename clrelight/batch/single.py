@@ -116,6 +116,9 @@ def run_single(
     _remove(folder)
     if target:
         _name_as_given(kept.facts, path_text(out, "a file to write"), target)
+    for name in verb.writes:
+        if isinstance(kept.facts.get(name), dict):
+            kept.facts[name] |= {"file": os.fsdecode((options or {})[name])}
     return kept
 
 

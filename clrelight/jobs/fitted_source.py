@@ -71,7 +71,7 @@ class FittedSource(Source):
         if self.linear is None or self._mask_hw is not None:
             return super().read_scattered(places)
         since = time.perf_counter()
-        read = [self._bands.part((row, row + 1), (0, self.shape[2]))[:, :, columns].copy() for row, columns in places]
+        read = [self._bands.row(row)[:, :, columns].copy() for row, columns in places]
         scaled = self._scaling.scale(np.concatenate(read, axis=2), places[0][0])
         since = self._report.add("read", since)
         return self._fit.run(0, 1, scaled, since).coeffs_khwc

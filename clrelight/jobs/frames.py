@@ -36,6 +36,7 @@ MAX_STEPS = 1 << 16
 Rotation = float | tuple[str, Sequence[float]]
 """Degrees about z, or a form of `rotation_matrix` and its numbers."""
 Image = NDArray[np.float32] | Rows
+_RowsOf = Callable[[NDArray[np.float64]], Iterator[tuple[slice, NDArray[np.float32]]]]
 Shown = tuple[Iterator[Image], str]
 """Images one by one, in linear radiance, and the transfer of their stack."""
 
@@ -50,6 +51,10 @@ class Frames(Protocol):
 
     def only(self, first: int, end: int) -> Frames:
         """Return the images first..end alone."""
+        ...
+
+    def together(self, source: FittedLike) -> int:
+        """Return how many are made at a time: the last digits of one may hang on how many."""
         ...
 
     def lend(
@@ -83,6 +88,12 @@ class DirectedFrames:
         chosen_i3, number = self._directions_i3[first:end], self._first + first
         return DirectedFrames(chosen_i3, self._exposure, self._part, self._salvage, number)
 
+    def together(self, source: FittedLike) -> int:
+        """See `Frames`."""
+        with lend_fitted(source, Report(), parts=True, salvage=self._salvage, any_basis=True) as held:
+            height, width, channel = held.encoded.shape[1:] if isinstance(held, Packed) else held.image_shape
+        return _at_once((*self._part.of(height, width).shape, channel))
+
     @contextmanager
     def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
         """See `Frames`."""
@@ -98,7 +109,7 @@ class DirectedFrames:
         if self.count == 1 and view.rows is not None:
             yield Rows(view.shape, self._rows(view.rows, report))
             return
-        step = max(1, TILE_BYTES // view.picture_bytes)
+        step = _at_once(view.shape)
         for first in range(0, self.count, step):
             since = time.perf_counter()
             pictures_ihwc = view.light(self._directions_i3[first : first + step])
@@ -147,6 +158,10 @@ class LightFrames:
         some = self._some[0] + first, self._some[0] + end
         return LightFrames(self._light, self._exposure, self._steps, self._axis, self._part, self._salvage, some)
 
+    def together(self, source: FittedLike) -> int:
+        """See `Frames`."""
+        return 1
+
     @contextmanager
     def lend(self, source: FittedLike, device: Device, report: Report, progress: Progress | None) -> Iterator[Shown]:
         """See `Frames`."""
@@ -181,14 +196,16 @@ class LightFrames:
             tell_below(below, self.count, report)
 
 
+def _at_once(shape: tuple[int, int, int]) -> int:
+    """Return how many pictures of directions are made in one pass through the coefficients."""
+    return max(1, TILE_BYTES // (4 * math.prod(shape)))
+
+
 def tell_below(below: float, count: int, report: Report) -> None:
     """Note the largest share of the light of so many images that comes from below the horizon."""
     if below > 0:
         share = f"{'up to ' if count > 1 else ''}{below:.1%}"
         report.note(f"{share} of the light comes from below the horizon, where the fit knows nothing: it is cut")
-
-
-_RowsOf = Callable[[NDArray[np.float64]], Iterator[tuple[slice, NDArray[np.float32]]]]
 
 
 @dataclass(frozen=True)
@@ -203,11 +220,6 @@ class _View:
     transfer: str
     is_picture: bool
     rows: _RowsOf | None = None
-
-    @property
-    def picture_bytes(self) -> int:
-        """Bytes of a picture."""
-        return 4 * math.prod(self.shape)
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,10 +21,11 @@ from clrelight.jobs.pictures import is_animation, write_animation
 from clrelight.jobs.report import Report
 from clrelight.lighting.light import Light
 from clrelight.remote import is_remote
+from clrelight.tiles import row_tiles
 
 RELIGHT_SOME = "relight-some"
 _TOGETHER = 8
-"""Pictures of a chore: what is decoded is decoded once for them."""
+"""Pictures of a chore at the least: what is decoded is decoded once for them."""
 
 
 @dataclass
@@ -81,9 +82,9 @@ class SharedFrames:
         if exposure is None:  # that of the first picture is that of all
             self._put(self._do([(0, 1)], None), 0, made)
             exposure, first = made.exposure, 1
-        ends = [*range(first + _TOGETHER, count, _TOGETHER), count]
-        parts = [(top, end) for top, end in zip([first, *ends], ends, strict=False) if top < end]
-        self._put(self._do(parts, exposure), first, made)
+        # Of as many as one process makes at a time, or a multiple: then they are its pictures, bit for bit.
+        each = frames.together(self.source)
+        self._put(self._do(row_tiles((first, count), -(-_TOGETHER // each) * each), exposure), first, made)
         if made.animated:
             write_animation(self.names[0], made.animated)
         report.add("relight", since)
@@ -107,7 +108,7 @@ class SharedFrames:
                         part.write(content.tobytes())
                 number += 1
 
-    def _do(self, parts: list[tuple[int, int]], exposure: float | None) -> Iterator[Arrays]:
+    def _do(self, parts: Sequence[tuple[int, int]], exposure: float | None) -> Iterator[Arrays]:
         kind = os.path.splitext(self.names[0])[1]
         given = {**self.options, "kind": kind, "exposure": "auto" if exposure is None else exposure}
         chores = [Chore(RELIGHT_SOME, self.source, {**given, "some": list(part)}, self.reads) for part in parts]

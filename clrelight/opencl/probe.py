@@ -24,6 +24,7 @@ SECONDS = 240.0
 """Longest that a child may take, compiling included."""
 
 _CODE = "from clrelight.truth import main; main(words)"
+_UNREAD = ("SyntaxError", "IndentationError", "ImportError", "ModuleNotFoundError")
 _USUAL = 8
 """Lanes of AVX2, of which two would fit registers of 16; kernels for GPUs have no other."""
 
@@ -64,7 +65,7 @@ def judge_device(name: str, identity: str, index: int, native: int, style: str, 
     """
     key = "\0".join([identity, style, machine_identity(), kernel_identity()])
     kept = None if again else read_record("devices", key)
-    if kept is not None:
+    if kept is not None and not _is_unread(str(kept["fault"])):
         return Verdict(int(kept["lanes"]), str(kept["fault"]))
     if sys.stderr.isatty():
         print(f"clrelight: testing {name}, once for this driver and processor ...", file=sys.stderr)
@@ -74,10 +75,15 @@ def judge_device(name: str, identity: str, index: int, native: int, style: str, 
     other = None if again else read_record("devices", key)
     if other is not None and not other["fault"]:
         return Verdict(int(other["lanes"]))
-    # What a limit of this process or an absent program did may be otherwise tomorrow.
-    if not (verdict.fault and circumstances()):
+    # What a limit of this process, an absent program or a file of ours did may be otherwise tomorrow.
+    if not (verdict.fault and (circumstances() or _is_unread(verdict.fault))):
         write_record("devices", key, asdict(verdict))
     return verdict
+
+
+def _is_unread(fault: str) -> bool:
+    """Return whether a child never came to the device: files of this program were missing, or half written."""
+    return any(f": {kind}: " in fault for kind in _UNREAD)
 
 
 def _find_width(index: int, native: int, style: str) -> Verdict:

@@ -27,7 +27,11 @@ _NEAR = (0.9, 0.997, 1.1)
 """The same where multipliers make up for the rest."""
 _SLACK = 0.004
 """Part of a budget that they may leave."""
-_LEAST_FILLED, _AIM, _MAX_PASSES = 0.99, 0.997, 3
+_LEAST_FILLED, _AIM = 0.99, 0.997
+_ENOUGH = (3, _LEAST_FILLED), (6, 0.9), (16, 0.0)
+"""Before so many passes over all tiles, which part of a budget ends them; the last go on until anything fits."""
+_CHANGE = 1.02
+"""Times by which a step then changes more than is foretold."""
 _STEP_POWER = 0.8
 """Steps grow about with this power of what bytes are to shrink by."""
 
@@ -154,19 +158,25 @@ class Encoder(StepFinder):
         rows, step = [(each.top + each.bottom) // 2 for each in self._windows], self._bounded(trial.step)
         foretold, usual = foretell(rows, trial.of_pixel, tiles), np.full(len(tiles), MULTIPLIER)
         best: tuple[bytes, float] | None = None
-        least, power, wanted = 0, _STEP_POWER, 0.0
-        for _ in range(_MAX_PASSES):
+        least, power, wanted, fine, coarse = 0, _STEP_POWER, 0.0, 0.0, STEP_RANGE[1]
+        for number in range(_ENOUGH[-1][0] - 1):
             body, taken, usual = self._pass_tiles(budget, step, trial.axes, tiles, foretold, usual)
-            least = len(body)
-            if len(body) <= budget and (best is None or len(body) > len(best[0])):
+            least, used = len(body), len(body) / max(budget, 1)
+            if used <= 1.0 and (best is None or len(body) > len(best[0])):
                 best = body, step
-            if _LEAST_FILLED * budget <= len(body) <= budget:
+            enough = next(part for passes, part in _ENOUGH if number + 1 < passes)
+            if (best is not None and len(best[0]) >= enough * budget) or (used > 1.0 and step >= STEP_RANGE[1]):
                 break
+            fine, coarse = (max(fine, step), coarse) if used > 1.0 else (fine, min(coarse, step))
             # How bytes hang on the multiplier is another thing for each map: now it is to be as it was.
             more, before = float(np.log(taken.sum() / (_AIM * budget))), step
             if wanted and wanted != more:
                 power = min(max(power * wanted / (wanted - more), _STEP_POWER / 2.0), 4.0 * _STEP_POWER)
-            step, wanted = self._bounded(step * float(np.exp(power * more))), more
+            step, wanted = step * float(np.exp(power * more)), more
+            if number + 1 >= _ENOUGH[0][0] or not fine <= step <= coarse:  # some bytes fall faster than any power
+                between = fine > 0.0 and coarse < STEP_RANGE[1]
+                step = float(np.sqrt(fine * coarse)) if between else step * _CHANGE ** (1 if used > 1.0 else -1)
+            step = self._bounded(step)
             foretold = taken * (before / step) ** (1.0 / power)
         if best is None:
             raise InputError(f"klt needs {least} bytes for this map at step {step:.3g}, the budget is {budget}")

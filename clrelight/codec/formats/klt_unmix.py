@@ -62,7 +62,9 @@ class Unmixing:
         """Put the coefficients of a part where they belong, from planes in memory that a CPU shares."""
         if part.values is None:
             height, width = part.region.shape
-            mean_kc = self._operator_mj[:, -1].astype(np.float32).reshape(self._n_coeff, 1, 1, self._channel)
+            most = np.finfo(np.float32).max
+            mean_m = np.clip(self._operator_mj[:, -1], -most, most).astype(np.float32)
+            mean_kc = mean_m.reshape(self._n_coeff, 1, 1, self._channel)
             coeffs_khwc[:, top : top + height, left : left + width] = mean_kc
             return
         operator, tile = self._operator(part.scale), tile_defines(self._device)
