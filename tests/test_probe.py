@@ -93,6 +93,14 @@ def test_what_is_wrong_is_said_and_kept_for_a_day(fresh, monkeypatch, code, faul
     assert judge() == probe.Verdict(8)
 
 
+@pytest.mark.parametrize("code", ["import clrelight.absent", "exec('a b')", "from clrelight import absent"])
+def test_a_program_that_does_not_load_is_no_word_on_a_device(fresh, monkeypatch, code):
+    monkeypatch.setattr(probe, "_CODE", code)
+    assert judge().lanes == 0
+    monkeypatch.setattr(probe, "_CODE", answer(1.0))
+    assert judge() == probe.Verdict(8)
+
+
 def test_a_driver_that_hangs_is_left(fresh, monkeypatch):
     monkeypatch.setattr(probe, "_CODE", HANG)
     monkeypatch.setattr(probe, "SECONDS", 0.5)

@@ -24,6 +24,10 @@ SECONDS = 240.0
 """Longest that a child may take, compiling included."""
 
 _CODE = "from clrelight.truth import main; main(words)"
+_NOT_LOADED = tuple(
+    f"fails: {name}" for name in ("SyntaxError", "IndentationError", "ImportError", "ModuleNotFoundError")
+)
+"""Of a child that this program's own modules ended, such as those that are being replaced: no word on a device."""
 _USUAL = 8
 """Lanes of AVX2, of which two would fit registers of 16; kernels for GPUs have no other."""
 
@@ -74,8 +78,8 @@ def judge_device(name: str, identity: str, index: int, native: int, style: str, 
     other = None if again else read_record("devices", key)
     if other is not None and not other["fault"]:
         return Verdict(int(other["lanes"]))
-    # What a limit of this process or an absent program did may be otherwise tomorrow.
-    if not (verdict.fault and circumstances()):
+    # What a limit of this process, an absent program or half an installation did may be otherwise tomorrow.
+    if not (verdict.fault and (verdict.fault.startswith(_NOT_LOADED) or circumstances())):
         write_record("devices", key, asdict(verdict))
     return verdict
 
