@@ -1,6 +1,6 @@
 """The selftest under every processor that a driver can be told, every way to make work-groups, and few threads.
 
-``python -m benchmarks.machines [--full] [--markdown]`` runs the statements of the quick selftest and of
+``python -m benchmarks.machines [--full]`` runs the statements of the quick selftest and of
 `clrelight.selftest_surfaces` (``--full``: all of ``clrelight selftest``) in a process for each row, which starts
 without compiled kernels. A name with features that this processor lacks is left out. ``--drivers`` tries all devices
 in place of the default one, such as a PoCL of the system beside that of the Python package index.

@@ -6,7 +6,6 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,8 @@ EXPORTS = {"dds": "BC6H_SF16", "exr": "float32", "exr-half": "float16"}
 NOTES = "textures.json"
 _PIECE_BYTES = 1 << 26
 """Of coefficients that are held at a time."""
+_OPEN_IMAGES = 64
+"""Images that are written at once: a process may have few files open."""
 _PLAIN_RANGE = (2.0**-6, 2.0**15)
 """Largest magnitudes that halves hold well as they are; others are scaled by a power of two."""
 
@@ -134,12 +135,9 @@ def _write_blocks(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     header = dds_header(shape, 1)
-    with ExitStack() as stack:
-        files = [stack.enter_context(open(name, "wb", buffering=0)) for name in names]
-        for file in files:
-            file.write(header)
-        into = BlockFiles([file.fileno() for file in files], len(header))
-        put_blocks(held, into, device, scale=scale, progress=progress)
+    for name in names:
+        name.write_bytes(header)
+    put_blocks(held, BlockFiles(names, len(header)), device, scale=scale, progress=progress)
 
 
 def _write_images(
@@ -150,23 +148,27 @@ def _write_images(
     scale: float,
     progress: Callable[[int, int], None] | None,
 ) -> None:
+    """Write all images, so many at once as may be open, in one pass through the coefficients each."""
     height, width, channel = coefficients.image_shape
     letters = {1: "Y", 3: "RGB"}[len(textures[0].planes)]
-    stored = {"float32": "float", "float16": "half"}[component]
-    outputs = [ExrFile(name, exr_spec(width, height, letters, stored)) for name in names]
-    step = max(_PIECE_BYTES // (4 * coefficients.n_coeff * width * channel), 1)
-    for first, end in row_tiles((0, height), step):
-        rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
-        coefficients.read_rows(first, end, rows_khwc)
-        if scale != 1.0:
-            np.divide(rows_khwc, np.float32(scale), out=rows_khwc)
-        for output, texture in zip(outputs, textures, strict=True):
-            pixels_hwc = np.stack([rows_khwc[k, :, :, c] for k, c in texture.planes], axis=-1)
-            output.write(first, pixels_hwc.astype(component))
-        if progress is not None:
-            progress(end, height)
-    for output in outputs:
-        output.close()
+    spec = exr_spec(width, height, letters, {"float32": "float", "float16": "half"}[component])
+    tiles = row_tiles((0, height), max(_PIECE_BYTES // (4 * coefficients.n_coeff * width * channel), 1))
+    passes = range(0, len(names), _OPEN_IMAGES)
+    for done, start in enumerate(passes):
+        some = textures[start : start + _OPEN_IMAGES]
+        outputs = [ExrFile(name, spec) for name in names[start : start + _OPEN_IMAGES]]
+        for first, end in tiles:
+            rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
+            coefficients.read_rows(first, end, rows_khwc)
+            if scale != 1.0:
+                np.divide(rows_khwc, np.float32(scale), out=rows_khwc)
+            for output, texture in zip(outputs, some, strict=True):
+                pixels_hwc = np.stack([rows_khwc[k, :, :, c] for k, c in texture.planes], axis=-1)
+                output.write(first, pixels_hwc.astype(component))
+            if progress is not None:
+                progress(done * height + end, len(passes) * height)
+        for output in outputs:
+            output.close()
 
 
 def _is_array(target: Path) -> bool:

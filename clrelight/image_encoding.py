@@ -20,15 +20,19 @@ from clrelight.image_sink import sink_for
 _LARGE_PIXELS = 1 << 22  # from so many on a PNG is packed fast rather than well
 
 
+class EncodingError(RuntimeError):
+    """An encoder refuses a picture; of what goes wrong while its rows are made others tell."""
+
+
 @contextmanager
 def encoding(name: str, extension: str, shape_hwc: tuple[int, ...], stored: Any) -> Iterator[Callable[[NDArray], None]]:
     """Lend what takes bands of rows, from top to bottom, and encodes them to a file of a name.
 
-    RuntimeError says why that did not do.
+    EncodingError says why that did not do.
     """
     writer = oiio.ImageOutput.create(extension.removeprefix("."))  # not by the name, which has no such ending
     if writer is None:
-        raise RuntimeError(oiio.geterror())
+        raise EncodingError(oiio.geterror())
     height, width, channels = shape_hwc
     spec = oiio.ImageSpec(width, height, channels, stored)
     spec.attribute("DateTime", "0000:00:00 00:00:00")  # else EXR and TIFF get today's: never the same bytes twice
@@ -43,7 +47,7 @@ def encoding(name: str, extension: str, shape_hwc: tuple[int, ...], stored: Any)
         spec.attribute("CompressionQuality", 95)
         spec.attribute("jpeg:subsampling", "4:4:4")
     if not writer.open(text_name(name), spec):
-        raise RuntimeError(writer.geterror() or "no reason given")
+        raise EncodingError(writer.geterror() or "no reason given")
     row, done = 0, True
 
     def put(band_hwc: NDArray) -> None:
@@ -63,9 +67,9 @@ def encoding(name: str, extension: str, shape_hwc: tuple[int, ...], stored: Any)
         # Closing flushes what is left, so it can fail too.
         closed = writer.close()
     if came < height:
-        raise RuntimeError(f"{came} of {height} rows came")
+        raise EncodingError(f"{came} of {height} rows came")
     if not closed or not done:
-        raise RuntimeError(message or writer.geterror() or "no reason given")
+        raise EncodingError(message or writer.geterror() or "no reason given")
 
 
 @contextmanager
@@ -81,7 +85,7 @@ def png_rows(
         try:
             with encoding(name, ".png", shape_hwc, oiio.UINT8) as put:
                 yield put
-        except RuntimeError as error:
+        except EncodingError as error:
             raise InputError(f"cannot write {path}: {one_line(error)}") from None
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.image_bands import read_rows
-from clrelight.image_encoding import encoding, one_line, text_name
+from clrelight.image_encoding import EncodingError, encoding, one_line, text_name
 from clrelight.image_header import ImageHeader, check_size, describe_file, describe_stored, turn_upright
 from clrelight.image_parts import choose_picture
 from clrelight.image_sink import sink_for
@@ -182,7 +182,7 @@ def write_image(path: str | os.PathLike[str], values_hwc: NDArray) -> None:
     with replacing(path) as part, naming(path), sink_for(part, extension, values.nbytes) as name:
         try:
             _encode(name, extension, np.ascontiguousarray(values), _WRITABLE[extension][values.dtype.name])
-        except RuntimeError as error:
+        except EncodingError as error:
             raise InputError(f"cannot write {path}: {one_line(error)}") from None
 
 

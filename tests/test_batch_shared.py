@@ -171,9 +171,10 @@ def test_pictures_by_workers(files, tmp_path, name, options):
             run_single("relight", source, out, options=options, engine=Here(), report=report)
         facts = {key: value for key, value in report.facts.items() if key not in ("files", "file")}
         contents = {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()}
-        found[folder] = contents, facts, sorted(report.notes)
+        found[folder] = contents, facts, sorted(report.notes), report.device
     assert found["one"] == found["two"]
     assert found["two"][0]
+    assert found["two"][3]
 
 
 @pytest.mark.parametrize("at_once", [1, 3, 10])

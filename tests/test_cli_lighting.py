@@ -313,7 +313,7 @@ def test_a_turntable_as_an_animation(made, tmp_path):
 def test_an_animation_keeps_8_bit_frames(made, tmp_path, monkeypatch):
     pytest.importorskip("PIL.Image", reason="animations are written by Pillow")
     kept = []
-    monkeypatch.setattr("clrelight.jobs.relight.write_animation", lambda name, frames: kept.extend(frames))
+    monkeypatch.setattr("clrelight.jobs.relighting.write_animation", lambda name, frames: kept.extend(frames))
     words = ("--light", made / "light.h5", "--turntable", 3, "--exposure", "auto", "--tonemap", "reinhard")
     call("relight", made / "fit.h5", tmp_path / "o.gif", *words)
     call("relight", made / "fit.h5", tmp_path / "o%d.png", *words)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import OpenImageIO as oiio
@@ -264,6 +265,19 @@ def test_all_coefficients_in_one_exr(tmp_path, words, component, channels):
         for c, letter in enumerate("RGB" if channels == 3 else "Y"):
             found = values[..., spec.channelnames.index(f"SH.{k:03}.{letter}")]
             np.testing.assert_allclose(found, fit.coeffs_khwc[k, ..., c], rtol=0, atol=1e-3 * (component == "half"))
+
+
+def test_halves_that_would_be_infinite_are_refused(tmp_path):
+    fit = made_fit(1)
+    coeffs_khwc = fit.coeffs_khwc.copy()
+    coeffs_khwc[2, 1, 3, 0] = -7e4
+    write_fit(tmp_path / "fit.h5", replace(fit, coeffs_khwc=coeffs_khwc))
+    ended = call("export", tmp_path / "fit.h5", tmp_path / "maps.exr", "--format", "channels-half")
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert "(2, 1, 3, 0) is -70000, which binary16 cannot hold" in ended.err
+    assert "take --format channels" in ended.err
+    assert [path.name for path in tmp_path.iterdir()] == ["fit.h5"]
+    succeed("export", tmp_path / "fit.h5", tmp_path / "maps.exr", "--format", "channels")
 
 
 def test_ktx2_holds_the_blocks(tmp_path):

@@ -79,7 +79,8 @@ def small_files(n_bytes):
 
 
 @pytest.mark.parametrize(
-    "words", [("a", "relight"), ("a.ptm", "ptm", "--quality", 80), ("a.exr", "channels"), ("a", "deepzoom")]
+    "words",
+    [("a", "relight"), ("a.ptm", "ptm", "--quality", 80), ("a.exr", "channels"), ("a", "deepzoom"), ("a", "exr")],
 )
 def test_files_that_may_not_get_so_large(tmp_path, words):
     write_fit(tmp_path / "fit.h5", made_fit(1, 120, 130))

@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,26 @@ def test_exr_textures_hold_the_values_themselves(device, tmp_path, file_format, 
     assert read(files[0])[1] == {"float32": "float", "float16": "half"}[dtype]
     notes = json.loads(files[-1].read_text())
     np.testing.assert_array_equal(assemble(tmp_path / "t", notes), made.coeffs_khwc.astype(dtype))
+
+
+@pytest.mark.parametrize("file_format", ["dds", "exr", "exr-half"])
+def test_there_may_be_more_textures_than_open_files(device, tmp_path, file_format):
+    made = make_map((225, 5, 6, 3))
+    export_textures(made, tmp_path / "usual", file_format, device=device)
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = max(map(int, os.listdir("/proc/self/fd"))) + 150
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, limits[1]))
+    try:
+        files = export_textures(made, tmp_path / "few", file_format, device=device)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert len(files) == 226
+    assert contents(tmp_path / "few") == contents(tmp_path / "usual")
+    values = {"exr": np.float32, "exr-half": np.float16}
+    is_dds = file_format == "dds"
+    expected = decode(encode(made.coeffs_khwc, Bc6h(), device), device) if is_dds else made.coeffs_khwc
+    expected = expected.astype(values.get(file_format, np.float32))
+    np.testing.assert_array_equal(assemble(tmp_path / "few", json.loads(files[-1].read_text())), expected)
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e-3, 1e6, 1e30])

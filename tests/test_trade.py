@@ -177,15 +177,16 @@ def test_going_on_measures_nothing_again(swept):
     assert all(f"| {step} " in page for step in steps)
 
 
-def test_without_a_setting_within_the_budget_the_rows_stay(swept):
+def test_without_a_setting_within_the_budget_rows_and_report_stay(swept, tmp_path):
     folder, told = swept
     files = contents(folder)
     config = folder / "none.toml"
-    words = ["--out", folder / "t.h5", *SMALL, "--config", config, "--min-psnr", 90]
+    words = ["--out", folder / "t.h5", *SMALL, "--config", config, "--min-psnr", 90, "--report", tmp_path / "report"]
     ended = call("trade", folder / "ring.h5", *words)
     assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
     assert f"none of the {len(told['trials'])} settings measured is within the limits; the nearest is" in ended.err
     assert contents(folder) == files
+    assert len((tmp_path / "report" / "rows.csv").read_text().splitlines()) == len(told["trials"]) + 1
 
 
 def test_times_of_another_device_are_not_mixed_in(swept, tmp_path):

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from clrelight.cli.trade import trade as trade_command
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.experiment.axes import Axes
@@ -61,6 +62,11 @@ def test_small_images_and_masks():
         excerpt_of(numbered(1000, 1000, np.eye(1000, dtype=bool) & (np.arange(1000) == 1)), 1e4)
     with pytest.raises(InputError, match="megapixels must be above 0, got 0"):
         Axes(megapixels=0.0)
+
+
+def test_the_command_measures_as_much_as_the_axes_say():
+    default = next(each.default for each in trade_command.params if each.name == "megapixels")
+    assert default == Axes().megapixels == 0.1
 
 
 def test_seconds_and_bytes_of_the_whole():

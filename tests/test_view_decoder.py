@@ -66,7 +66,7 @@ def planes_of_ours(payload, device, region=None):
     """Return planes in steps of a payload, by the program."""
     encoded = Encoded.from_bytes(payload)
     view = decode_regions(encoded)
-    return view._planes.of(region or Region(0, 0, *encoded.shape[1:3]), device)
+    return view._planes._reader(device).planes(region or Region(0, 0, *encoded.shape[1:3]))
 
 
 @pytest.fixture(scope="module")

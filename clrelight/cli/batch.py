@@ -38,7 +38,9 @@ _SHOWN = 40
 @click.option("--retries", type=whole_number(0, 100), default=1, show_default=True, help="Of stacks whose worker dies.")
 @click.option("--timeout", type=click.FloatRange(0, min_open=True), metavar="S", help="Longest for a stack (local).")
 @click.option("--memory-limit", default="auto", show_default=True, metavar="BYTES", help="Of a worker (dask).")
-@click.option("--tiles", is_flag=True, help="Share each stack among workers (fit, pack, decode, unpack, psnr).")
+@click.option(
+    "--tiles", is_flag=True, help="Share each stack among workers (all jobs but ingest, encode, export, normals)."
+)
 @click.option("--tile-rows", type=whole_number(1), metavar="ROWS", help="Of a tile (fit, decode).")
 @click.option("--virtual", is_flag=True, help="Leave the tiles in files of their own; the result points to them.")
 @click.option("--verify", is_flag=True, help="Compare contents of files, not only sizes and times, with the journal.")

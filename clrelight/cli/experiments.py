@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -28,9 +27,6 @@ from clrelight.cli.speed import DEFAULT_OUT, bench_speed
 from clrelight.errors import InputError
 
 PAGE = "report.html"
-
-if TYPE_CHECKING:
-    pass
 
 
 @click.command()

@@ -27,7 +27,7 @@ from clrelight.errors import InputError
 if TYPE_CHECKING:
     from clrelight.experiment.axes import Axes
     from clrelight.experiment.grid import CodecSetting
-    from clrelight.experiment.pareto import Trial
+    from clrelight.experiment.pareto import Limits, Trial
 
 _MARK = "# The setting that clrelight trade chose:"
 
@@ -56,7 +56,7 @@ _MARK = "# The setting that clrelight trade chose:"
 @click.option(
     "--megapixels",
     type=float,
-    default=0.25,
+    default=0.1,
     show_default=True,
     help="Measure larger images in windows of so many together, and reckon for the whole; inf: measure all.",
 )
@@ -94,7 +94,7 @@ def trade(
     from clrelight.experiment.trade import sweep_trade
     from clrelight.holdout import describe_distance
     from clrelight.report.folder import check_report
-    from clrelight.report.trade import about_excerpt, write_trade_report
+    from clrelight.report.trade import about_excerpt
     from clrelight.store import check_output, open_stack
 
     limits = Limits(budget_seconds, budget_bytes, min_psnr)
@@ -118,12 +118,12 @@ def trade(
             tell=notes.append,
         )
         distance = describe_distance(source.directions_i3, *varied.split(source.directions_i3))
-    chosen = limits.choose(trials)
+    chosen, paths = _choose(limits, trials, name, report_to)
     facts: dict[str, Any] = {"results": out, "rows": len(trials), "held_out": distance, "notes": notes}
     if trials[0].scale > 1.0:
         facts["measured"] = about_excerpt(trials)
-    if report_to is not None:
-        facts["report"] = str(write_trade_report(trials, name, report_to, chosen)[0])
+    if paths:
+        facts["report"] = str(paths[0])
     facts |= _write_choice(chosen, stack, varied, target)
     if as_json:
         facts["trials"] = [_facts(trial) for trial in trials]
@@ -134,6 +134,18 @@ def trade(
     _print_tables(trials, chosen)
     facts["it reaches"] = f"{decibel(chosen.psnr)} held out, {chosen.size} bytes, {chosen.seconds:.3g} s"
     print_facts(facts | _commands(stack, target, chosen.setting))
+
+
+def _choose(limits: Limits, trials: Sequence[Trial], name: str, report_to: str | None) -> tuple[Trial, list[Path]]:
+    """Return what to take, and the report's files, which are written where there is nothing to take too."""
+    from clrelight.report.trade import write_trade_report
+
+    chosen = None
+    try:
+        chosen = limits.choose(trials)
+    finally:
+        paths = [] if report_to is None else write_trade_report(trials, name, report_to, chosen)
+    return chosen, paths
 
 
 def _print_tables(trials: Sequence[Trial], chosen: Trial) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,26 +28,37 @@ class BlockFiles(BodyWriter):
 
     Parameters
     ----------
-    descriptors : sequence of int
-        Open files.
+    files : sequence of int or Path
+        Descriptors of open files, or files that are there and opened one at a time: a map may have more textures than
+        a process may have files open.
     start : int
         Where its part begins in each.
     """
 
-    def __init__(self, descriptors: Sequence[int], start: int) -> None:
+    def __init__(self, files: Sequence[int | Path], start: int) -> None:
         super().__init__()
-        self._descriptors, self._start, self._size = descriptors, start, 1
+        self._files, self._start, self._size = files, start, 1
 
     def _allocate(self, n_bytes: int) -> None:
-        self._size = max(n_bytes // len(self._descriptors), 1)
+        self._size = max(n_bytes // len(self._files), 1)
 
     def _put(self, at: int, values_b: NDArray[np.uint8]) -> None:
         rest = values_b.data
         while rest:
             number, place = divmod(at, self._size)
             piece = rest[: self._size - place]
-            done = os.pwrite(self._descriptors[number], piece, self._start + place)
+            with _opened(self._files[number]) as descriptor:
+                done = os.pwrite(descriptor, piece, self._start + place)
             rest, at = rest[done:], at + done
+
+
+@contextmanager
+def _opened(file: int | Path) -> Iterator[int]:
+    if isinstance(file, int):
+        yield file
+        return
+    with open(file, "r+b", buffering=0) as opened:
+        yield opened.fileno()
 
 
 def put_blocks(

@@ -11,6 +11,7 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
+from clrelight.codec.formats.half import count_overflows
 from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
@@ -49,7 +50,8 @@ def write_channels(
     Raises
     ------
     InputError
-        If there are more channels than readers take, or the file cannot be written.
+        If there are more channels than readers take, binary16 does not hold a coefficient, or the file cannot be
+        written.
     """
     height, width, channel = coefficients.image_shape
     names = channel_names(coefficients.n_coeff, channel)
@@ -78,6 +80,8 @@ def _write(
             progress(first, height)
         rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
         coefficients.read_rows(first, end, rows_khwc)
+        if spec.format == oiio.HALF:
+            count_overflows(rows_khwc, first, "binary16", clamp=False, otherwise="take --format channels")
         output.write(first, np.moveaxis(rows_khwc, 0, 2).reshape(end - first, width, -1))
     output.close()
 

@@ -52,16 +52,17 @@ def name_pictures(image: str, count: int) -> list[str]:
 
 
 def pictures_of(image: str) -> list[str]:
-    """Return the names of the pictures that are there under a name with a number field; the name where it has none."""
+    """Return the names of the pictures that are there under a name with a number field; the name where none is."""
     folder, name = os.path.split(image)
     field = _NUMBER_FIELD.search(name)
     if field is None:
         return [image]
     wanted = re.compile(rf"{re.escape(name[: field.start()])}[0-9]+{re.escape(name[field.end() :])}")
     try:
-        return sorted(os.path.join(folder, each) for each in os.listdir(folder or ".") if wanted.fullmatch(each))
-    except OSError:
-        return []
+        found = [os.path.join(folder, each) for each in os.listdir(folder or ".") if wanted.fullmatch(each)]
+    except OSError:  # there is no such folder yet
+        found = []
+    return sorted(found) or [image]
 
 
 def holds_floats(name: str) -> bool:

@@ -52,8 +52,8 @@ def relight_some(
         As of `clrelight.jobs.relight.relight`.
     out : path
         Gets ``picture0``, ``picture1``, ...: the bytes of files, or the values of an animation's pictures; ``count`` of
-        them; ``notes`` in JSON; of light from everywhere ``exposure`` and ``below``, the largest share of the light
-        that comes from below the horizon.
+        them; ``told``, notes and device in JSON; of light from everywhere ``exposure`` and ``below``, the largest share
+        of the light that comes from below the horizon.
     some : (first, end)
         Numbers of the pictures.
     kind : str
@@ -83,7 +83,7 @@ def relight_some(
                 content = np.fromfile(name, np.uint8)
             made[f"picture{number}"] = content
     facts = kept.facts if isinstance(frames, LightFrames) else {"exposure": 0.0, "below": -math.inf}
-    notes = np.frombuffer(json.dumps(kept.notes).encode("ascii"), np.uint8)
-    told = {name: np.array(float(facts[name])) for name in ("exposure", "below")}
-    write_arrays(out, {**made, **told, "count": np.array(frames.count), "notes": notes})
+    told = np.frombuffer(json.dumps({"notes": kept.notes, "device": kept.device}).encode("ascii"), np.uint8)
+    numbers = {name: np.array(float(facts[name])) for name in ("exposure", "below")}
+    write_arrays(out, {**made, **numbers, "count": np.array(frames.count), "told": told})
     return kept

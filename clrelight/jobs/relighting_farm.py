@@ -30,12 +30,13 @@ _TOGETHER = 8
 
 @dataclass
 class _Made:
-    """What has come so far: pictures of an animation, notes, and of light from everywhere what is the same for all."""
+    """What has come so far: pictures of an animation, notes, what is the same for all, and the device of the first."""
 
     animated: list[NDArray[np.uint8]]
     notes: list[str]
     below: float
     exposure: float = 0.0
+    device: str | None = None
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,7 @@ class SharedFrames:
             write_animation(self.names[0], made.animated)
         report.add("relight", since)
         report.note(*made.notes)
+        report.device = made.device
         if isinstance(frames, LightFrames):
             report.facts |= {"exposure": exposure, "below": made.below}
             tell_below(made.below, count, report)
@@ -96,7 +98,9 @@ class SharedFrames:
     def _put(self, found: Iterator[Arrays], number: int, made: _Made) -> None:
         """Write pictures from one of some number on, or keep those of an animation."""
         for each in found:
-            made.notes += json.loads(each["notes"].tobytes())
+            told = json.loads(each["told"].tobytes())
+            made.notes += told["notes"]
+            made.device = made.device or told["device"]
             made.below = max(made.below, float(each["below"]))
             made.exposure = float(each["exposure"])
             for at in range(int(each["count"])):

@@ -24,7 +24,10 @@ SECONDS = 240.0
 """Longest that a child may take, compiling included."""
 
 _CODE = "from clrelight.truth import main; main(words)"
-_UNREAD = ("SyntaxError", "IndentationError", "ImportError", "ModuleNotFoundError")
+_NOT_LOADED = tuple(
+    f"fails: {name}" for name in ("SyntaxError", "IndentationError", "ImportError", "ModuleNotFoundError")
+)
+"""Of a child that this program's own modules ended, such as those that are being replaced: no word on a device."""
 _USUAL = 8
 """Lanes of AVX2, of which two would fit registers of 16; kernels for GPUs have no other."""
 
@@ -75,15 +78,10 @@ def judge_device(name: str, identity: str, index: int, native: int, style: str, 
     other = None if again else read_record("devices", key)
     if other is not None and not other["fault"]:
         return Verdict(int(other["lanes"]))
-    # What a limit of this process, an absent program or a file of ours did may be otherwise tomorrow.
-    if not (verdict.fault and (circumstances() or _is_unread(verdict.fault))):
+    # What a limit of this process, an absent program or half an installation did may be otherwise tomorrow.
+    if not (verdict.fault and (verdict.fault.startswith(_NOT_LOADED) or circumstances())):
         write_record("devices", key, asdict(verdict))
     return verdict
-
-
-def _is_unread(fault: str) -> bool:
-    """Return whether a child never came to the device: files of this program were missing, or half written."""
-    return any(f": {kind}: " in fault for kind in _UNREAD)
 
 
 def _find_width(index: int, native: int, style: str) -> Verdict:

@@ -164,7 +164,8 @@ def _matte_lights(
         at = sphere.circle
         raise InputError(
             f"sphere {at.x:.1f},{at.y:.1f},{at.radius:.1f} is not shaded as a matte sphere is: one brightness all over "
-            "explains it better than lamps do; say where it is, or leave out --kind matte if it shines"
+            "explains it better than lamps do; say where it is, keep other light away, or leave out --kind matte if it "
+            "shines"
         )
     length_i = np.linalg.norm(shaded.lights_i3, axis=1, keepdims=True)
     return np.where(length_i > 0.0, shaded.lights_i3 / np.maximum(length_i, 1e-12), 0.0), shaded.residual_i
