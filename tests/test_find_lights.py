@@ -289,6 +289,14 @@ def test_a_jpeg_goes_through_memory_not_a_pipe_that_may_fill(tmp_path, monkeypat
     assert read_image(tmp_path / "a.jpg").shape == (300, 420, 3)
 
 
+def test_most_photographs_may_be_of_one_lamp():
+    """Its highlight does not move; those of the others are found where it is missing."""
+    lights_i3 = lamps(6, 1)[[0, 0, 0, 0, 1, 2]]
+    found_i3, report = find(photograph_spheres(lights_i3, SIZE, [BALL]), spheres=[BALL])
+    assert off(found_i3, lights_i3)[4:].max() < 0.5
+    assert any("no highlight in image0000" in note for note in report.notes)
+
+
 def test_few_photographs_are_warned_of():
     _, report = find(photograph_spheres(lamps(6, 1)[:2], SIZE, [BALL]))
     assert any("hardly tell a sphere" in note for note in report.notes)

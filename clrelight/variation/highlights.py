@@ -156,7 +156,10 @@ class _Search:
         """Return the brightest highlight of a photograph, its pixels, and its height by the depth of hollows."""
         narrow = max(0.7, 0.015 * self.circle.radius)
         bumps_hw = self._blurred(moved_hw, narrow) - self._blurred(moved_hw, 0.16 * self.circle.radius)
-        deepest = -float(bumps_hw[self.inside_hw].min(initial=0.0))
+        # Where most photographs have one lamp, its highlight is the median's, and missing from the others: no hollow.
+        still_hw = samples_hw - moved_hw
+        kept_hw = self._blurred(still_hw, narrow) - self._blurred(still_hw, 0.16 * self.circle.radius)
+        deepest = -float((bumps_hw + np.maximum(kept_hw, 0.0))[self.inside_hw].min(initial=0.0))
         bumps_hw[~self.inside_hw] = -np.inf
         tops: list[tuple[float, float, Highlight, NDArray[np.bool_]]] = []
         for _ in range(_LOOKED_AT):
