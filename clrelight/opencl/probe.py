@@ -68,7 +68,7 @@ def judge_device(name: str, identity: str, index: int, native: int, style: str, 
     """
     key = "\0".join([identity, style, machine_identity(), kernel_identity()])
     kept = None if again else read_record("devices", key)
-    if kept is not None and not _is_unread(str(kept["fault"])):
+    if kept is not None:
         return Verdict(int(kept["lanes"]), str(kept["fault"]))
     if sys.stderr.isatty():
         print(f"clrelight: testing {name}, once for this driver and processor ...", file=sys.stderr)
