@@ -121,7 +121,7 @@ def test_klt_decodes_by_its_page(device, stack, name, transfer):
 def test_klt_of_harmonics_says_no_basis(device, stack):
     fitted = cr.fit(stack, "uls", 3)
     body = encode(fitted.coeffs_khwc, codec_class("klt")(step=0.02), device).body
-    assert body[10] == 0
+    assert body[10] >> 4 == 0
 
 
 @pytest.mark.parametrize("name", ["hsh", "makhotkin"])

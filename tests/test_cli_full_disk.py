@@ -44,9 +44,7 @@ def made(tmp_path_factory):
 
 
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])
-@pytest.mark.parametrize(
-    "name", [name for name in COMMANDS if name not in ("texture.dds", "textures")]
-)  # which others write
+@pytest.mark.parametrize("name", [name for name in COMMANDS if not name.startswith("texture")])  # others write those
 def test_a_disk_without_room(made, tmp_path, monkeypatch, name, error):
     words = COMMANDS[name].format(made=made, out=name).split()
     monkeypatch.chdir(tmp_path)
