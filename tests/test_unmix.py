@@ -48,6 +48,7 @@ def test_there_may_be_no_planes_but_the_mean(device):
     np.testing.assert_array_equal(found, np.broadcast_to(operator[:, None, None, :, 0], (2, 4, 5, 3)))
 
 
+@both_styles
 @pytest.mark.parametrize("channel", [1, 3])
 def test_what_passes_float32_is_its_largest(device, channel):
     planes = np.full((2, 3, 17), 3e38, np.float32)

@@ -44,10 +44,7 @@ def write_dds(path: str | Path, encoded: Encoded, group: int | None = None) -> N
 
 def dds_header(shape: tuple[int, int, int, int], layers: int) -> bytes:
     """Return what stands before the blocks of so many groups of a map (n_coeff, height, width, channel)."""
-    return _header(shape[1], shape[2], 16 * blocks.block_counts(shape)[1], layers)
-
-
-def _header(height: int, width: int, level_bytes: int, layers: int) -> bytes:
+    height, width, level_bytes = *shape[1:3], 16 * blocks.block_counts(shape)[1]
     flags = 0x1 | 0x2 | 0x4 | 0x1000 | 0x80000  # caps, height, width, pixel format, linear size
     pixel_format = struct.pack("<II4s5I", 32, 0x4, b"DX10", 0, 0, 0, 0, 0)
     header = struct.pack("<7I44x", 124, flags, height, width, level_bytes, 1, 1) + pixel_format

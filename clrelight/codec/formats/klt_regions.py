@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,6 +74,20 @@ class Held:
         return part * np.float32(self.scale) if self.region.level else part
 
 
+def join_parts(parts: Iterable[tuple[Region, NDArray[np.float32]]], region: Region) -> NDArray[np.float32]:
+    """Return the values (n, height, width, ...) of a region from those of its parts; of one part alone as they are."""
+    joined: NDArray[np.float32] | None = None
+    for part, values in parts:
+        if part == region:
+            return values
+        if joined is None:
+            joined = recycling.empty((len(values), *region.shape, *values.shape[3:]), np.float32)
+        top, left = part.top - region.top, part.left - region.left
+        joined[:, top : top + values.shape[1], left : left + values.shape[2]] = values
+    assert joined is not None
+    return joined
+
+
 class UnitReader:
     """Decodes what a region needs.
 
@@ -125,17 +139,8 @@ class UnitReader:
 
     def planes(self, region: Region) -> NDArray[np.float32]:
         """Return the planes of a region, (n_plane, height, width)."""
-        joined: NDArray[np.float32] | None = None
-        for part in self.parts(region):
-            found = part.array(self._device)
-            if part.region == region:
-                return found if found.flags.c_contiguous else recycling.copied(found)
-            if joined is None:
-                joined = recycling.empty((len(found), *region.shape), np.float32)
-            top, left = part.region.top - region.top, part.region.left - region.left
-            joined[:, top : top + found.shape[1], left : left + found.shape[2]] = found
-        assert joined is not None
-        return joined
+        found = join_parts(((part.region, part.array(self._device)) for part in self.parts(region)), region)
+        return found if found.flags.c_contiguous else recycling.copied(found)
 
     @property
     def is_cut(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ class Unmixing:
         self._device, self._transfer, self._basis = device, parsed.head.transfer, parsed.head.basis
         self._n_coeff, self._channel = shape[0], shape[3]
         self._operator_mj = parsed.operator_kcj.reshape(self._n_coeff * self._channel, -1)
+        self._in_place = device.style == "cpu" and device.shares_memory
         self._packed: dict[float, PackedOperator] = {}
 
     def coefficients(self, parts: Iterable[Held], region: Region) -> NDArray[np.float32]:
@@ -36,7 +38,7 @@ class Unmixing:
         for part in parts:
             top, left = part.region.top - region.top, part.region.left - region.left
             height, width = part.region.shape
-            if self._device.style == "cpu" and self._device.shares_memory and self._transfer != "srgb":
+            if self._in_place and self._transfer != "srgb":
                 self._unmix(part, coeffs_khwc, top, left)
                 continue
             step = max(CACHED_BYTES // (4 * padded_width(width) * len(self._operator_mj)), 1)
@@ -48,15 +50,19 @@ class Unmixing:
 
     def _made(self, part: Held) -> NDArray[np.float32]:
         """Return the coefficients of a part of few rows."""
-        if self._device.style == "cpu" and self._device.shares_memory:
+        if self._in_place:
             made = recycling.empty((self._n_coeff, *part.region.shape, self._channel), np.float32)
             self._unmix(part, made, 0, 0)
         else:
             made = self._multiplied(part)
-        if self._transfer == "srgb":
+        if self._transfer == "srgb":  # what is not bent is bounded by the kernels
             made = radiance_of(made, self._device, self._basis)
             refuse_infinite(made, "klt", self._device)
         return made
+
+    @cached_property
+    def _as_it_is(self) -> PackedOperator:
+        return pack_operator(self._device, self._operator_mj)
 
     def _unmix(self, part: Held, coeffs_khwc: NDArray[np.float32], top: int, left: int) -> None:
         """Put the coefficients of a part where they belong, from planes in memory that a CPU shares."""
@@ -97,8 +103,7 @@ class Unmixing:
         source[count], source[:count, :, width:] = 1.0, 1.0
         source[:count, :, :width] = part.array(self._device)
         made = self._device.empty((n_value, height * pitch), np.float32)
-        operator = pack_operator(self._device, self._operator_mj)
-        apply_operator(self._device, operator, self._device.upload(source.reshape(count + 1, -1)), made)
+        apply_operator(self._device, self._as_it_is, self._device.upload(source.reshape(count + 1, -1)), made)
         shape = (self._n_coeff, height, width, self._channel)
         ones = np.ones(self._n_coeff, np.float32)
         return join_channels(reshaped(made, (n_value, height, pitch)), shape, ones, self._device)

@@ -11,7 +11,7 @@ from clrelight.codec.bodies import Body
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.unit_index import Stored
 from clrelight.codec.formats.klt_decode import UnitsView
-from clrelight.codec.formats.klt_regions import Held
+from clrelight.codec.formats.klt_regions import Held, join_parts
 from clrelight.codec.formats.wavelet_planes import planes_to_maps
 from clrelight.codec.formats.wavelet_units import ABSENT, Tables, step_of
 from clrelight.codec.views import Region
@@ -29,17 +29,7 @@ class _Maker:
 
     def coefficients(self, parts: Iterable[Held], region: Region) -> NDArray[np.float32]:
         """See `Maker`."""
-        coeffs_khwc: NDArray[np.float32] | None = None
-        for part in parts:
-            made = self._made(part.array(self._device))
-            if part.region == region:
-                return made
-            if coeffs_khwc is None:
-                coeffs_khwc = np.empty((len(made), *region.shape, self._channel), np.float32)
-            top, left = part.region.top - region.top, part.region.left - region.left
-            coeffs_khwc[:, top : top + made.shape[1], left : left + made.shape[2]] = made
-        assert coeffs_khwc is not None
-        return coeffs_khwc
+        return join_parts(((part.region, self._made(part.array(self._device))) for part in parts), region)
 
     def _made(self, planes_jyx: NDArray[np.float32]) -> NDArray[np.float32]:
         shape = (len(self._step_k), *planes_jyx.shape[1:], self._channel)
