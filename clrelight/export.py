@@ -21,14 +21,12 @@ from clrelight.durable import check_output, naming, replacing, replacing_folder
 from clrelight.errors import InputError
 from clrelight.exchange.block_files import BlockFiles, put_blocks
 from clrelight.exchange.channels import ExrFile, exr_spec
-from clrelight.tiles import row_tiles
+from clrelight.passes import map_rows
 
 EXPORTS = {"dds": "BC6H_SF16", "exr": "float32", "exr-half": "float16"}
 """Formats, and the type of a texel's components in each."""
 
 NOTES = "textures.json"
-_PIECE_BYTES = 1 << 26
-"""Of coefficients that are held at a time."""
 _OPEN_IMAGES = 64
 """Images that are written at once: a process may have few files open."""
 _PLAIN_RANGE = (2.0**-6, 2.0**15)
@@ -149,17 +147,14 @@ def _write_images(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     """Write all images, so many at once as may be open, in one pass through the coefficients each."""
-    height, width, channel = coefficients.image_shape
+    height, width, _ = coefficients.image_shape
     letters = {1: "Y", 3: "RGB"}[len(textures[0].planes)]
     spec = exr_spec(width, height, letters, {"float32": "float", "float16": "half"}[component])
-    tiles = row_tiles((0, height), max(_PIECE_BYTES // (4 * coefficients.n_coeff * width * channel), 1))
     passes = range(0, len(names), _OPEN_IMAGES)
     for done, start in enumerate(passes):
         some = textures[start : start + _OPEN_IMAGES]
         outputs = [ExrFile(name, spec) for name in names[start : start + _OPEN_IMAGES]]
-        for first, end in tiles:
-            rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
-            coefficients.read_rows(first, end, rows_khwc)
+        for (first, end), rows_khwc in map_rows(coefficients):
             if scale != 1.0:
                 np.divide(rows_khwc, np.float32(scale), out=rows_khwc)
             for output, texture in zip(outputs, some, strict=True):
@@ -181,11 +176,8 @@ def _notes_of(array: Path) -> Path:
 
 def _choose_scale(coefficients: CoefficientMap) -> float:
     """Return the power of two that coefficients are divided by so that halves hold them: 1 for usual ones."""
-    height, width, channel = coefficients.image_shape
     largest = 0.0
-    for first, end in row_tiles((0, height), max(_PIECE_BYTES // (4 * coefficients.n_coeff * width * channel), 1)):
-        rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
-        coefficients.read_rows(first, end, rows_khwc)
+    for _, rows_khwc in map_rows(coefficients):
         largest = max(largest, float(rows_khwc.max()), -float(rows_khwc.min()))
     if largest == 0.0 or _PLAIN_RANGE[0] <= largest <= _PLAIN_RANGE[1]:
         return 1.0

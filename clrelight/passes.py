@@ -6,10 +6,12 @@ import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import LightStack
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.errors import InputError
+from clrelight.memory import TILE_BYTES
 from clrelight.streaming import Buffer, reading_ahead
 from clrelight.tiles import Span, row_tiles
 
@@ -19,6 +21,14 @@ def rows_within(row_bytes: int, budget: int, of: str = "stack") -> int:
     if budget < row_bytes:
         raise InputError(f"one row of this {of} takes {row_bytes} bytes, more than the memory budget {budget}")
     return budget // row_bytes
+
+
+def map_rows(coefficients: CoefficientMap, most_bytes: int = TILE_BYTES) -> Iterator[tuple[Span, NDArray[np.float32]]]:
+    """Yield rows of a map, from the first to before the end, and their coefficients (n_coeff, rows, width, channel)."""
+    height, width, channel = coefficients.image_shape
+    for rows in row_tiles((0, height), max(most_bytes // (4 * coefficients.n_coeff * width * channel), 1)):
+        shape = (coefficients.n_coeff, rows[1] - rows[0], width, channel)
+        yield rows, coefficients.read_rows(*rows, np.empty(shape, np.float32))
 
 
 @contextmanager

@@ -82,6 +82,14 @@ class Buffer:
         return self._bytes[:size].view(dtype).reshape(shape)
 
 
+def write_at(descriptor: int, content: memoryview, place: int) -> None:
+    """Write every byte of what is C-contiguous at a place of a file; OSError as the system says."""
+    rest = content
+    while rest:
+        done = os.pwrite(descriptor, rest, place)
+        rest, place = rest[done:], place + done
+
+
 def one_thread() -> ThreadPoolExecutor:
     """Return an executor of one thread, which leaves Ctrl-C and its like to the main one."""
     return some_threads(1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,9 +17,8 @@ from clrelight.codec.streams import Source
 from clrelight.codec.workspace import PARTS, BoundedWorkspace
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
-from clrelight.memory import DEFAULT_MEMORY
-
-_PIECE_BYTES = 1 << 24
+from clrelight.memory import DEFAULT_MEMORY, PIECE_BYTES
+from clrelight.streaming import write_at
 
 
 class BlockFiles(BodyWriter):
@@ -48,8 +46,8 @@ class BlockFiles(BodyWriter):
             number, place = divmod(at, self._size)
             piece = rest[: self._size - place]
             with _opened(self._files[number]) as descriptor:
-                done = os.pwrite(descriptor, piece, self._start + place)
-            rest, at = rest[done:], at + done
+                write_at(descriptor, piece, self._start + place)
+            rest, at = rest[len(piece) :], at + len(piece)
 
 
 @contextmanager
@@ -91,8 +89,8 @@ def put_blocks(
         encode_stream(_Scaled(held, scale, device, progress), Bc6h(), files)
         return
     files.reserve(len(held.body))
-    for at in range(0, len(held.body), _PIECE_BYTES):
-        files.write(at, np.frombuffer(held.body[at : at + _PIECE_BYTES], np.uint8))
+    for at in range(0, len(held.body), PIECE_BYTES):
+        files.write(at, np.frombuffer(held.body[at : at + PIECE_BYTES], np.uint8))
 
 
 class _Scaled(Source):

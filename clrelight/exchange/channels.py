@@ -16,7 +16,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.memory import PIECE_BYTES
-from clrelight.tiles import row_tiles
+from clrelight.passes import map_rows
 
 _PROBE_BYTES = 1 << 20
 _MOST_CHANNELS = 1023
@@ -61,25 +61,21 @@ def write_channels(
     spec.attribute("clrelight:basis", "real spherical harmonics, no Condon-Shortley sign; k = l (l + 1) + m")
     spec.attribute("clrelight:axes", "light direction: x right, y up, z to the camera")
     spec.attribute("clrelight:degree", coefficients.degree)
-    step = max(PIECE_BYTES // (4 * len(names) * width), 1)
     with replacing(out) as part, naming(out):
-        _write(coefficients, part.path, spec, step, progress)
+        _write(coefficients, part.path, spec, progress)
 
 
 def _write(
     coefficients: CoefficientMap,
     path: Path,
     spec: oiio.ImageSpec,
-    step: int,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    height, width, channel = coefficients.image_shape
+    height, width, _ = coefficients.image_shape
     output = ExrFile(path, spec)
-    for first, end in row_tiles((0, height), step):
+    for (first, end), rows_khwc in map_rows(coefficients, PIECE_BYTES):
         if progress is not None:
             progress(first, height)
-        rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
-        coefficients.read_rows(first, end, rows_khwc)
         if spec.format == oiio.HALF:
             count_overflows(rows_khwc, first, "binary16", clamp=False, otherwise="take --format channels")
         output.write(first, np.moveaxis(rows_khwc, 0, 2).reshape(end - first, width, -1))

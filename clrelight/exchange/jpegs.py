@@ -108,7 +108,7 @@ def close_jpeg(file: Path, output: JpegFile) -> None:
 
 
 class JpegWriter:
-    """Images of one size that become a file each, several at once.
+    """Images of one size and a few channels that become a file each, several at once.
 
     Parameters
     ----------
@@ -118,18 +118,22 @@ class JpegWriter:
     height, width : int
     quality : int
         1 to 100.
+    channels : int
+        1 or 3.
     """
 
-    def __init__(self, folder: Path, images: Sequence[str], height: int, width: int, quality: int) -> None:
+    def __init__(
+        self, folder: Path, images: Sequence[str], height: int, width: int, quality: int, channels: int = 3
+    ) -> None:
         if max(height, width) > MOST_SIDE:
             raise InputError(f"a JPEG has at most {MOST_SIDE} pixels a side, this is {width} × {height}: write tiles")
         self._files = [folder / f"{image}.jpg" for image in images]
-        self._outputs = [open_jpeg(file, height, width, quality) for file in self._files]
+        self._outputs = [open_jpeg(file, height, width, quality, channels) for file in self._files]
         self._pool = some_threads(len(self._files))
         self._row = 0
 
     def add(self, rows_nhwc: NDArray[np.uint8]) -> None:
-        """Take the next rows, (image, rows, width, 3)."""
+        """Take the next rows, (image, rows, width, channel)."""
         end = self._row + rows_nhwc.shape[1]
         for _ in self._pool.map(self._write, range(len(rows_nhwc)), rows_nhwc):
             pass

@@ -24,6 +24,7 @@ from clrelight.exchange.coded_maps import CodedMap, Refit
 from clrelight.exchange.files import MOST_NUMBER, read_start
 from clrelight.exchange.ptm_planes import TERMS, JpegPlanes, find_jpeg_planes, map_planes, read_jpeg_planes
 from clrelight.images import MAX_PIXELS
+from clrelight.streaming import write_at
 
 _HEADER = re.compile(
     rb"(PTM_1\.2)\s+(PTM_FORMAT_\w+)\s+(\d{1,7})\s+(\d{1,7})((?:\s+[-+.\deE]+){6})((?:\s+[-+.\d]+){6})[ \t]*\r?\n"
@@ -81,7 +82,7 @@ def write_ptm(
         for _, end, codes_chwt in refit.pieces(scale_t, bias_t, progress):
             for channel, codes_hwt in enumerate(codes_chwt):
                 place = len(head) + (channel * height + height - end) * width * TERMS
-                _put(part.descriptor, memoryview(codes_hwt[::-1].tobytes()), place)
+                write_at(part.descriptor, memoryview(codes_hwt[::-1].tobytes()), place)
     return refit.decibels
 
 
@@ -106,12 +107,6 @@ def _write_compressed(
         part.write(head)
         for piece in planes.pieces():
             part.write(piece)
-
-
-def _put(descriptor: int, view: memoryview, place: int) -> None:
-    while view:
-        done = os.pwrite(descriptor, view, place)
-        view, place = view[done:], place + done
 
 
 @dataclass(frozen=True)

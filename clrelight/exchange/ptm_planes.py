@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.exchange.jpegs import JpegFile, close_jpeg, open_jpeg
+from clrelight.exchange.jpegs import JpegWriter
 from clrelight.exchange.rows import Place, read_tile
-from clrelight.streaming import some_threads
 
 TERMS = 6
 _LINES = 7
@@ -141,33 +140,23 @@ class JpegPlanes:
     """
 
     def __init__(self, folder: Path, height: int, width: int, count: int, quality: int) -> None:
-        self._quality, self._row = quality, 0
-        self._files = [folder / f"{plane}.jpg" for plane in range(count)]
-        self._outputs = [open_jpeg(file, height, width, quality, 1) for file in self._files]
-        self._pool = some_threads(count)
+        self._quality, self._folder = quality, folder
+        self._writer = JpegWriter(folder, [str(plane) for plane in range(count)], height, width, quality, 1)
 
     def add(self, rows_phw: NDArray[np.uint8]) -> None:
         """Take the next rows, (plane, rows, width)."""
-        end = self._row + rows_phw.shape[1]
-
-        def write(output: JpegFile, rows_hw: NDArray[np.uint8]) -> None:
-            output.write_scanlines(self._row, end, 0, np.ascontiguousarray(rows_hw[..., None]))
-
-        for _ in self._pool.map(write, self._outputs, rows_phw):
-            pass
-        self._row = end
+        self._writer.add(rows_phw[..., None])
 
     def pieces(self) -> Iterable[bytes]:
         """Yield what stands behind scales and biases, once all rows have come."""
-        for file, output in zip(self._files, self._outputs, strict=True):
-            close_jpeg(file, output)
-        count = len(self._files)
-        none, sizes = " ".join(count * ["0"]), " ".join(str(file.stat().st_size) for file in self._files)
+        files = [self._folder / name for name in self._writer.finish()]
+        count = len(files)
+        none, sizes = " ".join(count * ["0"]), " ".join(str(file.stat().st_size) for file in files)
         numbers, alone = " ".join(map(str, range(count))), " ".join(count * ["-1"])
         yield "\n".join([str(self._quality), none, none, none, numbers, alone, sizes, none, ""]).encode("ascii")
-        for file in self._files:
+        for file in files:
             yield file.read_bytes()
 
     def close(self) -> None:
         """End the threads."""
-        self._pool.shutdown(cancel_futures=True)
+        self._writer.close()

@@ -19,6 +19,7 @@ from clrelight.codec.workspace import BoundedWorkspace, Planes, Progress
 from clrelight.durable import Part, naming
 from clrelight.interrupts import holding
 from clrelight.recycling import empty, kept_within
+from clrelight.streaming import write_at
 from clrelight.tiles import Rectangle, check_shape
 
 _COPIED = 1 << 12
@@ -63,11 +64,8 @@ class Scratch:
 
     def write(self, at: int, values: NDArray) -> None:
         """Write a C-contiguous array's bytes."""
-        rest, descriptor = values.reshape(-1).view(np.uint8).data, self._file.fileno()
         with naming(self._what):
-            while rest:
-                done = os.pwrite(descriptor, rest, at)
-                rest, at = rest[done:], at + done
+            write_at(self._file.fileno(), values.reshape(-1).view(np.uint8).data, at)
 
     def read_into(self, at: int, out: NDArray) -> None:
         """Fill a C-contiguous array with the bytes that were written there."""
