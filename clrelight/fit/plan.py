@@ -127,10 +127,9 @@ def plan_least_squares(
 
     Rows are weighted by the square root of the lights' weights. For scattered sampling the basis is scaled to
     ``Y* = Y D^-1`` with ``D^2 = kappa``, the energy of each basis function over the samples (noise-resistant-fitting,
-    eq. 26-30). The area of
-    the sampled region, the sum of the solid angles, scales kappa and the bound alike: it cancels in the coefficients,
-    and lambda is proportional to its reciprocal. Under the uniform weighting the area is taken to be the hemisphere's,
-    2 pi, whatever part of it the samples cover.
+    eq. 26-30). The area of the sampled region, the sum of the solid angles, scales kappa and the bound alike: it
+    cancels in the coefficients, and lambda is proportional to its reciprocal. Under the uniform weighting the area is
+    taken to be the hemisphere's, 2 pi, whatever part of it the samples cover.
 
     Parameters
     ----------

@@ -38,10 +38,9 @@ def decompose(basis_ik: NDArray[np.float64]) -> Decomposition:
     """Return the thin SVD of the basis matrix, without the components that float64 cannot tell from zero.
 
     The paper decomposes ``A = Y^T Y`` (noise-resistant-fitting, eq. 12); its condition is the square of this one's,
-    which float64 cannot
-    hold from degree 10 on a hemisphere, so A is never formed. Signs, and the vectors of coinciding singular values,
-    which symmetric sets of lights have, are made unique (`_turn_canonical`); those of singular values below some 1e-10
-    of the largest are rounding errors' as far as float64 goes.
+    which float64 cannot hold from degree 10 on a hemisphere, so A is never formed. Signs, and the vectors of coinciding
+    singular values, which symmetric sets of lights have, are made unique (`_turn_canonical`); those of singular values
+    below some 1e-10 of the largest are rounding errors' as far as float64 goes.
     """
     left_ir, singular_r, right_rk = np.linalg.svd(basis_ik, full_matrices=False)
     rank = int(np.sum(singular_r > singular_r[0] * max(basis_ik.shape) * np.finfo(np.float64).eps))

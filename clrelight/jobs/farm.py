@@ -8,6 +8,7 @@ the results of chores are.
 from __future__ import annotations
 
 import io
+import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -94,6 +95,16 @@ def unpack_arrays(content: bytes) -> Arrays:
     """Return what `pack_arrays` was given; nothing in it is run."""
     with np.load(io.BytesIO(content), allow_pickle=False) as held:
         return {name: held[name] for name in held.files}
+
+
+def text_array(facts: Any) -> NDArray[np.uint8]:
+    """Return JSON values as an array, the same for the same values."""
+    return np.frombuffer(json.dumps(facts, sort_keys=True).encode("ascii"), np.uint8)
+
+
+def facts_of(array: NDArray[np.uint8]) -> Any:
+    """Return what `text_array` was given."""
+    return json.loads(array.tobytes())
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Arrays) -> None:

@@ -18,6 +18,7 @@ from clrelight.jobs.split_quality import Split
 from clrelight.matmul import multiply_columns
 from clrelight.memory import PIECE_BYTES
 from clrelight.perception import colour_difference, display_of, flip_of
+from clrelight.tiles import row_tiles
 
 MOST_LIGHTS = 8
 """Of those fitted, and of those held out."""
@@ -41,9 +42,7 @@ def relit_map(coefficients: CoefficientMap, device: Device) -> Relit:
     def relight(directions_i3: NDArray[np.float64], region: Region) -> NDArray[np.float32]:
         factor_ik = coefficients.functions_at(directions_i3)
         relit_ihwc = np.empty((len(factor_ik), *region.shape, channel), np.float32)
-        step = max(1, PIECE_BYTES // row_bytes)
-        for first in range(region.top, region.bottom, step):
-            end = min(first + step, region.bottom)
+        for first, end in row_tiles((region.top, region.bottom), max(1, PIECE_BYTES // row_bytes)):
             rows_khwc = np.empty((coefficients.n_coeff, end - first, width, channel), np.float32)
             part_khwc = np.ascontiguousarray(
                 coefficients.read_rows(first, end, rows_khwc)[:, :, region.left : region.right]

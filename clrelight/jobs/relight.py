@@ -14,11 +14,9 @@ from clrelight.jobs.farm import Farm
 from clrelight.jobs.frames import Rotation
 from clrelight.jobs.inputs import FittedLike, opened_on, path_text, paths_among
 from clrelight.jobs.outputs import claimed
-from clrelight.jobs.region import take_part
-from clrelight.jobs.relighting import How, name_frames, show_frames
+from clrelight.jobs.relighting import name_frames, show_frames, take_how
 from clrelight.jobs.relighting_farm import SharedFrames
 from clrelight.jobs.report import Progress, Report, report_for
-from clrelight.jobs.written import count_stops
 from clrelight.lighting.light import Light
 
 
@@ -143,7 +141,7 @@ def relight(
         If a direction has no length, a file is damaged or none of ours, or `out` cannot be written.
     """
     target = None if out is None else path_text(out, "an image to write")
-    how = How(count_stops(exposure), rotate, turntable, about, tonemap, transfer, take_part(region, level), salvage)
+    how = take_how(exposure, rotate, turntable, about, tonemap, transfer, region, level, salvage)
     how.check(target)
     kept = report_for(report)
     frames, flat = how.frames(light, lights, kept)

@@ -26,8 +26,9 @@ from clrelight.jobs.pictures import (
     write_animation,
     write_view,
 )
-from clrelight.jobs.region import Part
+from clrelight.jobs.region import Part, take_part
 from clrelight.jobs.report import Progress, Report, stage
+from clrelight.jobs.written import count_stops
 from clrelight.lighting.light import Light
 from clrelight.lighting.relighting import TONEMAPS
 from clrelight.store import read_light
@@ -92,6 +93,21 @@ class How:
             raise InputError(
                 "--exposure auto, --rotate, --turntable, --about and --tonemap are for light files (--light LIGHT.h5)"
             )
+
+
+def take_how(
+    exposure: float | str = 0.0,
+    rotate: Rotation | None = None,
+    turntable: int | None = None,
+    about: Sequence[float] | None = None,
+    tonemap: str | None = None,
+    transfer: str | None = None,
+    region: Sequence[int] | None = None,
+    level: int = 0,
+    salvage: bool = False,
+) -> How:
+    """Return how images are asked for by the options of `clrelight.jobs.relight.relight`; InputError as it says."""
+    return How(count_stops(exposure), rotate, turntable, about, tonemap, transfer, take_part(region, level), salvage)
 
 
 def show_frames(

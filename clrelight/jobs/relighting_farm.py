@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clrelight.durable import replacing
 from clrelight.errors import InputError
-from clrelight.jobs.farm import Arrays, Chore, Farm
+from clrelight.jobs.farm import Arrays, Chore, Farm, facts_of
 from clrelight.jobs.frames import Frames, LightFrames, tell_below
 from clrelight.jobs.inputs import FittedLike
 from clrelight.jobs.pictures import is_animation, write_animation
@@ -98,7 +97,7 @@ class SharedFrames:
     def _put(self, found: Iterator[Arrays], number: int, made: _Made) -> None:
         """Write pictures from one of some number on, or keep those of an animation."""
         for each in found:
-            told = json.loads(each["told"].tobytes())
+            told = facts_of(each["told"])
             made.notes += told["notes"]
             made.device = made.device or told["device"]
             made.below = max(made.below, float(each["below"]))

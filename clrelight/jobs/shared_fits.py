@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +13,7 @@ from clrelight.device import Device
 from clrelight.fit import PreparedFit, method_class
 from clrelight.fit.plan import make_lighting
 from clrelight.fit.prepare import FitReport
-from clrelight.jobs.farm import Arrays, Farm, read_arrays
+from clrelight.jobs.farm import Farm, facts_of, read_arrays, text_array
 
 
 def share_fit(farm: Farm, prepared: PreparedFit, lights: NDArray[np.intp]) -> str:
@@ -30,7 +28,7 @@ def share_fit(farm: Farm, prepared: PreparedFit, lights: NDArray[np.intp]) -> st
         "condition": plan.condition,
     }
     arrays: dict[str, NDArray] = {
-        "facts": np.frombuffer(json.dumps(facts, sort_keys=True).encode("ascii"), np.uint8),
+        "facts": text_array(facts),
         "lights": np.asarray(lights, np.int64),
         "analysis_ri": plan.analysis_ri,
         "singular_r": plan.singular_r,
@@ -44,7 +42,7 @@ def share_fit(farm: Farm, prepared: PreparedFit, lights: NDArray[np.intp]) -> st
 def shared_fit(stack: LightStack, plan: str, device: Device) -> PreparedFit:
     """Return the fit that another process has prepared, with its very matrices: other processors may find others."""
     arrays = read_arrays(plan)
-    facts = _facts_of(arrays)
+    facts = facts_of(arrays["facts"])
     lights, config = arrays["lights"], facts["config"]
     chosen = stack if len(lights) == stack.n_light else stack.select(lights)
     method = method_class(facts["method"]).from_config(facts["options"])
@@ -58,8 +56,3 @@ def shared_fit(stack: LightStack, plan: str, device: Device) -> PreparedFit:
         condition=facts["condition"],
     )
     return PreparedFit(chosen, method, facts["degree"], config, made, device, FitReport(), precision=facts["precision"])
-
-
-def _facts_of(arrays: Arrays) -> dict[str, Any]:
-    """Return what stands beside the arrays of a plan."""
-    return json.loads(arrays["facts"].tobytes())

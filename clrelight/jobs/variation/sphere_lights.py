@@ -175,14 +175,26 @@ def shaded_lights(
     part_ihw: NDArray[np.float32], inner: Circle, sphere: SphereView, factor: float, corner: tuple[int, int]
 ) -> ShadingLights:
     """Return the lamps of a matte sphere of one albedo in a part of the photographs."""
+    samples_ip, normals_p3 = _of_disc(part_ihw, inner, sphere, factor, corner, 20_000)
+    seen_p = normals_p3.any(axis=1)
+    # One albedo all over: what a ball is painted with.
+    return lights_from_normals(samples_ip[:, seen_p], normals_p3[seen_p], np.ones(int(seen_p.sum())))
+
+
+def _of_disc(
+    part_ihw: NDArray[np.float32],
+    inner: Circle,
+    sphere: SphereView,
+    factor: float,
+    corner: tuple[int, int],
+    most: int | None = None,
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return samples (n_light, pixel) of a disc, about `most` of them, and the normals there, 0 off the sphere."""
     y_p, x_p = np.nonzero(_disc(part_ihw.shape[1:], inner))
-    step = max(1, len(y_p) // 20_000)
+    step = 1 if most is None else max(1, len(y_p) // most)
     y_p, x_p = y_p[::step], x_p[::step]
     normals_p3 = sphere.normals((x_p + 0.5) * factor - 0.5 + corner[0], (y_p + 0.5) * factor - 0.5 + corner[1])
-    seen_p = normals_p3.any(axis=1)
-    samples_ip = part_ihw[:, y_p[seen_p], x_p[seen_p]]
-    # One albedo all over: what a ball is painted with.
-    return lights_from_normals(samples_ip, normals_p3[seen_p], np.ones(int(seen_p.sum())))
+    return part_ihw[:, y_p, x_p], normals_p3
 
 
 def _is_shaded(
@@ -194,9 +206,8 @@ def _is_shaded(
     corner: tuple[int, int],
 ) -> bool:
     """Return whether lamps explain a disc's brightness better than one brightness does, in most photographs."""
-    y_p, x_p = np.nonzero(_disc(part_ihw.shape[1:], inner))
-    normals_p3 = sphere.normals((x_p + 0.5) * factor - 0.5 + corner[0], (y_p + 0.5) * factor - 0.5 + corner[1])
-    samples_ip = part_ihw[:, y_p, x_p].astype(np.float64)
+    found_ip, normals_p3 = _of_disc(part_ihw, inner, sphere, factor, corner)
+    samples_ip = found_ip.astype(np.float64)
     left_i = np.sum((samples_ip - np.maximum(lights_i3 @ normals_p3.T, 0.0)) ** 2, axis=1)
     flat_i = np.sum((samples_ip - samples_ip.mean(axis=1, keepdims=True)) ** 2, axis=1)
     return bool(np.median(left_i / np.maximum(flat_i, 1e-30)) < 1.0)
