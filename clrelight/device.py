@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clrelight import recycling
-from clrelight.errors import DeviceError, KernelBuildError
+from clrelight.errors import DeviceError, KernelBuildError, telling_line
 from clrelight.kernel_source import kernel_for, read_kernel_source
 from clrelight.opencl.arguments import DeviceArray, check_arguments
 from clrelight.opencl.child import circumstances
@@ -244,8 +244,10 @@ class Device:
                     warnings.simplefilter("ignore", self._cl.CompilerWarning)  # of any word that a compiler says
                     self._programs[key] = program.build(options, cache_dir=False), name
             except self._cl.RuntimeError as error:  # not the builtin RuntimeError
-                if found := circumstances():
-                    raise DeviceError(f"{file} does not build: {'; '.join(found)}") from None
+                if found := circumstances():  # which may be why, or not: so both are told
+                    raise DeviceError(
+                        f"{file} does not build ({'; '.join(found)}): {telling_line(str(error))}"
+                    ) from None
                 raise KernelBuildError(file, defines, str(error)) from None
         return self._programs[key]
 

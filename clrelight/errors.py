@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 
@@ -29,6 +30,17 @@ class DeviceError(InputError):
     """No OpenCL device fits the request."""
 
 
+def telling_line(complaint: str) -> str:
+    """Return the line that says most: a compiler's error, else the first that speaks of an error, else the last."""
+    # What is indented are lines of source code, in a traceback.
+    lines = [line.strip() for line in complaint.splitlines() if line.strip() and not line.startswith(" ")]
+    for sign in (r"(^|\s)error: ", "error"):
+        for line in lines:
+            if re.search(sign, line, re.IGNORECASE):
+                return line[:300]
+    return lines[-1][:300] if lines else "without a word"
+
+
 class KernelBuildError(RuntimeError):
     """An OpenCL program did not build.
 
@@ -45,4 +57,4 @@ class KernelBuildError(RuntimeError):
     def __init__(self, file: str, defines: Mapping[str, object], log: str) -> None:
         self.file, self.defines, self.log = file, dict(defines), log
         settings = " ".join(f"{k}={v}" for k, v in self.defines.items()) or "none"
-        super().__init__(f"{file} does not build (defines: {settings})\n{log.strip()}")
+        super().__init__(f"{file} does not build (defines: {settings}): {telling_line(log)}\n{log.strip()}")

@@ -8,7 +8,7 @@ import pytest
 from clrelight.codec.streams import ArraySource
 from clrelight.codec.transforms.code_values import bent, code_values_of
 from clrelight.codec.transforms.pixels import Pixels
-from clrelight.codec.workspace import Workspace
+from clrelight.codec.workspace import BoundedWorkspace, Workspace
 from clrelight.conventions import linear_to_srgb, srgb_to_linear
 from clrelight.dataset import LightStack
 from clrelight.fit import prepare_fit
@@ -135,6 +135,26 @@ def test_planes_are_those_of_coefficients(device, transfer, coded, method, dtype
             made = device.download(pixels.planes((2, 9), (3, 31), (operator, offset), lent=lent))
             scale = np.abs(wanted).max()
             np.testing.assert_allclose(made[:, :, :28], wanted[:, 2:9, 3:31], atol=2e-5 * scale)
+
+
+def test_scattered_pixels_keep_to_a_budget(device, monkeypatch):
+    """They are fitted some places at a time, with the bits of all at once."""
+    stack = LightStack(make_images(), make_pattern("uniform", 20), 255.0)
+    prepared = prepare_fit(stack, "spline", 3, device=device)
+    places = [(row, slice(row % 4, 37, 4)) for row in range(0, 13, 2)]
+    asked = []
+    with fitted_source(prepared, Workspace()) as source:
+        whole = source.read_scattered(places).copy()
+    pixel_bytes = 3 * (2 * 20 + 4 * 16)
+    with fitted_source(prepared, BoundedWorkspace(4 * 25 * pixel_bytes)) as source:
+        run = source._fit.run
+        monkeypatch.setattr(
+            source._fit, "run", lambda *given: asked.append(given[2].samples_ihwc.shape[2]) or run(*given)
+        )
+        np.testing.assert_array_equal(source.read_scattered(places), whole)
+    assert len(asked) > 2
+    assert max(asked) <= 25
+    assert sum(asked) == whole.shape[2] == sum(len(range(*columns.indices(37))) for _, columns in places)
 
 
 def test_lent_planes_share_memory(device):

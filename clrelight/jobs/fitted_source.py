@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.registry import check_coefficients
 from clrelight.codec.streams import Linear, Source, parts_of
-from clrelight.codec.workspace import Workspace
+from clrelight.codec.workspace import PARTS, Workspace
 from clrelight.fit.precision import DOUBLE, compute_dtype
 from clrelight.fit.prepare import PreparedFit
 from clrelight.fit.scaling import TileScaling
@@ -31,7 +31,7 @@ class FittedSource(Source):
         self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.arithmetic))
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
         self.sample_type = np.dtype(prepared.stack.images_ihwc.dtype)
-        self._mask_hw = prepared.stack.mask_hw
+        self._mask_hw, self._n_light = prepared.stack.mask_hw, prepared.stack.n_light
         integers = np.issubdtype(prepared.stack.images_ihwc.dtype, np.integer)  # others may be far from the peak
         if prepared.method.is_linear and integers and prepared.precision != DOUBLE:
             plan, curve = prepared.plan, self._scaling.curve
@@ -67,9 +67,24 @@ class FittedSource(Source):
         return self._fitted(np.ascontiguousarray(samples_ihwc[:, :, columns]), rows, columns, since)
 
     def read_scattered(self, places: Sequence[tuple[int, slice]]) -> NDArray[np.float32]:
-        """See `Source`; where coefficients are linear in samples, all pixels are fitted at once."""
+        """See `Source`; where coefficients are linear in samples, as many pixels at once as a part may take."""
         if self.linear is None or self._mask_hw is not None:
             return super().read_scattered(places)
+        n_coeff, _, width, channel = self.shape
+        counts = [len(range(*columns.indices(width))) for _, columns in places]
+        pixel_bytes = channel * (2 * self._n_light * self.sample_type.itemsize + 4 * n_coeff)
+        most = max(self.workspace.memory_bytes // PARTS // pixel_bytes, 1)
+        found = np.empty((n_coeff, 1, sum(counts), channel), np.float32)
+        first, done = 0, 0
+        while first < len(places):
+            end, held = first + 1, counts[first]
+            while end < len(places) and held + counts[end] <= most:
+                end, held = end + 1, held + counts[end]
+            found[:, :, done : done + held] = self._fit_places(places[first:end])
+            first, done = end, done + held
+        return found
+
+    def _fit_places(self, places: Sequence[tuple[int, slice]]) -> NDArray[np.float32]:
         since = time.perf_counter()
         read = [self._bands.row(row)[:, :, columns].copy() for row, columns in places]
         scaled = self._scaling.scale(np.concatenate(read, axis=2), places[0][0])

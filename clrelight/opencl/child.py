@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -12,7 +11,7 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 
-from clrelight.errors import DeviceError
+from clrelight.errors import DeviceError, telling_line
 from clrelight.opencl.folder import LEAST_ROOM
 
 SPARE_FILES = 24
@@ -64,7 +63,7 @@ def describe_end(code: int | None, complaint: str, seconds: float) -> str:
     if code is None:
         return f"does not answer within {seconds:.0f} s{because}"
     how = f"ends the process, {_signal_name(-code)}" if code < 0 else "fails"
-    return f"{how}{because}: {_telling_line(complaint)}"
+    return f"{how}{because}: {telling_line(complaint)}"
 
 
 def circumstances() -> list[str]:
@@ -105,14 +104,3 @@ def _signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
-
-
-def _telling_line(complaint: str) -> str:
-    """Return the line that says most: a compiler's error, else the first that speaks of an error, else the last."""
-    # What is indented are lines of source code, in a traceback.
-    lines = [line.strip() for line in complaint.splitlines() if line.strip() and not line.startswith(" ")]
-    for sign in (r"(^|\s)error: ", "error"):
-        for line in lines:
-            if re.search(sign, line, re.IGNORECASE):
-                return line[:300]
-    return lines[-1][:300] if lines else "without a word"
