@@ -127,7 +127,8 @@ class TaskFarm:
         inputs = (chore.source, *chore.reads)
         place = out or os.path.join(self.folder, f"{chore.job}-{digest}.npz")
         known = {path: self._known(path) for path in inputs if not os.path.isdir(path)}
-        return Task(f"{self.name}@{chore.job}-{digest}", chore.job, chore.source, place, chore.options, inputs, known)
+        name = f"{self.name}@{chore.job}-{digest}"
+        return Task(name, chore.job, chore.source, place, chore.options, inputs, known, chore.near)
 
     def _known(self, path: str) -> Any:
         """Return the fingerprint of a file, taken once for all workers as long as it looks the same."""

@@ -52,7 +52,14 @@ class LocalEngine:
 
     def submit(self, work: Work) -> None:
         """Begin a task in an idle process, or in a new one."""
-        worker = self._idle.pop() if self._idle else _Worker(self.workers, self._lock)
+        near = str(work.task.get("near", ""))
+        mine = [worker for worker in self._idle if near and near in worker.near]
+        others = [worker for worker in self._idle if not (near and worker.near)]  # who keeps another one's last
+        worker = (mine or others or self._idle or [_Worker(self.workers, self._lock)])[-1]
+        if worker in self._idle:
+            self._idle.remove(worker)
+        if near:
+            worker.near.add(near)
         self._busy[work.name] = worker
         worker.begin(work, self._timeout)
 
@@ -120,6 +127,7 @@ class _Worker:
         os.set_blocking(self.output.fileno(), False)
         self._rest = b""
         self.at, self.name, self.deadline, self.is_alive = "", "", float("inf"), True
+        self.near: set[str] = set()
         self._timeout: float | None = None
 
     def begin(self, work: Work, timeout: float | None) -> None:

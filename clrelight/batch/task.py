@@ -30,6 +30,8 @@ class Task:
         Files and folders that the result hangs on: the source, and those that options name.
     known : mapping of str to Fingerprint as JSON
         Of inputs, what the driver knows of them: who finds one as it was does not read it to know it.
+    near : str
+        As of `clrelight.jobs.farm.Chore`: an engine may give it to the worker that had such a one.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Task:
     options: Mapping[str, Any] = field(default_factory=dict)
     inputs: tuple[str, ...] = ()
     known: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    near: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Return what `from_json` takes."""

@@ -37,12 +37,15 @@ class Chore:
         JSON values.
     reads : tuple of str
         Other files that it hangs on, which options name.
+    near : str
+        What whoever did the last chore of this name has in memory, and others would make again.
     """
 
     job: str
     source: str
     options: Mapping[str, Any]
     reads: tuple[str, ...] = ()
+    near: str = ""
 
 
 class Farm(Protocol):

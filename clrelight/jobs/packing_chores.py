@@ -11,10 +11,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.units import Window, tile_of
+from clrelight.codec.entropy.units import Tile, Window, tile_of
+from clrelight.codec.formats.klt_last import CodedPart
 from clrelight.codec.formats.klt_pieces import Pieces
 from clrelight.codec.formats.klt_tiles import TileEncoder
 from clrelight.codec.transforms.pixels import Pixels
+from clrelight.codec.transforms.whitening import Planes
 from clrelight.codec.views import Region
 from clrelight.codec.workspace import BoundedWorkspace
 from clrelight.device import Device
@@ -42,6 +44,9 @@ def code_tile(
     step: float,
     multiplier: float,
     memory: int,
+    last: bool = False,
+    chosen: Sequence[int] = (),
+    again: float | None = None,
     device: Device | str | None = None,
     report: Report | None = None,
 ) -> Report:
@@ -63,6 +68,10 @@ def code_tile(
         Of the quantiser, and what a bit must save.
     memory : int
         Bytes for parts.
+    last : bool
+        Whether some of its streams may be asked for again: what they are made of is held.
+    chosen, again : sequence of int, float, optional
+        Which ones are, by their numbers, and at which multiplier; all others have been coded at the first.
     device, report
         As of `clrelight.jobs.fit.fit`.
 
@@ -76,7 +85,11 @@ def code_tile(
         view = _view_of(source, plan, memory, opened, kept)
         encoder, planes = view.encoder(transfer), view.planes(axes)
         tile = tile_of(*view.source.shape[1:3], Window(*sides).sides)
-        streams = encoder.encode_here(tile, planes, step, multiplier).streams
+        if last:
+            coded = view.last(encoder, tile, planes, (axes, transfer, step, multiplier), memory)
+            streams = coded.streams if again is None else coded.again(list(chosen), again)
+        else:
+            streams = encoder.encode_here(tile, planes, step, multiplier).streams
     content = np.frombuffer(b"".join(streams), np.uint8)
     write_arrays(out, {"sizes": np.array([len(each) for each in streams], np.int64), "streams": content})
     return kept
@@ -171,6 +184,7 @@ class _View:
     encoders: dict[str, TileEncoder] = field(default_factory=dict)
     axes: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=dict)
     pieces: dict[tuple[Any, ...], Pieces] = field(default_factory=dict)
+    lasts: dict[tuple[Any, ...], CodedPart] = field(default_factory=dict)
 
     def encoder(self, transfer: str) -> TileEncoder:
         return _remember(self.encoders, transfer, lambda: TileEncoder(Pixels(self.source, transfer)), 2)
@@ -181,6 +195,26 @@ class _View:
             return found["operator_jq"], found["offset_j"]
 
         return _remember(self.axes, path, read, 4)
+
+    def last(
+        self,
+        encoder: TileEncoder,
+        tile: Tile,
+        planes: Planes,
+        how: tuple[str, str, float, float],
+        memory: int,
+    ) -> CodedPart:
+        """Return a part of the last tile, coded, of which as many are held as memory is for."""
+        key = (*how, tile.window)
+        if key not in self.lasts:
+            self.pieces.clear()  # their memory is for these now
+            for old in [old for old in self.lasts if old[:4] != how]:
+                del self.lasts[old]
+            made = CodedPart.of(encoder, tile, planes, *how[2:])
+            while self.lasts and made.n_bytes + sum(each.n_bytes for each in self.lasts.values()) > memory:
+                del self.lasts[next(iter(self.lasts))]
+            self.lasts[key] = made
+        return self.lasts[key]
 
     def piece(self, encoder: TileEncoder, axes: str, transfer: str, window: Window) -> Pieces:
         """Return a piece's wavelet coefficients, which one step after another is tried on."""

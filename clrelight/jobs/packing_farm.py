@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -53,12 +53,48 @@ class PackingFarm:
         return cls(farm, source, share_fit(farm, prepared, lights), memory)
 
     def code(
-        self, tiles: Sequence[Tile], planes: Planes, transfer: str, step: float, multiplier: float
+        self,
+        tiles: Sequence[Tile],
+        planes: Planes,
+        transfer: str,
+        step: float,
+        multiplier: float,
+        *,
+        last: bool = False,
     ) -> Iterator[list[bytes]]:
         """See `clrelight.codec.formats.klt_tiles.TileCoder`."""
+        asked: list[dict[str, Any]] = [{"last": True} if last else {} for _ in tiles]
+        return self._code(tiles, asked, planes, transfer, step, multiplier)
+
+    def code_again(
+        self,
+        chosen: Sequence[tuple[Tile, list[int]]],
+        planes: Planes,
+        transfer: str,
+        step: float,
+        multiplier: float,
+        again: float,
+    ) -> Iterator[list[bytes]]:
+        """See `clrelight.codec.formats.klt_tiles.TileCoder`."""
+        asked = [{"last": True, "chosen": numbers, "again": again} for _, numbers in chosen]
+        return self._code([tile for tile, _ in chosen], asked, planes, transfer, step, multiplier)
+
+    def _code(
+        self,
+        tiles: Sequence[Tile],
+        asked: Sequence[dict[str, Any]],
+        planes: Planes,
+        transfer: str,
+        step: float,
+        multiplier: float,
+    ) -> Iterator[list[bytes]]:
         axes = self._axes(planes)
         given = {"axes": axes, "transfer": transfer, "step": step, "multiplier": multiplier}
-        chores = [self._chore(CODE_TILE, {**given, "sides": list(sides_of(tile))}, axes) for tile in tiles]
+        chores = []
+        for tile, more in zip(tiles, asked, strict=True):
+            sides = list(sides_of(tile))
+            chore = self._chore(CODE_TILE, {**given, **more, "sides": sides}, axes)
+            chores.append(replace(chore, near=str(sides) if more else ""))
         for made in self.farm.do(chores, "coding"):
             ends = np.cumsum(made["sizes"]).tolist()
             content = made["streams"].tobytes()

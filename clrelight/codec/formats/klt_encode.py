@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,10 @@ from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.unit_streams import Coded
 from clrelight.codec.entropy.units import Tile, list_tiles, whole_tile
 from clrelight.codec.formats.klt_fill import MULTIPLIER_POWER, change_multiplier, fill
+from clrelight.codec.formats.klt_last import Last, LastElsewhere, LastHere
 from clrelight.codec.formats.klt_search import StepFinder
 from clrelight.codec.formats.klt_tiles import MULTIPLIER, encode_elsewhere
-from clrelight.codec.formats.klt_trials import Part, Trial, foretell, search_step
+from clrelight.codec.formats.klt_trials import Trial, foretell, search_step
 from clrelight.codec.formats.klt_units import Head, count_streams, is_together, pack_body
 from clrelight.codec.transforms.principal import STEP_RANGE, Axes
 from clrelight.codec.transforms.strips import Strips
@@ -146,7 +146,7 @@ class Encoder(StepFinder):
             if step != exact:
                 count(place)
             if self._used_bytes(axes, step, streams) > aims[0] * budget:  # else there is no finer step
-                self._fill(budget, axes, step, streams, (tile, part, MULTIPLIER))
+                self._fill(budget, axes, step, streams, (tile, LastHere(self, part, step), MULTIPLIER))
             if _LEAST_FILLED * budget <= self._used_bytes(axes, step, streams) <= budget:
                 break  # multipliers do little where there are few bytes
         if len(body := self._pack(axes, step, streams)) > budget:
@@ -203,31 +203,34 @@ class Encoder(StepFinder):
             multiplier = multiplier_i[number] = change_multiplier(float(usual[number]), ratio)
             if number + 1 == len(tiles):
                 strips = None
-                self._pixels.forget()  # indices of this one take as much again as its values
-                part = self.take_part(tile.window, tile, planes, lent=True)
-                coded = self.encode_part(part, step, multiplier, keep=True)
+                last = self._take_last(tile, planes, step)
+                coded = last.code(multiplier)
             else:
                 coded = self._encode_tile(tile, planes, step, multiplier, strips)
             taken[number] = coded.size
             likely[number] = coded.size * (multiplier / usual[number]) ** MULTIPLIER_POWER
             self._collect(streams, tile, coded.streams)
-        self._fill(budget, axes, step, streams, (tile, part, multiplier))
+        self._fill(budget, axes, step, streams, (tile, last, multiplier))
         return self._pack(axes, step, streams), taken, multiplier_i
 
-    def _fill(self, budget: int, axes: Axes, step: float, streams: list[bytes], last: tuple[Tile, Part, float]) -> None:
+    def _take_last(self, tile: Tile, planes: Planes, step: float) -> Last:
+        """Return what codes the tile that comes last, here or elsewhere."""
+        coder = self._pixels.elsewhere
+        if coder is not None:
+            return LastElsewhere(coder, tile, (self._shape[1], self._shape[2]), planes, self._pixels.transfer, step)
+        self._pixels.forget()  # indices of this one take as much again as its values
+        return LastHere(self, self.take_part(tile.window, tile, planes, lent=True), step)
+
+    def _fill(self, budget: int, axes: Axes, step: float, streams: list[bytes], last: tuple[Tile, Last, float]) -> None:
         """Code streams of the tile that came last, at some multiplier, anew: the body fills a budget then."""
-        tile, part, usual = last
+        tile, coder, usual = last
 
         def spare(coded: Sequence[bytes]) -> int:
             self._collect(streams, tile, coded)
             return budget - self._used_bytes(axes, step, streams)
 
-        def encode(chosen: Sequence[int], multiplier: float) -> Coded:
-            layout = part.layout.of_streams(chosen)
-            return self.encode_part(replace(part, layout=layout), step, multiplier, keep=True)
-
         first = [streams[t] for t in tile.streams]
-        self._collect(streams, tile, fill(encode, tile.units, first, usual, spare, _SLACK * budget))
+        self._collect(streams, tile, fill(coder.again, tile.units, first, usual, spare, _SLACK * budget))
 
     def _used_bytes(self, axes: Axes, step: float, streams: Sequence[bytes]) -> int:
         """Return the bytes of a body of streams."""

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.unit_streams import Coded
 from clrelight.codec.entropy.units import Unit
 from clrelight.search import search_falling
 
@@ -25,7 +24,7 @@ _LEAST_PLACES, _MAX_TRIALS = 4, 7
 
 
 def fill(
-    encode: Callable[[Sequence[int], float], Coded],
+    encode: Callable[[Sequence[int], float], Sequence[bytes]],
     units: Sequence[Unit],
     first: Sequence[bytes],
     multiplier: float,
@@ -58,7 +57,7 @@ def fill(
 
     def measure(place: float) -> float:
         streams = list(first)
-        for t, stream in zip(chosen, encode(chosen, math.exp(place)).streams, strict=True):
+        for t, stream in zip(chosen, encode(chosen, math.exp(place)), strict=True):
             streams[t] = stream
         tried.append((spare(streams), streams))
         return math.log(max(held + left - tried[-1][0], 1.0))

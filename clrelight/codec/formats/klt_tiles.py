@@ -44,9 +44,27 @@ class TileCoder(Protocol):
     """Codes tiles in other processes."""
 
     def code(
-        self, tiles: Sequence[Tile], planes: Planes, transfer: str, step: float, multiplier: float
+        self,
+        tiles: Sequence[Tile],
+        planes: Planes,
+        transfer: str,
+        step: float,
+        multiplier: float,
+        *,
+        last: bool = False,
     ) -> Iterator[list[bytes]]:
-        """Return the streams of each tile, in the order of the tiles."""
+        """Return the streams of each tile, in the order of the tiles; of the last ones some are coded again."""
+
+    def code_again(
+        self,
+        chosen: Sequence[tuple[Tile, list[int]]],
+        planes: Planes,
+        transfer: str,
+        step: float,
+        multiplier: float,
+        again: float,
+    ) -> Iterator[list[bytes]]:
+        """Return some streams of tiles, by their numbers within each, at another multiplier than `code` did."""
 
     def try_pieces(
         self, windows: Sequence[Window], planes: Planes, transfer: str, step: float, count: int
@@ -86,10 +104,12 @@ def encode_elsewhere(
     transfer: str,
     step: float,
     multiplier: float,
+    *,
+    last: bool = False,
 ) -> Iterator[Coded]:
     """Return the streams of tiles of an image of some height and width, one after another, which are begun at once."""
     cut = [cut_tile(tile, *sides) for tile in tiles]
-    made = coder.code([part for each in cut for part in each], planes, transfer, step, multiplier)
+    made = coder.code([part for each in cut for part in each], planes, transfer, step, multiplier, last=last)
     for tile, parts in zip(tiles, cut, strict=True):
         yield _join(tile, [(part, next(made)) for part in parts], len(planes[1]))
 
@@ -119,13 +139,13 @@ class TileEncoder:
     _counts = False
 
     def __init__(self, pixels: Pixels) -> None:
-        self._shape, self._pixels, self._device = pixels.shape, pixels, pixels.device
+        self._shape, self._pixels, self.device = pixels.shape, pixels, pixels.device
 
     def take_part(self, window: Window, tile: Tile, planes: Planes, *, lent: bool = False) -> Part:
         """Return wavelet coefficients of the planes of a window, of which a tile's are coded."""
         rows, columns = (window.top, window.bottom), (window.left, window.right)
         values = self._pixels.planes(rows, columns, planes, lent=lent)
-        transform_planes("analyse", values, window.shape[1], LEVELS, self._device)
+        transform_planes("analyse", values, window.shape[1], LEVELS, self.device)
         return Part.of(values, window, tile, self._shape[1:3], is_together(self._shape))
 
     def encode_here(
@@ -142,9 +162,16 @@ class TileEncoder:
             return self.take_part(tile.window, tile, planes, lent=True)
         return Part.of(strips.take(tile), strips.window_of(tile), tile, self._shape[1:3], False)
 
-    def encode_part(self, part: Part, step: float, multiplier: float = MULTIPLIER, keep: bool = False) -> Coded:
-        """Return the streams of a part; its values are lost unless they are to be kept."""
-        return self._encode(part.values, part.layout, step, multiplier, keep)
+    def encode_part(
+        self,
+        part: Part,
+        step: float,
+        multiplier: float = MULTIPLIER,
+        keep: bool = False,
+        index: DeviceArray | None = None,
+    ) -> Coded:
+        """Return the streams of a part; its values are lost unless they are to be kept, or `index` gets indices."""
+        return self._encode(part.values, part.layout, step, multiplier, keep, index)
 
     def take_pieces(self, windows: Sequence[Window], planes: Planes) -> Pieces:
         """Return wavelet coefficients of the planes of windows of one size, each a map of its own."""
@@ -156,8 +183,17 @@ class TileEncoder:
         coded = self._encode(values, pieces.layout.of_first(count), step, MULTIPLIER, True)
         return pieces.share(coded, count)
 
-    def _encode(self, values: DeviceArray, layout: Layout, step: float, multiplier: float, keep: bool) -> Coded:
-        index = with_type(self._pixels.lend("index", values.shape) if keep else values, np.int32)
+    def _encode(
+        self,
+        values: DeviceArray,
+        layout: Layout,
+        step: float,
+        multiplier: float,
+        keep: bool,
+        index: DeviceArray | None = None,
+    ) -> Coded:
+        if index is None:
+            index = with_type(self._pixels.lend("index", values.shape) if keep else values, np.int32)
         return encode_streams(
-            self._device, layout, values, index, default_tables(), multiplier, 1.0 / step, count=self._counts
+            self.device, layout, values, index, default_tables(), multiplier, 1.0 / step, count=self._counts
         )
