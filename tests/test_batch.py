@@ -373,7 +373,16 @@ def test_every_other_job(stacks, tmp_path):
         ("fits", "textures", "export", {"format": "exr"}, ["a"]),
         (stacks, "normals", "normals", {"albedo": "{name}-albedo.exr"}, ["a-albedo.exr", "a.exr"]),
         (stacks, "bench", "bench", {"methods": "uls", "degrees": 1, "codecs": ["none", "half"]}, ["a.h5"]),
+        ("fits", "shown", "preview", {"size": 5}, ["a.png"]),
+        (stacks, "hemispherical", "fit", {**OPTIONS, "method": "uls", "basis": "gram-schmidt"}, ["a.h5"]),
+        ("hemispherical", "spherical", "to-sh", {}, ["a.h5"]),
+        ("others", "imported", "import", {"lights": 9}, ["a.h5"]),
+        ("others", "transfer", "transfer", {"kind": "unshadowed", "degree": 1}, ["a.h5"]),
     )
+    (tmp_path / "others" / "below").mkdir(parents=True)
+    write_ptm(tmp_path / "others" / "a.ptm")
+    (tmp_path / "others" / "a.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    (tmp_path / "others" / "notes.txt").write_text("of neither kind")
     for source, name, job, options, made in steps:
         out = tmp_path / name
         tasks = make_tasks(read_listing(tmp_path / source, job, match=["a"]), out, job=job, options=options)
@@ -384,6 +393,19 @@ def test_every_other_job(stacks, tmp_path):
         if job in ("encode", "psnr"):
             assert done.outcomes[0].psnr["pooled_fitted"] > 0
         assert run_batch(tasks, out, engine=Here(), report=Report()).kept == {"a"}, job
+
+
+def write_ptm(path):
+    """A polynomial texture map of three by two pixels."""
+    head = "PTM_1.2\nPTM_FORMAT_RGB\n3\n2\n" + "1.0 " * 6 + "\n" + "0 " * 6 + "\n"
+    path.write_bytes(head.encode() + bytes(range(3 * 6 * 6)))
+
+
+def test_what_finds_no_lights_says_so_in_its_line(stacks, tmp_path):
+    tasks = make_tasks(read_listing(stacks, "find-lights", match=["a"]), tmp_path, job="find-lights")
+    (outcome,) = run_batch(tasks, tmp_path, engine=Here(), report=Report()).failed
+    assert (outcome.kind, outcome.error.count("\n")) == ("input", 0)
+    assert not (tmp_path / "a.lp").exists()
 
 
 def died(name, fault="died"):

@@ -1,7 +1,6 @@
 """`pack` in tiles: the bytes of one process, whatever ends on the way."""
 
 import fnmatch
-import functools
 import json
 import os
 import signal
@@ -10,8 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from clrelight.batch import local, make_tasks, read_listing
-from clrelight.batch.engine import Work
+from clrelight.batch import make_tasks, read_listing
 from clrelight.batch.single import run_single
 from clrelight.batch.tiles import run_tiles
 from clrelight.codec.entropy.units import list_tiles, list_units
@@ -20,7 +18,6 @@ from clrelight.codec.formats.klt_tiles import cut_tile, sides_of
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.images import write_image
-from clrelight.jobs import packing_chores
 from clrelight.jobs.farm import pack_arrays, unpack_arrays
 from clrelight.jobs.pack import pack
 from clrelight.jobs.report import Report
@@ -103,36 +100,6 @@ def test_tiles_give_the_bytes_of_one_process(stacks, alone, tmp_path):
     assert pack_in_tiles(stacks, tmp_path / "out", again).kept == {"a"}
     assert again.begun == []
     assert succeed("batch", stacks, tmp_path / "out", *WORDS[:2], *WORDS[3:], "--json").json["kept"] == 1
-
-
-class Forgetful(Here):
-    """Each chore by a process that holds nothing of those before."""
-
-    def collect(self, seconds):
-        packing_chores._held._key = None
-        return super().collect(seconds)
-
-
-@pytest.mark.parametrize("kind", [Here, Forgetful])
-def test_the_last_tile_is_coded_again_by_whoever_has_it_or_not(stacks, alone, tmp_path, monkeypatch, kind):
-    """In parts, whose streams are asked for at other multipliers until the budget is filled."""
-    monkeypatch.setattr(klt_tiles, "PART_PIXELS", 1)
-    again, made = [], []
-    code, of = packing_chores.code_tile, packing_chores.CodedPart.of
-
-    @functools.wraps(code)
-    def listen(*arguments, **given):
-        again.append(given.get("again"))
-        return code(*arguments, **given)
-
-    monkeypatch.setattr(packing_chores, "code_tile", listen)
-    monkeypatch.setattr(packing_chores.CodedPart, "of", lambda *a: made.append(a[1]) or of(*a))
-    run_single("pack", stacks / "a.h5", tmp_path / "a.h5", options=OPTIONS, engine=kind(), report=Report())
-    assert (tmp_path / "a.h5").read_bytes() == alone[0]
-    asked = [each for each in again if each is not None]
-    assert asked
-    # Who has a part codes it once; who has not codes it each time, with the same bytes.
-    assert (len(made) < len(asked) + 2) == (kind is Here)
 
 
 @pytest.mark.parametrize(
@@ -221,33 +188,6 @@ def test_a_failure_leaves_what_is_done_and_nothing_else_is_removed(stacks, alone
     assert not chores(again, "pack-try")
     assert (tmp_path / "view.h5").read_bytes() == alone[0]
     assert os.listdir(shards) == ["mine.txt"]
-
-
-def test_a_chore_goes_to_the_worker_that_had_one_of_its_name(monkeypatch):
-    class Fake:
-        def __init__(self, workers, lock):
-            self.near, self.got, self.is_alive = set(), [], True
-
-        def begin(self, work, timeout):
-            self.got.append(work.name)
-
-    monkeypatch.setattr(local, "_Worker", Fake)
-    engine = local.LocalEngine(2)
-
-    def give(**near_of):
-        for name, near in near_of.items():
-            engine.submit(Work(name, {"near": near}, "", "", None))
-        found = {name: engine._busy.pop(name) for name in near_of}
-        engine._idle.extend(found.values())
-        return found
-
-    first = give(a="left", b="right")
-    assert first["a"] is not first["b"]
-    for names in ({"c": "left", "d": "right"}, {"d": "right", "c": "left"}):
-        again = give(**names)
-        assert again["c"] is first["a"]
-        assert again["d"] is first["b"]
-    assert give(e="")["e"] in first.values()
 
 
 def test_what_is_not_for_workers(stacks, tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clrelight import metrics
-from clrelight.batch import cluster, farmed, make_tasks, read_listing
+from clrelight.batch import cluster, farm, farmed, make_tasks, read_listing
 from clrelight.batch.single import run_single
 from clrelight.batch.tiles import run_tiles
 from clrelight.codec import encode
@@ -15,6 +15,7 @@ from clrelight.codec.formats.wavelet import Wavelet
 from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import open_device
 from clrelight.errors import InputError
+from clrelight.jobs import farm as jobs_farm
 from clrelight.jobs import fitting, frames
 from clrelight.jobs import measure as measuring
 from clrelight.jobs.decode import decode
@@ -70,8 +71,12 @@ def test_decoding_in_tiles(files, tmp_path, name):
 
 
 def test_decoding_by_its_command(files, tmp_path):
-    succeed("decode", files / "klt.h5", tmp_path / "one.h5")
-    succeed("decode", files / "klt.h5", tmp_path / "two.h5", "--jobs", 1)
+    alone = succeed("decode", files / "klt.h5", tmp_path / "one.h5", "--json").json
+    told = succeed("decode", files / "klt.h5", tmp_path / "two.h5", "--jobs", 1, "--json").json
+    assert told["device"] == alone["device"]
+    for each in (alone, told):  # which are of stages of another kind
+        del each["seconds"]
+    assert told == {**alone, "file": str(tmp_path / "two.h5")}
     assert (tmp_path / "two.h5").read_bytes() == (tmp_path / "one.h5").read_bytes()
     assert sorted(os.listdir(tmp_path)) == ["one.h5", "two.h5"]
     with pytest.raises(InputError, match="region is not for a decode that several workers share"):
@@ -219,6 +224,59 @@ def test_names_that_are_no_text(files, tmp_path, monkeypatch, name):
     assert sorted(os.listdir(tmp_path)) == sorted([out, "x0.png", "x1.png"])
 
 
+def test_what_is_missing_is_named_as_it_was_given(files, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for source, out, told in [("no.h5", "x.png", "no.h5"), (files / "klt.h5", "none/x.png", "folder none")]:
+        ended = call("relight", source, out, "--light", "0,0,1", "--jobs", 1)
+        assert (ended.code, ended.out) == (2, "")
+        assert ended.err.rstrip().endswith(f"{told}")
+        assert ended.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_large_shards_are_read_an_array_at_a_time(files, tmp_path, monkeypatch):
+    monkeypatch.setattr(farm, "PIECE_BYTES", 1)
+    read, one = [], jobs_farm.read_one_array
+    monkeypatch.setattr(jobs_farm, "read_one_array", lambda path, name: read.append(name) or one(path, name))
+    lights = {"light": [(0, 0, 1), (0, 1, 1), (1, 0, 1)]}
+    run_single("relight", files / "klt.h5", tmp_path / "x%d.png", options=lights, engine=Here(), report=Report())
+    relight(files / "klt.h5", lights["light"], out=tmp_path / "y%d.png", report=Report())
+    assert {"picture0", "picture1", "picture2"} <= set(read)
+    for number in range(3):
+        assert (tmp_path / f"x{number}.png").read_bytes() == (tmp_path / f"y{number}.png").read_bytes()
+
+
+@pytest.mark.parametrize("source", [np.zeros(3), "https://host/a.h5", None])
+def test_what_other_processes_cannot_read(source):
+    with pytest.raises(InputError, match=r"^other processes read the stack too: give the path of a file"):
+        jobs_farm.shared_path(source, "the stack")
+
+
+def test_an_experiment_file_by_workers(tmp_path):
+    make_stacks(tmp_path, ["a"], shape=(24, 20, 3))
+    (tmp_path / "e.toml").write_text(
+        'scenes = ["a.h5", "ring"]\nholdout = 3\ndegrees = [1, 2]\n[ring]\nsize = 24\nlights = 20\n[method.uls]\n'
+        "[method.cls]\n[codec.uniform]\n"
+    )
+    assert call("bench", tmp_path / "e.toml", "--out", tmp_path / "one.h5").code == 0
+    engine = Here()
+    run_single("bench", tmp_path / "e.toml", tmp_path / "two.h5", engine=engine, report=Report())
+    assert len([name for name in engine.begun if "@bench-part-" in name]) == 2 * 2 + 2  # of a scene all degrees
+    assert_same_results(tmp_path / "one.h5", tmp_path / "two.h5")
+    with pytest.raises(InputError, match="says itself what to measure"):
+        run_single("bench", tmp_path / "e.toml", tmp_path / "x.h5", options={"holdout": 4}, engine=Here())
+
+
+def assert_same_results(*paths):
+    one, two = (read_results(path) for path in paths)
+    for name in set(one.table.dtype.names) - set(TIME_FIELDS):
+        np.testing.assert_array_equal(one.table[name], two.table[name])
+    assert [*one.pictures] == [*two.pictures]
+    assert [*one.profiles] == [*two.profiles]
+    for mine, theirs in ((one.pictures, two.pictures), (one.profiles, two.profiles)):
+        assert all(np.array_equal(mine[name], theirs[name]) for name in mine)
+
+
 def test_a_grid_by_workers(tmp_path):
     make_stacks(tmp_path, ["a"], shape=(24, 20, 3))
     words = ("--methods", "uls,cls", "--degrees", "1,2", "--codecs", "none,uniform", "--holdout", 3)
@@ -227,13 +285,7 @@ def test_a_grid_by_workers(tmp_path):
     engine = Here()
     run_single("bench", tmp_path / "a.h5", tmp_path / "two.h5", options=options, engine=engine, report=Report())
     assert len(engine.begun) == 4 + len(["closed"])
-    one, two = (read_results(tmp_path / f"{name}.h5") for name in ("one", "two"))
-    for name in set(one.table.dtype.names) - set(TIME_FIELDS):
-        np.testing.assert_array_equal(one.table[name], two.table[name])
-    assert [*one.pictures] == [*two.pictures]
-    assert [*one.profiles] == [*two.profiles]
-    for mine, theirs in ((one.pictures, two.pictures), (one.profiles, two.profiles)):
-        assert all(np.array_equal(mine[name], theirs[name]) for name in mine)
+    assert_same_results(tmp_path / "one.h5", tmp_path / "two.h5")
     assert sorted(os.listdir(tmp_path)) == ["a.h5", "one.h5", "two.h5"]
     for told, words in {"is there": ("a.h5", "--out", "two.h5"), "is none": ("ring", "--out", "x.h5")}.items():
         names = [tmp_path / word if word.endswith(".h5") else word for word in words]

@@ -13,15 +13,17 @@ from typing import Any
 
 from clrelight.batch.driver import Driver
 from clrelight.batch.engine import Engine
-from clrelight.batch.fingerprint import content_of, take_seal
+from clrelight.batch.fingerprint import content_of, read_content, take_seal
 from clrelight.batch.journal import Journal
 from clrelight.batch.leftovers import sweep
+from clrelight.batch.local import LocalEngine
 from clrelight.batch.task import Outcome, Task
 from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
-from clrelight.jobs.farm import Arrays, Chore, ChoreError, pack_arrays, unpack_arrays
+from clrelight.jobs.farm import Arrays, Chore, ChoreError, StoredArrays, pack_arrays, unpack_arrays
 from clrelight.jobs.held import look_of
 from clrelight.jobs.report import Progress, Report
+from clrelight.memory import PIECE_BYTES
 
 _DIGITS = 16
 
@@ -90,7 +92,13 @@ class TaskFarm:
         """See `Farm`."""
         tasks = [self._task(chore) for chore in chores]
         self._run(tasks, what)
-        return (unpack_arrays(self._content(task)) for task in tasks)
+        return (self._arrays(task) for task in tasks)
+
+    def begin(self) -> None:
+        """See `Farm`."""
+        engine = self.workers.opened()
+        if isinstance(engine, LocalEngine):
+            engine.begin()
 
     def write(self, chores: Sequence[tuple[Chore, str]], what: str) -> list[str]:
         """See `Farm`."""
@@ -182,11 +190,24 @@ class TaskFarm:
         except InputError:
             return False
 
+    def _arrays(self, task: Task) -> Arrays:
+        """Return the arrays of a shard that is what was written; of a large one each when it is asked for."""
+        known = self._outcome(task).outputs[task.out]
+        if known["bytes"] <= PIECE_BYTES:
+            return unpack_arrays(self._content(task))
+        if read_content(task.out) != known["content"]:
+            raise _changed(task)
+        return StoredArrays(task.out)
+
     def _content(self, task: Task) -> bytes:
         try:
             content = Path(task.out).read_bytes()
         except OSError as error:
             raise InputError(f"cannot read {task.out}: {error.strerror or error}") from error
         if content_of(content) != self._outcome(task).outputs[task.out]["content"]:
-            raise InputError(f"{task.out} is not what was written: run the same again, which makes it anew")
+            raise _changed(task)
         return content
+
+
+def _changed(task: Task) -> InputError:
+    return InputError(f"{task.out} is not what was written: run the same again, which makes it anew")

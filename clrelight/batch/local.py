@@ -50,6 +50,11 @@ class LocalEngine:
         self._idle: list[_Worker] = []
         self._busy: dict[str, _Worker] = {}
 
+    def begin(self) -> None:
+        """Start all workers: what they load they have when the first task comes."""
+        while len(self._idle) + len(self._busy) < self.workers:
+            self._idle.append(_Worker(self.workers, self._lock))
+
     def submit(self, work: Work) -> None:
         """Begin a task in an idle process, or in a new one."""
         near = str(work.task.get("near", ""))

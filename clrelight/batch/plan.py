@@ -12,7 +12,8 @@ from clrelight.batch.lists import read_list
 from clrelight.batch.perform import outputs_of
 from clrelight.batch.stacks import Listing, Stack, list_folder, matches
 from clrelight.batch.task import Task
-from clrelight.batch.verbs import Verb, find_verb, is_direction
+from clrelight.batch.verb import Verb, is_direction
+from clrelight.batch.verbs import find_verb
 from clrelight.errors import InputError
 
 _DEFAULT = "default"

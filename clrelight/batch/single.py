@@ -15,16 +15,18 @@ import numpy as np
 from clrelight.batch.engine import Engine
 from clrelight.batch.farmed import FOLDER, run_farmed
 from clrelight.batch.journal import Journal
-from clrelight.batch.run import JOURNAL, check_engine
+from clrelight.batch.run import JOURNAL, Batch, check_engine
 from clrelight.batch.task import Task
 from clrelight.batch.tiles import FARMED, run_tiles
-from clrelight.batch.verbs import Verb, find_verb
+from clrelight.batch.verb import Verb
+from clrelight.batch.verbs import find_verb
 from clrelight.durable import check_output
 from clrelight.errors import InputError
 from clrelight.fit import FitMethod
 from clrelight.jobs.farm import ChoreError
-from clrelight.jobs.inputs import path_text
+from clrelight.jobs.inputs import lend_encoded, path_text
 from clrelight.jobs.report import Progress, Report, report_for
+from clrelight.jobs.sizes import size_facts
 from clrelight.remote import is_remote
 
 _PARTS = "parts"
@@ -86,7 +88,7 @@ def run_single(
     if target and os.path.splitext(target)[1] == FOLDER:
         raise InputError(f"{target}: parts of the work lie in a folder of such a name, choose another ending")
     if target and verb.ending:
-        check_output(target, [] if os.path.isdir(place) else [place])
+        check_output(path_text(out, "a file to write"), [] if os.path.isdir(place) else [place])
     inputs = (os.path.abspath(place), *(given[name] for name in files if name in verb.reads))
     beside = os.path.splitext(target or inputs[0])[0]
     folder, task = Path(beside + FOLDER), Task(os.path.basename(beside), job, inputs[0], target, given, inputs)
@@ -109,17 +111,30 @@ def run_single(
         raise
     if made.failed:
         _leave(folder, kept)
-    for each in made.failed:
-        if each.kind == "bug":
-            raise RuntimeError(f"{each.error}\n{each.trace}")
-        raise ChoreError(each.error, each.kind)
+    _raise_failures(made)
     _remove(folder)
+    if job not in FARMED:
+        _tell_joined(kept, inputs[0], target, settings["report"])
     if target:
         _name_as_given(kept.facts, path_text(out, "a file to write"), target)
     for name in verb.writes:
         if isinstance(kept.facts.get(name), dict):
             kept.facts[name] |= {"file": os.fsdecode((options or {})[name])}
     return kept
+
+
+def _raise_failures(made: Batch) -> None:
+    for each in made.failed:
+        if each.kind == "bug":
+            raise RuntimeError(f"{each.error}\n{each.trace}")
+        raise ChoreError(each.error, each.kind)
+
+
+def _tell_joined(report: Report, source: str, target: str, told: Report) -> None:
+    """Report what a job does alone that tasks of rows have done: its facts on the files, and what tasks took."""
+    with lend_encoded(source, Report(), parts=True) as packed:
+        report.facts |= {"file": target, **size_facts(packed.encoded)}
+    report.seconds, report.device = told.seconds, told.device
 
 
 def _name_as_given(facts: dict[str, Any], given: str, target: str) -> None:
@@ -136,7 +151,7 @@ def _check_here(paths: Sequence[str]) -> None:
         if is_remote(path):
             raise InputError(f"workers read files of their own machine, {path} is none: fetch it first")
         if not os.path.exists(path):
-            raise InputError(f"there is no file or folder {os.path.abspath(path)}")
+            raise InputError(f"there is no file or folder {path}")
 
 
 def _plain_options(verb: Verb, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from clrelight.batch.verbs import Verb
+from clrelight.batch.verb import Verb
 from clrelight.errors import InputError, StoreFormatError
 from clrelight.images import IMAGE_EXTENSIONS
 
@@ -61,7 +61,7 @@ def list_folder(folder: Path, verb: Verb, out: str | os.PathLike[str] | None = N
     """
     stacks, others = [], 0
     for path in _stores_and_photographs(folder, verb, None if out is None else os.path.realpath(out)):
-        if path.is_dir() or _is_taken(path, verb.takes):
+        if path.is_dir() or path.name.lower().endswith(verb.files) or _is_taken(path, verb.takes):
             stacks.append(_stack_at(path, folder))
         else:
             others += 1
@@ -70,12 +70,13 @@ def list_folder(folder: Path, verb: Verb, out: str | os.PathLike[str] | None = N
 
 
 def _stores_and_photographs(folder: Path, verb: Verb, out: str | None) -> list[Path]:
-    """Return files of ours, and folders that hold images themselves, in all folders below, in the order of names."""
+    """Return files that a job may take, and folders that hold images, in all folders below, in the order of names."""
     found = []
     for place, folders, files in os.walk(folder, onerror=_refuse):
         folders[:] = [name for name in folders if name[0] != "." and os.path.realpath(os.path.join(place, name)) != out]
         shown = [name for name in files if name[0] != "."]
-        found += [Path(place, name) for name in shown if verb.takes and name.lower().endswith(_STORES)]
+        endings = (*(_STORES if verb.takes else ()), *verb.files)
+        found += [Path(place, name) for name in shown if name.lower().endswith(endings)]
         if verb.takes_folders and any(os.path.splitext(name)[1].lower() in IMAGE_EXTENSIONS for name in shown):
             if Path(place) == folder:
                 raise InputError(f"{folder} holds photographs itself: give the folder above it, or a list")

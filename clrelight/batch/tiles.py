@@ -12,7 +12,7 @@ from typing import Any
 from clrelight.batch.farmed import run_farmed, shards_of
 from clrelight.batch.run import JOURNAL, Batch, run_batch
 from clrelight.batch.summary import write_summary
-from clrelight.batch.task import Task
+from clrelight.batch.task import Outcome, Task
 from clrelight.batch.verbs import VERBS
 from clrelight.codec.entropy.units import PRECINCT
 from clrelight.errors import InputError
@@ -92,16 +92,26 @@ def run_tiles(
     every = [*(tile for each in tiles.values() for tile in each), *unreadable]
     fitted = run_batch(every, out, report=told, **given) if every else Batch(())
     whole = {each.name for each in fitted.outcomes if each.is_done}
+    _tell(told, fitted.outcomes)
     ready = [join for join in pending if all(tile.name in whole for tile in tiles[join.name])]
     last = [join for join in joins if join in ready or join.name in kept.kept]
     done = run_batch(last, out, report=told, **given) if last else Batch(())
     for join in last:
         if not virtual and any(each.name == join.name and each.is_done for each in done.outcomes):
             shutil.rmtree(join.options["shards"], ignore_errors=True)
+    _tell(told, done.outcomes)
     outcomes = (*fitted.failed, *done.outcomes)
     left = (*(join.name for join in pending if join not in ready), *done.left)
     files = write_summary(Path(os.path.abspath(out)), outcomes, done.kept, len(left))
     return Batch(outcomes, kept.kept & done.kept, left, (str(Path(os.path.abspath(out), JOURNAL)), *files))
+
+
+def _tell(report: Report, outcomes: Sequence[Outcome]) -> None:
+    """Add the seconds that tasks took together, and a device that did some."""
+    for each in outcomes:
+        report.device = report.device or each.device or None
+        for name, seconds in each.stages.items():
+            report.seconds[name] = report.seconds.get(name, 0.0) + seconds
 
 
 def _join_of_fit(task: Task, rows: int | None, virtual: bool, shards: str) -> Task:

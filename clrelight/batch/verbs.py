@@ -1,32 +1,18 @@
-"""The jobs that a batch can do to each stack: what they take and write, and which options they have."""
+"""The jobs that a batch can do to each stack."""
 
 from __future__ import annotations
 
-import functools
-import importlib
-import inspect
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import fields
 
-from clrelight.batch.task import Task
+from clrelight.batch.verb import Verb, parameters_of
 from clrelight.errors import InputError
-from clrelight.jobs.farm import Farm
-from clrelight.jobs.report import Progress, Report
-
-_NOT_OPTIONS = {"source", "fitted", "folder", "out", "progress", "report", "options", "device", "memory_bytes", "farm"}
-_FOUR_NUMBERS = ("crop", "region")
-_LIGHT = "light"
-
-
-def _none() -> set[str]:
-    return set()
 
 
 def _of_folders() -> set[str]:
     from clrelight.ingest import read_folder
 
-    return _parameters(read_folder)
+    return parameters_of(read_folder)
 
 
 def _of_methods() -> set[str]:
@@ -43,111 +29,6 @@ def _of_codecs() -> set[str]:
 
 def _fields_of(kinds: Iterable[type]) -> set[str]:
     return {each.name for kind in kinds for each in fields(kind)}
-
-
-def _parameters(function: Callable[..., Any]) -> set[str]:
-    return set(inspect.signature(function).parameters) - _NOT_OPTIONS
-
-
-@dataclass(frozen=True)
-class Verb:
-    """A job, as a batch does it.
-
-    Attributes
-    ----------
-    id : str
-    home : str
-        Module and name of the function.
-    summary : str
-    ending : str
-        Of the file that it writes; empty where that is a folder, or where it writes nothing.
-    takes : tuple of str
-        Kinds of the files that it takes (`store.schemas`).
-    takes_folders : bool
-        Whether it takes folders of photographs.
-    endings : tuple of str
-        Other endings of its file.
-    reads : tuple of str
-        Options that name files to read.
-    writes : tuple of str
-        Options that name more files to write, in the folder of results.
-    is_measure : bool
-        Whether it writes nothing.
-    writes_many : bool
-        Whether the name of its file may have a number field, for several.
-    more : callable
-        Returns names of options that do not stand in the function's signature.
-    """
-
-    id: str
-    home: str
-    summary: str
-    ending: str
-    takes: tuple[str, ...]
-    takes_folders: bool = False
-    endings: tuple[str, ...] = ()
-    reads: tuple[str, ...] = ()
-    writes: tuple[str, ...] = ()
-    is_measure: bool = False
-    writes_many: bool = False
-    more: Callable[[], set[str]] = _none
-
-    def function(self) -> Callable[..., Any]:
-        """Return the job's function, whose module is loaded now."""
-        module, _, name = self.home.partition(":")
-        return getattr(importlib.import_module(module), name)
-
-    @functools.cache  # noqa: B019, there are as many as stand below
-    def options(self) -> list[str]:
-        """Return the names of all options."""
-        return sorted(_parameters(self.function()) | self.more())
-
-    def is_on(self, name: str) -> bool:
-        """Return whether an option stands for yes, or for as is best, where it is not given: then no has to be said."""
-        given = inspect.signature(self.function()).parameters.get(name)
-        return given is not None and given.default in (True, None)
-
-    def check(self, options: Mapping[str, Any]) -> None:
-        """Raise InputError where an option is not one of the job's."""
-        known = self.options()
-        for name in options:
-            if name not in known:
-                raise InputError(f"{self.id} has no option {name!r}; it has: {', '.join(known)}")
-
-    def run(
-        self, task: Task, device: str | None, report: Report, progress: Progress | None = None, farm: Farm | None = None
-    ) -> Any:
-        """Do a task; the report is filled."""
-        function = self.function()
-        given = {name: _argument(name, value) for name, value in task.options.items()}
-        for name, value in (("device", device), ("progress", progress), ("farm", farm)):
-            if name in inspect.signature(function).parameters:
-                given[name] = value
-        if not self.is_measure:
-            given["out"] = task.out
-        elif "stack" not in given:
-            raise InputError(f"{self.id} needs the option stack: what to compare with, such as stacks/{{name}}.h5")
-        return function(task.source, report=report, **given)
-
-
-def _argument(name: str, value: Any) -> Any:
-    """Return an option as its job takes it, which JSON cannot: tuples, and numbers in a text."""
-    if name in _FOUR_NUMBERS and isinstance(value, str):
-        try:
-            return tuple(int(part) for part in value.split(","))
-        except ValueError:
-            raise InputError(f"{name} must be four whole numbers such as 0,0,512,512, got {value!r}") from None
-    if name == _LIGHT and is_direction(value):
-        return tuple(map(float, value.split(",")))
-    return tuple(value) if isinstance(value, list) else value
-
-
-def is_direction(value: Any) -> bool:
-    """Return whether an option is three numbers in a text, which name no file."""
-    try:
-        return isinstance(value, str) and len([float(part) for part in value.split(",")]) == 3
-    except ValueError:
-        return False
 
 
 def find_verb(name: str) -> Verb:
@@ -252,20 +133,61 @@ _EVERY = (
         reads=("stack",),
         is_measure=True,
     ),
-)
-_OF_TILES = (
+    Verb(
+        "find-lights",
+        "clrelight.jobs.variation.find_lights:find_lights",
+        "photographs to their lights",
+        ".lp",
+        ("stack",),
+        takes_folders=True,
+        reads=("normals", "albedo", "mask"),
+        writes=("csv", "picture"),
+    ),
+    Verb(
+        "import",
+        "clrelight.jobs.archives:import_archive",
+        "another viewer's file to a stack",
+        ".h5",
+        (),
+        files=(".ptm", ".rti"),
+    ),
     Verb(
         "transfer",
         "clrelight.jobs.surface.transfer:transfer",
         "a mesh to its transfer functions",
         ".h5",
         (),
+        files=(".ply", ".obj", ".stl", ".off", ".glb"),
         reads=("lights",),
     ),
+    Verb(
+        "to-sh",
+        "clrelight.jobs.to_sh:to_sh",
+        "a fit of a hemispherical basis to spherical harmonics",
+        ".h5",
+        ("fit", "encoded"),
+    ),
+    Verb(
+        "preview",
+        "clrelight.jobs.preview:preview",
+        "a file of ours to a small picture",
+        ".png",
+        ("stack", "fit", "tiles", "encoded", "results", "light", "shrm"),
+        endings=(".jpg",),
+    ),
+)
+_OF_TILES = (
     Verb(
         "transfer-part",
         "clrelight.jobs.surface.transfer_chores:transfer_part",
         "functions of some vertices",
+        ".npz",
+        (),
+    ),
+    Verb(
+        "transfer-hits",
+        "clrelight.jobs.surface.transfer_chores:transfer_hits",
+        "what rays of some vertices meet",
         ".npz",
         (),
     ),
@@ -281,6 +203,7 @@ _OF_TILES = (
         ".npz",
         ("fit", "tiles", "encoded"),
     ),
+    Verb("bench-part", "clrelight.batch.bench:bench_part", "rows of a grid", ".h5", ("stack",)),
     Verb("unpack-part", "clrelight.jobs.unpacking_chores:relight_part", "a part under lights", ".npz", ("encoded",)),
     Verb("unpack-light", "clrelight.jobs.unpacking_chores:write_light", "a photograph", "", ("encoded",)),
     Verb("pack-tile", "clrelight.jobs.packing_chores:code_tile", "streams of a tile", ".npz", ("stack",)),

@@ -39,7 +39,9 @@ _SHOWN = 40
 @click.option("--timeout", type=click.FloatRange(0, min_open=True), metavar="S", help="Longest for a stack (local).")
 @click.option("--memory-limit", default="auto", show_default=True, metavar="BYTES", help="Of a worker (dask).")
 @click.option(
-    "--tiles", is_flag=True, help="Share each stack among workers (all jobs but ingest, encode, export, normals)."
+    "--tiles",
+    is_flag=True,
+    help="Share each stack among workers (pack, fit, decode, unpack, relight, psnr, transfer, bench).",
 )
 @click.option("--tile-rows", type=whole_number(1), metavar="ROWS", help="Of a tile (fit, decode).")
 @click.option("--virtual", is_flag=True, help="Leave the tiles in files of their own; the result points to them.")

@@ -172,9 +172,6 @@ def decode(
                 progress=bar,
                 report=report,
             )
-    if "codec" not in report.facts:  # of tiles nobody has seen all
-        print_report(report, as_json, {"fit": out})
-        return
     print_report(report, as_json, {"fit": out, **_size_lines(report.facts)})
 
 

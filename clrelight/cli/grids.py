@@ -42,9 +42,9 @@ def bench_grid(
     told: list[str] = []
     with progress_bar("bench") as bar:
         if is_shared(*workers):
-            if experiment.scenes != (what,) or what in SCENES:
+            if what in SCENES:
                 raise InputError(
-                    f"workers share the grid of one stack file, {what} is none: synth and ingest make some"
+                    f"workers share the grid of a file, {what} is none: synth it, or name it in an EXPERIMENT.toml"
                 )
             shared = Report(tell=told.append)
             run_shared("bench", what, out, {**grid, "force": force}, *workers, device, bar, shared)

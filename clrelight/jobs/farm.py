@@ -17,8 +17,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.durable import replacing
+from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
+from clrelight.remote import is_remote
 
 Arrays = Mapping[str, NDArray]
 
@@ -66,6 +67,9 @@ class Farm(Protocol):
         is. `ChoreError` if one fails; those that could be done are kept.
         """
 
+    def begin(self) -> None:
+        """Hear that there will be chores: processes may start while the job plans."""
+
     def write(self, chores: Sequence[tuple[Chore, str]], what: str) -> list[str]:
         """Do chores that each write a file of its own; return the notes on them."""
 
@@ -85,6 +89,28 @@ class ChoreError(InputError):
     def __init__(self, message: str, kind: str) -> None:
         super().__init__(message)
         self.kind = kind
+
+
+def shared_path(source: object, what: str) -> str:
+    """Return the name of a file that other processes read too; InputError where `what` is none, or lies elsewhere."""
+    if not isinstance(source, str | os.PathLike) or is_remote(os.fsdecode(source)):
+        raise InputError(f"other processes read {what} too: give the path of a file on this machine")
+    return os.path.abspath(os.fsdecode(source))
+
+
+def shared_source(farm: Farm | None, source: object, what: str, out: object) -> str:
+    """Return the name of what other processes of a farm, if there are any, read to make `out`; InputError as above."""
+    if farm is None:
+        return ""
+    path = shared_path(source, what)
+    check_written(out)
+    return path
+
+
+def check_written(out: object) -> None:
+    """Raise InputError where what other processes make is not to be written."""
+    if not out:
+        raise InputError("what other processes make is written: give the name of a file")
 
 
 def pack_arrays(arrays: Arrays) -> bytes:
@@ -112,8 +138,29 @@ def facts_of(array: NDArray[np.uint8]) -> Any:
 
 def write_arrays(path: str | os.PathLike[str], arrays: Arrays) -> None:
     """Write arrays as an ``.npz`` file, which stands once it is whole."""
-    with replacing(path) as part:
-        part.write(pack_arrays(arrays))
+    with replacing(path) as part, naming(path), os.fdopen(os.dup(part.descriptor), "wb") as stream:
+        np.savez(stream, **arrays)  # type: ignore[arg-type]
+
+
+class StoredArrays(Mapping[str, NDArray]):
+    """The arrays of an ``.npz`` file, each read when it is asked for."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        with np.load(path, allow_pickle=False) as held:
+            self._names = list(held.files)
+
+    def __getitem__(self, name: str) -> NDArray:
+        """Return an array; InputError if it cannot be read."""
+        return read_one_array(self._path, name)
+
+    def __iter__(self) -> Iterator[str]:
+        """Go through the names."""
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._names)
 
 
 def read_arrays(path: str | os.PathLike[str]) -> Arrays:

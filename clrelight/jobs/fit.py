@@ -9,13 +9,12 @@ from typing import Any, overload
 from clrelight.bases import SH
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
-from clrelight.errors import InputError
 from clrelight.fit import FitMethod, prepare_fit
 from clrelight.fit.precision import MIXED
 from clrelight.fit.selection import AUTO, WITHIN
 from clrelight.holdout import HoldoutRule
 from clrelight.jobs.confidence import write_confidence
-from clrelight.jobs.farm import Farm
+from clrelight.jobs.farm import Farm, shared_source
 from clrelight.jobs.fitting import Fitting
 from clrelight.jobs.half_tiles import check_rows
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
@@ -23,7 +22,6 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
-from clrelight.remote import is_remote
 from clrelight.store.fits import coefficient_dtype
 
 
@@ -168,7 +166,7 @@ def fit(
         than `memory`, the device cannot compute in this precision, or `out` cannot be written.
     """
     kept, budget, dtype = report_for(report), count_bytes(memory), coefficient_dtype(store)
-    path = "" if farm is None else _shared_path(source, out)
+    path = shared_source(farm, source, "the stack", out)
     model = method if isinstance(method, str | FitMethod) else str(method)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     every, count = (None if n is None else whole(n, name) for n, name in ((holdout, "holdout"), (lights, "lights")))
@@ -203,10 +201,3 @@ def fit(
             job.to_file(out, True if measure is None else measure)
             return kept
         return job.to_map(report is not None if measure is None else measure)
-
-
-def _shared_path(source: StackLike, out: str | os.PathLike[str] | None) -> str:
-    """Return the name of a stack's file that other processes read; InputError where there is none."""
-    if out is None or not isinstance(source, str | os.PathLike) or is_remote(os.fsdecode(source)):
-        raise InputError("other processes read the stack too: give the path of its file, and one to write")
-    return os.path.abspath(os.fsdecode(source))

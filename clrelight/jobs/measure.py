@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 import time
 
 import numpy as np
@@ -12,9 +11,8 @@ import numpy as np
 from clrelight.codec.views import Regions
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
-from clrelight.errors import InputError
 from clrelight.holdout import split_by_fit
-from clrelight.jobs.farm import Farm
+from clrelight.jobs.farm import Farm, shared_path
 from clrelight.jobs.inputs import (
     FittedLike,
     Packed,
@@ -23,7 +21,6 @@ from clrelight.jobs.inputs import (
     lend_fitted,
     lend_stack,
     opened_on,
-    paths_among,
 )
 from clrelight.jobs.measure_parts import MeasureWindows, measure_parts
 from clrelight.jobs.packing_farm import measure_elsewhere
@@ -33,7 +30,6 @@ from clrelight.jobs.split_quality import Split, summarize_split
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.metrics import check_view, domain_note, measure_errors
 from clrelight.perception import check_perception
-from clrelight.remote import is_remote
 
 
 def measure(
@@ -104,10 +100,7 @@ def measure(
 
 
 def _elsewhere(farm: Farm, fitted: FittedLike, stack: StackLike) -> MeasureWindows:
-    paths = paths_among(stack, fitted)
-    if len(paths) < 2 or any(is_remote(os.fsdecode(path)) for path in paths):
-        raise InputError("other processes read the stack and what was packed too: give the paths of their files")
-    stack_path, coded_path = (os.path.abspath(os.fsdecode(path)) for path in paths)
+    stack_path, coded_path = shared_path(stack, "the stack"), shared_path(fitted, "what was packed")
     return functools.partial(measure_elsewhere, farm, stack_path, coded_path)
 
 

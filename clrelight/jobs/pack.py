@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from clrelight.bases import SH
+from clrelight.codec import Encoded
 from clrelight.codec.transforms.colour import METRICS, RADIANCE, check_metric
-from clrelight.dataset import LightStack
+from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.fit import prepare_fit
@@ -22,7 +23,7 @@ from clrelight.fit.prepare import check_lights
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
 from clrelight.ingest import read_folder
-from clrelight.jobs.farm import Chore, Farm
+from clrelight.jobs.farm import Chore, Farm, shared_path
 from clrelight.jobs.ingest import given_options, ingest, lend_photographs
 from clrelight.jobs.inputs import Path as Name
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
@@ -30,7 +31,6 @@ from clrelight.jobs.memory import peak_memory
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.packing import Pack, Size
 from clrelight.jobs.packing_farm import PackingFarm
-from clrelight.jobs.preview import check_preview, draw_preview, write_preview
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import IMAGE_MEMORY
@@ -149,15 +149,25 @@ def pack(
         job = Pack(stack, split, prepared, size, metric, workspace, kept, progress, elsewhere)
         job.tell_facts()
         encoded = job.encode(measure, perceptual)
-        picture_hwc = None if preview is None else draw_preview(encoded, prepared.record, opened, kept)
+        show = None if preview is None else _drawn(preview, encoded, prepared.record, opened, kept)
         since = time.perf_counter()
         write_encoded(out, encoded)
-        if preview is not None and picture_hwc is not None:
-            write_preview(preview, picture_hwc, kept)
+        if show is not None:
+            show()
         kept.add("write", since)
     kept.facts = {"file": os.fsdecode(out), **kept.facts, "bytes_on_disk": os.stat(out).st_size}
     kept.facts["peak_memory"] = peak_memory()
     return kept
+
+
+def _drawn(
+    preview: str | os.PathLike[str], encoded: Encoded, record: FitRecord, device: Device, report: Report
+) -> Callable[[], None]:
+    """Draw a preview; return what writes it."""
+    from clrelight.jobs.preview import draw_preview, write_preview  # loads all that viewers' files take
+
+    picture_hwc = draw_preview(encoded, record, device, report)
+    return lambda: write_preview(preview, picture_hwc, report)
 
 
 def _check_there(source: StackLike, memory: int, options: dict[str, Any]) -> None:
@@ -178,6 +188,8 @@ def _check(measure: str, metric: str, out: Name, keep_stack: Name | None, previe
     if keep_stack is not None and os.path.abspath(keep_stack) == os.path.abspath(out):
         raise InputError(f"the stack that is kept and the packed file have the same name, {os.fsdecode(out)}")
     if preview is not None:
+        from clrelight.jobs.preview import check_preview
+
         check_preview(preview, out)
 
 
@@ -215,11 +227,10 @@ def _photographs(
         if given or keep_stack is not None:
             named = ", ".join([*given, *(["keep_stack"] if keep_stack is not None else [])])
             raise InputError(f"{named}: for a folder of photographs, not for a stack")
-        if farm is not None and (isinstance(source, LightStack) or is_remote(os.fsdecode(source))):
-            raise InputError("other processes read the stack too: give the path of its file")
+        stored = "" if farm is None else shared_path(source, "the stack")
         with lend_stack(source, report) as stack:
             look(stack)
-            yield stack, "" if isinstance(source, LightStack) else os.path.abspath(os.fsdecode(source))
+            yield stack, stored
         return
     if keep_stack is None and farm is None:
         folder = Path(os.fsdecode(outs[0])).parent

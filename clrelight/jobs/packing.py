@@ -160,6 +160,8 @@ class Pack:
             self.report.add("fit", since)
             yield array_source(fitted.coeffs_khwc, prepared.device, fitted.basis)
         else:
+            if self.elsewhere is not None:
+                self.elsewhere.farm.begin()
             with fitted_source(prepared, self.workspace) as source:
                 source.elsewhere = self.elsewhere
                 yield source

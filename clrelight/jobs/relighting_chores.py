@@ -66,16 +66,15 @@ def relight_some(
         frames.lend(source, opened, kept, None) as (images, curve),
     ):
         for number, image in enumerate(images):
-            content: NDArray[np.uint8]
             if is_animation(kind):
-                content = show(array_of(image), how.tonemap, how.transfer or curve)
+                made[f"picture{number}"] = show(array_of(image), how.tonemap, how.transfer or curve)
             else:
                 name = os.path.join(place, f"{number}{kind}")
                 write_view(name, image, how.tonemap, how.transfer or curve)
-                content = np.fromfile(name, np.uint8)
-            made[f"picture{number}"] = content
-    facts = kept.facts if isinstance(frames, LightFrames) else {"exposure": 0.0, "below": -math.inf}
-    told = text_array({"notes": kept.notes, "device": kept.device})
-    numbers = {name: np.array(float(facts[name])) for name in ("exposure", "below")}
-    write_arrays(out, {**made, **numbers, "count": np.array(frames.count), "told": told})
+                made[f"picture{number}"] = np.memmap(name, np.uint8, "r")  # which the system may take from memory
+        facts = kept.facts if isinstance(frames, LightFrames) else {"exposure": 0.0, "below": -math.inf}
+        told = text_array({"notes": kept.notes, "device": kept.device})
+        numbers = {name: np.array(float(facts[name])) for name in ("exposure", "below")}
+        write_arrays(out, {**made, **numbers, "count": np.array(frames.count), "told": told})
+        made.clear()  # some systems remove no file that is mapped
     return kept

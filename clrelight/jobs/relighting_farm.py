@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clrelight.durable import replacing
-from clrelight.errors import InputError
-from clrelight.jobs.farm import Arrays, Chore, Farm, facts_of
+from clrelight.jobs.farm import Arrays, Chore, Farm, check_written, facts_of, shared_path
 from clrelight.jobs.frames import Frames, LightFrames, tell_below
 from clrelight.jobs.inputs import FittedLike
 from clrelight.jobs.pictures import is_animation, write_animation
 from clrelight.jobs.report import Report
 from clrelight.lighting.light import Light
-from clrelight.remote import is_remote
 from clrelight.tiles import row_tiles
 
 RELIGHT_SOME = "relight-some"
@@ -59,21 +57,19 @@ class SharedFrames:
         options: Mapping[str, Any],
     ) -> SharedFrames:
         """Return what relights a file; InputError where other processes have none, or nothing is written."""
-        if not isinstance(source, str | os.PathLike) or is_remote(os.fsdecode(source)) or isinstance(light, Light):
-            raise InputError("other processes read what is relit too, and light files: give the paths of files")
-        if not names:
-            raise InputError("other processes write pictures: give the name of what is to be written")
+        relit = shared_path(source, "what is relit")
+        check_written(names)
         files = {"light": light, "lights": lights}
         paths = {
-            name: os.path.abspath(os.fsdecode(file))
+            name: shared_path(file, "the light file")
             for name, file in files.items()
-            if isinstance(file, str | os.PathLike)
+            if isinstance(file, str | os.PathLike | Light)
         }
         given: dict[str, Any] = {"light": None if light is None else np.asarray(light).tolist(), **options, **paths}
         if "light" in paths:
             given["light"] = paths["light"]
         given = {name: value for name, value in given.items() if value is not None}
-        return cls(farm, os.path.abspath(os.fsdecode(source)), given, tuple(paths.values()), names)
+        return cls(farm, relit, given, tuple(paths.values()), names)
 
     def write(self, frames: Frames, exposure: float | None, report: Report) -> None:
         """Have all pictures made, and write them."""

@@ -18,7 +18,7 @@ from clrelight.device import Device
 from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.images import write_image
-from clrelight.jobs.farm import Chore, Farm
+from clrelight.jobs.farm import Chore, Farm, shared_path
 from clrelight.jobs.inputs import lend_encoded, opened_on, path_text, read_directions
 from clrelight.jobs.outputs import check_new_folder, claimed
 from clrelight.jobs.pictures import FLOAT_FORMATS
@@ -108,10 +108,10 @@ def unpack(
         with replacing_folder(out) as folder:
             if farm is None:
                 names = job.run(folder, regions, Path(os.fsdecode(out)).parent, opened)
-            elif isinstance(source, Encoded) or salvage:
-                raise InputError("other processes read the packed file too, and salvage nothing: give its path alone")
+            elif salvage:
+                raise InputError("other processes salvage nothing: let one process do it")
             else:
-                names = job.share(folder, os.path.abspath(os.fsdecode(source)), farm)
+                names = job.share(folder, shared_path(source, "the packed file"), farm)
             _write_lights(folder, names, directions_i3)
             names = [*names, LIGHTS_FILE]
     kept.facts |= {"folder": os.fsdecode(out), "files": [os.path.join(os.fsdecode(out), name) for name in names]}

@@ -8,9 +8,9 @@ their hits fit into memory, and again where they do not.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse
@@ -32,6 +32,18 @@ _SHOT = 0.9
 Tell = Callable[[int, int], object]
 
 
+class Traced(Protocol):
+    """Traces the rays of parts of the vertices in other processes."""
+
+    def hits(
+        self, parts: Sequence[tuple[int, int]], tally: Tally
+    ) -> Iterator[tuple[NDArray[np.float32], scipy.sparse.csr_array]]:
+        """Return what `Gatherer.hits` does of each part, in their order; the tally gets what rays met."""
+
+    def rows(self, number: int) -> scipy.sparse.csr_array:
+        """Return the rows of one of those parts once more."""
+
+
 class Operator:
     """What each vertex gathers of each other one's radiance, as parts of some rows each.
 
@@ -41,6 +53,8 @@ class Operator:
         Of the surface's own vertices.
     memory : int
         Bytes of hits to keep; what is beyond is traced again whenever it is needed.
+    elsewhere : Traced, optional
+        Other processes that trace the same rays.
 
     Attributes
     ----------
@@ -48,16 +62,19 @@ class Operator:
         First and end of each part's rows.
     """
 
-    def __init__(self, gatherer: Gatherer, memory: int) -> None:
-        self._gatherer, self._left = gatherer, memory
+    def __init__(self, gatherer: Gatherer, memory: int, elsewhere: Traced | None = None) -> None:
+        self._gatherer, self._left, self._elsewhere = gatherer, memory, elsewhere
         self.parts = list(gatherer.tiles(0, gatherer.points.count))
         self._kept: dict[int, Any] = {}
 
     def direct(self, tell: Tell | None = None) -> NDArray[np.float32]:
         """Trace the rays of all vertices; return transfer without a bounce, white, (n_vertex, n_coeff)."""
         found = []
-        for number, (first, end) in enumerate(self.parts):
-            coeffs_vk, rows = self._gatherer.hits(first, end)
+        if self._elsewhere is None:
+            traced = (self._gatherer.hits(*part) for part in self.parts)
+        else:
+            traced = self._elsewhere.hits(self.parts, self._gatherer.tally)
+        for number, ((_, end), (coeffs_vk, rows)) in enumerate(zip(self.parts, traced, strict=True)):
             found.append(coeffs_vk)
             n_bytes = rows.data.nbytes + rows.indices.nbytes + rows.indptr.nbytes
             if n_bytes <= self._left:
@@ -75,6 +92,8 @@ class Operator:
     def rows(self, number: int) -> scipy.sparse.csr_array:
         """Return the rows of a part."""
         kept = self._kept.get(number)
+        if kept is None and self._elsewhere is not None:
+            return self._elsewhere.rows(number)
         return self._gatherer.hits(*self.parts[number])[1] if kept is None else kept
 
     def columns(self, number: int, vertices_n: NDArray[np.intp]) -> scipy.sparse.csc_array:
@@ -180,6 +199,7 @@ def interreflected(
     tally: Tally | None = None,
     tell: Tell | None = None,
     tell_bounces: Tell | None = None,
+    elsewhere: Traced | None = None,
 ) -> NDArray[np.float32]:
     """Return transfer with the light of other parts of the surface, (n_vertex, channel, n_coeff).
 
@@ -202,11 +222,13 @@ def interreflected(
         Gets what rays met, and the energies.
     tell, tell_bounces : callable, optional
         Told how much of the rays, and of the bounces, is done.
+    elsewhere : Traced, optional
+        Other processes that trace the rays.
     """
     check_bounces(bounces, threshold, way)
     counted = Tally() if tally is None else tally
     gatherer = Gatherer(points_of(surface, scene), samples, degree, scene, memory // 4, counted)
-    operator = Operator(gatherer, memory - memory // 4)
+    operator = Operator(gatherer, memory - memory // 4, elsewhere)
     albedo_vc = albedo_of(surface)
     start_vck = albedo_vc[:, :, None] * operator.direct(tell)[:, None, :]
     areas_v = vertex_areas(surface)

@@ -18,7 +18,7 @@ from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.surface import Surface
 from clrelight.threads import on_one_thread
-from clrelight.transfer.bounces import check_bounces, gathered_tiles, interreflected
+from clrelight.transfer.bounces import Traced, check_bounces, gathered_tiles, interreflected
 from clrelight.transfer.frames import turn_into_frames
 from clrelight.transfer.gathering import Gatherer, Tally, check_degree, check_memory, direct_tiles, points_of
 from clrelight.transfer.rays import RayScene
@@ -74,15 +74,16 @@ class Transport:
         tell: Callable[[int, int], object] | None = None,
         tell_bounces: Callable[[int, int], object] | None = None,
         part: tuple[int, int] | None = None,
+        elsewhere: Traced | None = None,
     ) -> Iterator[tuple[int, NDArray[np.float32]]]:
         """Yield the number of the first vertex, and the transfer of up to `block` in the surface's frames.
 
         Of shape (n_coeff, n, channel). The scene, of the same surface or of one that it is points of (its texels), is
         needed unless transfer is unshadowed. A `part` of the vertices is for transfer without bounces, see
-        `direct_tiles`.
+        `direct_tiles`. Of interreflected transfer at vertices others may trace the rays `elsewhere`.
         """
         seen = None if self.kind == "unshadowed" else scene
-        for first, coeffs_vck in self._tiles(surface, seen, block, tally, tell, tell_bounces, part):
+        for first, coeffs_vck in self._tiles(surface, seen, block, tally, tell, tell_bounces, part, elsewhere):
             if surface.tangents_v3 is not None:
                 vertices = slice(first, first + len(coeffs_vck))
                 coeffs_vck = turn_into_frames(coeffs_vck, surface.frames()[vertices])
@@ -97,6 +98,7 @@ class Transport:
         tell: Callable[[int, int], object] | None,
         tell_bounces: Callable[[int, int], object] | None,
         part: tuple[int, int] | None,
+        elsewhere: Traced | None,
     ) -> Iterator[tuple[int, NDArray[np.float32]]]:
         if self.kind != "interreflected":
             yield from direct_tiles(
@@ -126,6 +128,7 @@ class Transport:
             tally=tally,
             tell=tell,
             tell_bounces=tell_bounces,
+            elsewhere=elsewhere,
         )
         if is_own:
             for first in range(0, len(whole_vck), block):

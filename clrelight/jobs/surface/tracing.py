@@ -7,27 +7,28 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+import scipy.sparse
 from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
-from clrelight.jobs.farm import Arrays, Chore, Farm
+from clrelight.jobs.farm import Arrays, Chore, Farm, check_written, shared_path
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.surface.asked import Asked, read_asked
 from clrelight.store import FitSink, create_fit
 from clrelight.surface import Surface
 from clrelight.tiles import row_tiles
-from clrelight.transfer.gathering import Tally, points_at_once
+from clrelight.transfer.gathering import Gatherer, Tally, points_at_once, points_of
 from clrelight.transfer.notes import behind_note, probe
 from clrelight.transfer.rays import RayScene
 from clrelight.transfer.transport import Transport
 
-TRANSFER_PART = "transfer-part"
+TRANSFER_PART, TRANSFER_HITS = "transfer-part", "transfer-hits"
 _PART_RAYS = 1 << 23
 """Directions of points that another process looks in: about a second of work."""
 
@@ -46,19 +47,59 @@ class SharedTransfer:
         cls, farm: Farm, mesh: str | os.PathLike[str] | Surface, out: str | os.PathLike[str] | None, asked: Asked
     ) -> SharedTransfer:
         """Return what makes parts; InputError where other processes cannot."""
-        if isinstance(mesh, Surface) or out is None:
-            raise InputError("other processes read the mesh too: give the path of its file, and one to write")
-        if asked.kind == "interreflected":
-            raise InputError("interreflected transfer is made by one process: each bounce needs all of the one before")
+        path = shared_path(mesh, "the mesh")
+        check_written(out)
+        if asked.kind == "interreflected" and asked.texels is not None:
+            raise InputError("interreflected transfer at texels is made by one process: leave out --jobs and --engine")
         lights = () if asked.lights is None else (os.path.abspath(os.fsdecode(asked.lights)),)
         given = {**asdict(asked), **({"lights": lights[0]} if lights else {})}
         given = {name: list(each) if isinstance(each, tuple) else each for name, each in given.items()}
-        return cls(farm, os.path.abspath(os.fsdecode(mesh)), {n: v for n, v in given.items() if v is not None}, lights)
+        return cls(farm, path, {n: v for n, v in given.items() if v is not None}, lights)
 
     def make(self, parts: Sequence[tuple[int, int]], block: int) -> Iterator[Arrays]:
         """Return the arrays of parts of the vertices."""
         given = [{**self.options, "part": list(part), "block": block} for part in parts]
         return self.farm.do([Chore(TRANSFER_PART, self.mesh, each, self.reads) for each in given], "tracing rays")
+
+    def trace(self, groups: Sequence[list[tuple[int, int]]]) -> Iterator[Arrays]:
+        """Return the arrays of hits of groups of parts of the vertices."""
+        given = [{**self.options, "parts": [list(part) for part in group]} for group in groups]
+        return self.farm.do([Chore(TRANSFER_HITS, self.mesh, each, self.reads) for each in given], "tracing rays")
+
+
+@dataclass
+class SharedHits:
+    """Hits of rays that other processes trace: see `clrelight.transfer.bounces.Traced`."""
+
+    shared: SharedTransfer
+    samples: int
+    n_vertex: int
+    groups: list[list[tuple[int, int]]] = field(default_factory=list)
+    places: list[tuple[int, int]] = field(default_factory=list)
+
+    def hits(
+        self, parts: Sequence[tuple[int, int]], tally: Tally
+    ) -> Iterator[tuple[NDArray[np.float32], scipy.sparse.csr_array]]:
+        """See `Traced`."""
+        points = max(part[1] - part[0] for part in parts)
+        together = max(_PART_RAYS // (points * self.samples), 1)
+        self.groups = [list(parts[first:end]) for first, end in row_tiles((0, len(parts)), together)]
+        self.places = [(at, number) for at, group in enumerate(self.groups) for number in range(len(group))]
+        for group, found in zip(self.groups, self.shared.trace(self.groups), strict=True):
+            rays, hits, behind = found["counts"].tolist()
+            tally.rays, tally.hits, tally.behind = tally.rays + rays, tally.hits + hits, tally.behind + behind
+            for number in range(len(group)):
+                yield found[f"coeffs_vk{number}"], self._rows(found, number)
+
+    def rows(self, number: int) -> scipy.sparse.csr_array:
+        """See `Traced`; they are on the disk."""
+        group, within = self.places[number]
+        (found,) = self.shared.trace([self.groups[group]])
+        return self._rows(found, within)
+
+    def _rows(self, found: Arrays, number: int) -> scipy.sparse.csr_array:
+        data, indices, indptr = (found[f"{name}{number}"] for name in ("data", "indices", "indptr"))
+        return scipy.sparse.csr_array((data, indices, indptr), shape=(len(indptr) - 1, self.n_vertex))
 
 
 @dataclass(frozen=True)
@@ -86,7 +127,11 @@ class Tracing:
             return record.to_map(coeffs_khwc)
         with create_fit(out, record, shape) as sink, ExitStack() as stack:
             block = self._block(sink)
-            self._write(sink, self._gather(shared, tally, block) if shared else self._tiles(scene, tally, block, stack))
+            if shared is None or self.wanted.kind == "interreflected":
+                tiles = self._tiles(scene, tally, block, stack, shared)
+            else:
+                tiles = self._gather(shared, tally, block)
+            self._write(sink, tiles)
             since = time.perf_counter()
         self.report.add("write", since)
         self._tell(tally)
@@ -137,11 +182,21 @@ class Tracing:
         return chunk * max(1, most // chunk) if most >= chunk else width * max(1, most // width)
 
     def _tiles(
-        self, scene: RayScene | None, tally: Tally, block: int, stack: ExitStack
+        self,
+        scene: RayScene | None,
+        tally: Tally,
+        block: int,
+        stack: ExitStack,
+        shared: SharedTransfer | None = None,
     ) -> Iterator[tuple[int, NDArray[np.float32]]]:
         tell = stack.enter_context(stage(self.progress, "tracing rays"))
         told = stack.enter_context(stage(self.progress, "bounces")) if self.wanted.kind == "interreflected" else None
-        tiles = self.wanted.tiles(self.surface, scene, block=block, tally=tally, tell=tell, tell_bounces=told)
+        elsewhere = None
+        if shared is not None and self.wanted.samples is not None:
+            elsewhere = SharedHits(shared, self.wanted.samples.count, self.surface.n_vertex)
+        tiles = self.wanted.tiles(
+            self.surface, scene, block=block, tally=tally, tell=tell, tell_bounces=told, elsewhere=elsewhere
+        )
         since = time.perf_counter()
         for tile in tiles:
             self.report.add("trace", since)
@@ -176,6 +231,25 @@ class Tracing:
         tally, scene = Tally(), self.bare_scene
         tiles = self.wanted.tiles(self.surface, scene, block=block, tally=tally, part=part)
         return np.concatenate([tile_kvc for _, tile_kvc in tiles], axis=1), tally.rays
+
+    @functools.cached_property
+    def gatherer(self) -> Gatherer:
+        """What looks in the directions of interreflected transfer, as `interreflected` makes it."""
+        wanted, scene = self.wanted, RayScene(self.body)
+        if wanted.samples is None:
+            raise TypeError("interreflected transfer needs samples")
+        points = points_of(self.surface, scene)
+        return Gatherer(points, wanted.samples, wanted.degree, scene, wanted.memory // 4, Tally())
+
+    def hits(self, parts: Sequence[tuple[int, int]]) -> dict[str, NDArray]:
+        """Return what `SharedHits` reads of parts of the vertices, and ``counts`` of rays, hits, and from behind."""
+        found: dict[str, NDArray] = {}
+        self.gatherer.tally = tally = Tally()
+        for number, part in enumerate(parts):
+            coeffs_vk, rows = self.gatherer.hits(*part)
+            found[f"coeffs_vk{number}"] = coeffs_vk
+            found |= {f"{name}{number}": getattr(rows, name) for name in ("data", "indices", "indptr")}
+        return {**found, "counts": np.array([tally.rays, tally.hits, tally.behind])}
 
     def _write(self, sink: FitSink, tiles: Iterator[tuple[int, NDArray[np.float32]]]) -> None:
         width = self.surface.map_shape[1]

@@ -81,8 +81,8 @@ def transfer(
     report : Report, optional
         Filled; without one, notes become warnings (`Note`).
     farm : Farm, optional
-        Other processes that trace the rays of some vertices each, of shadowed transfer, or of unshadowed with
-        directions; `mesh` is a file then, and `out` is given.
+        Other processes that trace the rays of some vertices each (not of interreflected transfer at texels); `mesh` is
+        a file then, and `out` is given.
 
     Returns
     -------

@@ -48,14 +48,42 @@ def transfer_part(
     InputError
         As of `clrelight.jobs.surface.transfer.transfer`.
     """
-    kept, path, wanted = report_for(report), os.path.abspath(os.fsdecode(source)), _asked(asked)
-    files = [path] if wanted.lights is None else [path, os.fsdecode(wanted.lights)]
+    kept, (first, end) = report_for(report), part
     with on_one_thread():
-        tracing: Tracing = _held.get((look_of(*files), wanted), lambda _: prepare_transfer(path, wanted, kept))
-        (first, end) = part
-        coeffs_kvc, rays = tracing.some((first, end), block)
+        coeffs_kvc, rays = _tracing(source, asked, kept).some((first, end), block)
     write_arrays(out, {"coeffs_kvc": coeffs_kvc, "rays": np.array(rays)})
     return kept
+
+
+def transfer_hits(
+    source: str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str],
+    parts: Sequence[Sequence[int]],
+    report: Report | None = None,
+    **asked: Any,
+) -> Report:
+    """Trace the rays of parts of the vertices, of interreflected transfer; else as `transfer_part`.
+
+    Parameters
+    ----------
+    out : path
+        Gets what `clrelight.jobs.surface.tracing.Tracing.hits` returns.
+    parts : sequence of (first, end)
+        Of vertices that are looked at together.
+    """
+    kept = report_for(report)
+    with on_one_thread():
+        found = _tracing(source, asked, kept).hits([(first, end) for first, end in parts])
+    write_arrays(out, found)
+    return kept
+
+
+def _tracing(source: str | os.PathLike[str], asked: dict[str, Any], report: Report) -> Tracing:
+    path, wanted = os.path.abspath(os.fsdecode(source)), _asked(asked)
+    files = [path] if wanted.lights is None else [path, os.fsdecode(wanted.lights)]
+    tracing: Tracing = _held.get((look_of(*files), wanted), lambda _: prepare_transfer(path, wanted, report))
+    return tracing
 
 
 def _asked(given: dict[str, Any]) -> Asked:
