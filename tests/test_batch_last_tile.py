@@ -10,6 +10,7 @@ from clrelight.batch.single import run_single
 from clrelight.codec.formats import klt_tiles
 from clrelight.jobs import packing_chores
 from clrelight.jobs.pack import pack
+from clrelight.jobs.packing_farm import even_groups
 from clrelight.jobs.report import Report
 from tests.test_batch import Here
 from tests.test_batch_pack import OPTIONS, write
@@ -65,6 +66,9 @@ def test_a_chore_goes_to_the_worker_that_had_one_of_its_name(monkeypatch):
 
     monkeypatch.setattr(local, "_Worker", Fake)
     engine = local.LocalEngine(2)
+    for _ in range(2):
+        engine.begin()
+        assert len(engine._idle) == 2  # which load meanwhile what they need
 
     def give(**near_of):
         for name, near in near_of.items():
@@ -80,3 +84,13 @@ def test_a_chore_goes_to_the_worker_that_had_one_of_its_name(monkeypatch):
         assert again["c"] is first["a"]
         assert again["d"] is first["b"]
     assert give(e="")["e"] in first.values()
+
+
+@pytest.mark.parametrize(("count", "most", "sizes"), [(28, 4, {3, 4}), (12, 6, {6}), (5, 4, {2, 3}), (1, 4, {1})])
+def test_groups_are_even(count, most, sizes):
+    places = [[n, 0, n + 1, 1] for n in range(count)]
+    groups = even_groups(places, most)
+    assert [place for group in groups for place in group] == places
+    assert {len(group) for group in groups} == sizes
+    assert len(groups) % 2 == 0 or len(groups) == 1
+    assert even_groups([], most) == []

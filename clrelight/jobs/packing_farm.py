@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -107,8 +108,9 @@ class PackingFarm:
         axes = self._axes(planes)
         given = {"axes": axes, "transfer": transfer, "step": step, "count": count}
         places = [list(each.sides) for each in windows]
-        groups = [places[at : at + _TRIED_TOGETHER] for at in range(0, len(places), _TRIED_TOGETHER)]
-        chores = [self._chore(TRY_PIECES, {**given, "windows": group}, axes) for group in groups]
+        chores = [
+            self._chore(TRY_PIECES, {**given, "windows": group}, axes) for group in even_groups(places, _TRIED_TOGETHER)
+        ]
         return [
             Tried(int(size), bits_j, error_j, energy_j)
             for made in self.farm.do(chores, "looking for the step")
@@ -133,7 +135,17 @@ class PackingFarm:
 def measure_elsewhere(farm: Farm, stack: str, coded: str, windows: Sequence[Region]) -> Sums:
     """Return what `clrelight.jobs.measure_parts.measure_windows` does of an encoded file beside a stack file."""
     places = [list(each.sides) for each in windows]
-    groups = [places[at : at + _MEASURED_TOGETHER] for at in range(0, len(places), _MEASURED_TOGETHER)]
-    chores = [Chore(MEASURE_WINDOWS, stack, {"coded": coded, "windows": group}, (coded,)) for group in groups]
+    chores = [
+        Chore(MEASURE_WINDOWS, stack, {"coded": coded, "windows": group}, (coded,))
+        for group in even_groups(places, _MEASURED_TOGETHER)
+    ]
     found = list(farm.do(chores, "measuring"))
     return np.concatenate([each["sums_wi"] for each in found]), np.concatenate([each["counts_w"] for each in found])
+
+
+def even_groups(places: list[list[int]], most: int) -> list[list[list[int]]]:
+    """Return places in groups of so many at most, of about one size and even in number: two workers end together."""
+    count = -(-len(places) // most)
+    count = min(count + count % 2, len(places))
+    ends = [number * len(places) // count for number in range(count + 1)] if count else [0]
+    return [places[first:end] for first, end in itertools.pairwise(ends)]
