@@ -255,8 +255,8 @@ def test_what_other_processes_cannot_read(source):
 def test_an_experiment_file_by_workers(tmp_path):
     make_stacks(tmp_path, ["a"], shape=(24, 20, 3))
     (tmp_path / "e.toml").write_text(
-        'scenes = ["a.h5", "ring"]\nholdout = 3\ndegrees = [1, 2]\n[ring]\nsize = 24\nlights = 20\n[method.uls]\n'
-        "[method.cls]\n[codec.uniform]\n"
+        'scenes = ["a.h5", "ring"]\nmethods = ["uls", "cls"]\ndegrees = [1, 2]\nholdout = 3\n'
+        '[ring]\nsize = 24\nlights = 20\n[[codec]]\nid = "uniform"\n'
     )
     assert call("bench", tmp_path / "e.toml", "--out", tmp_path / "one.h5").code == 0
     engine = Here()

@@ -70,6 +70,7 @@ class Operator:
     def direct(self, tell: Tell | None = None) -> NDArray[np.float32]:
         """Trace the rays of all vertices; return transfer without a bounce, white, (n_vertex, n_coeff)."""
         found = []
+        traced: Iterator[tuple[NDArray[np.float32], scipy.sparse.csr_array]]
         if self._elsewhere is None:
             traced = (self._gatherer.hits(*part) for part in self.parts)
         else:
