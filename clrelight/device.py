@@ -80,7 +80,8 @@ class Device:
             self._queue = cl.CommandQueue(self._context)
         # A driver that is still compiling when the program ends complains on stderr, or worse.
         weakref.finalize(self, _finish_queue, self._queue, os.getpid())
-        self._cache = KernelCache("\0".join([info.identity, machine_identity()]))
+        identity = "\0".join([info.identity, machine_identity()])
+        self._cache = KernelCache(identity, by_bitcode=info.packaged)
         self._kernels: dict[tuple, tuple[Any, list[tuple[str, str]]]] = {}
         self._programs: dict[tuple, tuple[Any, str]] = {}
         self._launched: set[tuple] = set()
@@ -223,7 +224,8 @@ class Device:
     def _kernel(self, file: str, name: str, defines: dict[str, object]) -> tuple[Any, list[tuple[str, str]]]:
         key = (file, name, tuple(sorted(defines.items())))
         if key not in self._kernels:
-            compiled = self._cl.Kernel(self._program(file, defines)[0], name)
+            program, built = self._program(file, defines)
+            compiled = self._cl.Kernel(program, self._cache.own_name(name, built))
             what = self._cl.kernel_arg_info
             parameters = [
                 (compiled.get_arg_info(i, what.TYPE_NAME), compiled.get_arg_info(i, what.NAME))
@@ -238,11 +240,10 @@ class Device:
         if key not in self._programs:
             options = ["-cl-kernel-arg-info", "-cl-std=CL1.2", *(f"-D{k}={v}" for k, v in sorted(defines.items()))]
             source = read_kernel_source(file)
-            program = self._cl.Program(self._context, source)
             try:
                 with self._cache.building(source, options) as name, interrupts_wait(), warnings.catch_warnings():
                     warnings.simplefilter("ignore", self._cl.CompilerWarning)  # of any word that a compiler says
-                    self._programs[key] = program.build(options, cache_dir=False), name
+                    self._programs[key] = self._build(source, options, name), name
             except self._cl.RuntimeError as error:  # not the builtin RuntimeError
                 if found := circumstances():  # which may be why, or not: so both are told
                     raise DeviceError(
@@ -250,6 +251,18 @@ class Device:
                     ) from None
                 raise KernelBuildError(file, defines, str(error)) from None
         return self._programs[key]
+
+    def _build(self, source: str, options: list[str], name: str) -> Any:
+        """Return a program of the bitcode that the cache has of it, or gets now; else of its source."""
+        program = None
+        if self._cache.bitcode(name) is None:
+            with self._cache.compiling(source, name) as more:
+                program = self._cl.Program(self._context, source).build([*options, *more], cache_dir=False)
+        bitcode = self._cache.bitcode(name)
+        if bitcode is not None:
+            program = self._cl.Program(self._context, self._context.devices, [bitcode])
+            program.build(options, cache_dir=False)
+        return program
 
 
 def _finish_queue(queue: Any, process: int) -> None:

@@ -23,6 +23,7 @@ _STORED_WITHIN = 1e-5
 
 _ROUNDING = 1e-9
 _NOISE_ROWS = 16
+_FEW_PAIRS = 1 << 22
 
 
 def group_directions(directions_i3: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -158,9 +159,12 @@ def typical_gap(directions_i3: NDArray[np.float64]) -> float:
 
 def distances_to(fitted_j3: NDArray[np.float64], held_i3: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the angle, in degrees, from each light to the nearest fitted one."""
-    from scipy.spatial import cKDTree
+    if len(fitted_j3) * len(held_i3) <= _FEW_PAIRS:
+        chord_i = np.array([np.sqrt(np.min(np.sum((fitted_j3 - held_3) ** 2, axis=1))) for held_3 in held_i3])
+    else:
+        from scipy.spatial import cKDTree  # takes longer to load than as many pairs to look at
 
-    chord_i = cKDTree(fitted_j3).query(held_i3)[0]
+        chord_i = cKDTree(fitted_j3).query(held_i3)[0]
     return np.degrees(2.0 * np.arcsin(np.clip(chord_i / 2.0, 0.0, 1.0)))
 
 

@@ -139,13 +139,14 @@ def test_interrupted_bench_goes_on_where_it_stopped(big, tmp_path):
     [
         "fit {big}/stack.h5 o.h5 --degree 4",
         "ingest {big}/photos o.h5",
-        "synth ring o.h5 --size 64 --lights 200",
+        "synth ring o.h5 --size 64 --lights 90",
     ],
     ids=["fit", "ingest", "synth"],
 )
 def test_full_disk_is_one_line(big, tmp_path, words):
     (tmp_path / "o.h5").write_bytes(b"precious")
-    process("devices", folder=tmp_path)  # kernels are cached elsewhere, before files are limited
+    if words.startswith("fit"):
+        process("devices", folder=tmp_path)  # kernels are cached elsewhere, before files are limited
     done = subprocess.run(
         command_line(*words.format(big=big).split()),
         cwd=tmp_path,

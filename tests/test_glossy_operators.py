@@ -1,5 +1,6 @@
 """Glossy operators against direct integration in float64, diffuse transfer, and each other."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -58,6 +59,11 @@ def matrices(operators, vertex=0, channel=0):
     return flat.reshape((view + 1) ** 2, (light + 1) ** 2)
 
 
+@functools.cache
+def open_moments(formula):
+    return reflection.view_moments(formula, 3, 40, 80)
+
+
 @pytest.mark.parametrize(
     ("brdf", "formula", "bound"),
     [
@@ -70,7 +76,7 @@ def matrices(operators, vertex=0, channel=0):
 )
 @pytest.mark.parametrize("extension", ["zero", "least-squares"])
 def test_operator_is_the_double_integral(brdf, formula, bound, extension):
-    expected = reflection.view_moments(formula, 3, 40, 80)
+    expected = open_moments(formula)
     if extension == "least-squares":
         expected = np.linalg.solve(reflection.half_gram(3), expected)
     made = transfer_operators(patch(), brdf, 3, samples=1024, extension=extension)

@@ -9,6 +9,7 @@ from clrelight.errors import InputError
 from clrelight.holdout import (
     HoldoutRule,
     describe_duplicates,
+    distances_to,
     group_directions,
     split_by_fit,
     split_chosen,
@@ -102,6 +103,17 @@ def test_where_lights_are_even_both_ways_are_one():
     directions = make_pattern("uniform", 128)
     for by_index, by_place in zip(*(split_chosen(directions, 5, by=by) for by in ("index", "place")), strict=True):
         np.testing.assert_array_equal(by_index, by_place)
+
+
+@pytest.mark.parametrize("few", [0, 1 << 22])
+def test_distances_are_those_to_the_nearest_fitted_light(monkeypatch, few):
+    monkeypatch.setattr(holdout, "_FEW_PAIRS", few)
+    rng = np.random.default_rng(3)
+    fitted_j3, held_i3 = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in rng.normal(size=(2, 40, 3)))
+    held_i3[7] = fitted_j3[5]
+    found_i = distances_to(fitted_j3, held_i3)
+    np.testing.assert_allclose(found_i, angles_between(held_i3, fitted_j3).min(axis=1), atol=2e-6)
+    assert found_i[7] == 0.0
 
 
 def test_the_gap_of_dense_rings_is_half_their_distance():

@@ -1,25 +1,34 @@
 """Compiled kernels between runs, damaged in every way, with real processes."""
 
+import hashlib
 import json
 import os
 import random
+import re
 import resource
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
+from clrelight.codec import codec_class, encode
+from clrelight.device import make_device, open_device
 from clrelight.errors import DeviceError
+from clrelight.kernel_source import kernel_folder, read_kernel_source
 from clrelight.opencl import folder, kernel_cache
 
 JOB = """
-import json, sys
+import json
 import numpy as np
 from clrelight.device import open_device
-from clrelight.codec import codec_class, decode, encode
 device = open_device("@8")
-values = np.arange(96, dtype=np.float32).reshape(4, 2, 4, 3)
-print(json.dumps(decode(encode(values, codec_class("half")(), device), device).sum().item()))
+values = np.arange(96, dtype=np.float32)
+for each in (4, 8):  # two programs
+    copy, defines = device.empty(values.shape, np.float32), {"EACH": each, "STRIDE": 1}
+    device.launch("speed/copy.cl", "copy_p", (96 // each,), copy, device.upload(values), 96, defines=defines)
+    values = device.download(copy).copy()
+print(json.dumps(values.sum().item()))
 """
 
 
@@ -44,8 +53,6 @@ def run(tmp_path):
 
 
 def pocl_only():
-    from clrelight.device import open_device
-
     if "PoCL" not in open_device().info.version:
         pytest.skip("only PoCL leaves kernels in files")
 
@@ -53,26 +60,61 @@ def pocl_only():
 def test_kernels_are_kept_and_found_again(run):
     pocl_only()
     assert run() == []
-    kept = {path: path.read_bytes() for path in run.kept()}
-    assert len(kept) >= 2  # half.cl, finite.cl
+    kept = {path: (path.read_bytes(), path.stat().st_ino) for path in run.kept()}
+    assert len(kept) == 2
     assert run() == []
-    assert {path: path.read_bytes() for path in run.kept()} == kept
+    # Nothing was compiled, so nothing was written, not even the same once more.
+    assert {path: (path.read_bytes(), path.stat().st_ino) for path in run.kept()} == kept
     assert list((run.place / "run").iterdir()) == []
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_damage_is_told_and_mended(run, seed):
+def test_kernels_of_bitcode_are_those_of_the_source(monkeypatch):
+    """Of which no other program's may be taken: their names are their own."""
+    opened = open_device()
+    if not opened._cache._by_bitcode:
+        pytest.skip("this driver's programs are built of their source")
+    values = np.random.default_rng(0).standard_normal((4, 3, 5, 3)).astype(np.float32)
+    found = []
+    for by_bitcode in (True, True, False):
+        if len(found) == 1:
+            monkeypatch.setattr(kernel_cache.KernelCache, "compiling", None)  # a second time nobody compiles
+        device = make_device(f"{opened.info.index}@{opened.info.lanes}", style="cpu")
+        if not by_bitcode:
+            monkeypatch.undo()
+            monkeypatch.setattr(device._cache, "_by_bitcode", False)
+        found.append([encode(values, codec_class(name)(), device).to_bytes() for name in ("half", "uniform")])
+        names = {kernel.function_name for kernel, _ in device._kernels.values()}
+        assert len(names) == len(device._kernels)
+        built = {name[:16] for _, name in device._programs.values()}
+        assert all(name.rpartition("_")[2] in built for name in names) == by_bitcode
+    assert found[0] == found[1] == found[2]
+
+
+def test_kernels_are_found_in_every_source():
+    for path in kernel_folder().rglob("*.cl"):
+        source = read_kernel_source(path.relative_to(kernel_folder()).as_posix())
+        code = re.sub(r"/\*.*?\*/", "", source, flags=re.DOTALL)
+        found = kernel_cache._KERNEL.findall(code)
+        assert len(found) == len(re.findall(r"\b(?:__)?kernel\b", code)), path
+        assert set(found) <= set(kernel_cache._KERNEL.findall(source)), path
+
+
+def test_damage_is_told_and_mended(run):
     pocl_only()
     run()
-    rng = random.Random(seed)
-    for path in run.kept():
-        whole = path.read_bytes()
-        at = rng.randrange(len(whole))
-        damages = [whole[:at] + rng.randbytes(300) + whole[at + 300 :], b"", whole[:at], whole + b"x"]
-        path.write_bytes(damages[seed] if seed < 3 else damages[3])
-        lines = run()
-        assert lines == [f"clrelight: {path}: damaged: its kernels are compiled anew"]
-        assert run() == []
+    rng = random.Random(0)
+    kept = {path: path.read_bytes() for path in run.kept()}
+    for damage in range(4):
+        for path, whole in kept.items():
+            at = rng.randrange(len(whole))
+            damages = [whole[:at] + rng.randbytes(300) + whole[at + 300 :], b"", whole[:at], whole + b"x"]
+            path.write_bytes(damages[damage])
+        told = [f"clrelight: {path}: damaged: its kernels are compiled anew" for path in kept]
+        assert sorted(run()) == told
+        for path in kept:
+            content = path.read_bytes()
+            assert hashlib.sha256(content[32:]).digest() == content[:32]
+    assert run() == []
 
 
 def test_a_whole_disk_of_damage_in_what_the_driver_left(run):
@@ -204,7 +246,6 @@ def test_pyopencl_needs_no_folder_of_the_user(run, tmp_path):
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a full device is Linux's")
 def test_a_kernel_that_does_not_build_tells_why_and_of_a_full_folder(monkeypatch, tmp_path, device):
-    from clrelight.errors import DeviceError
     from clrelight.opencl import child
 
     def refuse(*arguments, **options):

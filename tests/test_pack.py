@@ -15,6 +15,7 @@ from clrelight.dataset import LightStack
 from clrelight.errors import InputError
 from clrelight.fit import prepare_fit
 from clrelight.images import write_image
+from clrelight.ingest import folder as folder_module
 from clrelight.jobs import measure_parts as parts_module
 from clrelight.jobs import packing
 from clrelight.jobs.fitted_source import fitted_source
@@ -153,6 +154,17 @@ def test_photographs_may_be_kept(folder, stack, tmp_path):
     succeed("pack", folder, tmp_path / "p.h5", "--keep-stack", tmp_path / "s.h5", "--degree", 2, "--json")
     with open_stack(tmp_path / "s.h5") as kept, open_stack(stack) as expected:
         np.testing.assert_array_equal(kept.images_ihwc[...], expected.images_ihwc[...])
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_headers_are_read_once(folder, tmp_path, monkeypatch, kept):
+    read, calls = folder_module.read_headers, []
+    monkeypatch.setattr(folder_module, "read_headers", lambda *asked: calls.append(1) or read(*asked))
+    keep = {"keep_stack": tmp_path / "s.h5"} if kept else {}
+    report = cr.pack(folder, tmp_path / "p.h5", method="uls", degree=1, measure="none", **keep)
+    assert len(calls) == 1
+    assert report.seconds["ingest"] > 0
+    assert (tmp_path / "s.h5").exists() == kept
 
 
 def test_photographs_come_back(folder, tmp_path):

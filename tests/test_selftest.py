@@ -110,7 +110,7 @@ def test_a_statement_is_no_more_than_its_limit():
 
 
 @pytest.mark.parametrize(("off", "what"), [(1.0 + 1e-4, "image error"), (1.0 + 1e-5, "above the bound"), (np.nan, "")])
-def test_a_device_that_is_off_is_found(short, monkeypatch, off, what):
+def test_a_device_that_is_off_is_found(device, short, monkeypatch, off, what):
     fit = selftest._fit
 
     def wrong(*arguments):
@@ -119,18 +119,18 @@ def test_a_device_that_is_off_is_found(short, monkeypatch, off, what):
         return fitted
 
     monkeypatch.setattr(selftest, "_fit", wrong)
-    statements = call("selftest", "--json").json["statements"]
-    failed = {(s["part"], s["what"]) for s in statements if not s["holds"]}
-    assert any(part == "cls" and what in text for part, text in failed)
+    assert any(s.part == "cls" and what in s.what and not s.holds for s in run_selftest(device))
 
 
 def test_the_command(short, monkeypatch):
-    ended = call("selftest")
-    assert (ended.code, ended.err) == (0, "")
-    assert "statements hold on" in ended.out.splitlines()[-1]
     told = call("selftest", "--json").json
     assert told["failed"] == 0
     assert all(s["holds"] and s["figure"] <= s["limit"] for s in told["statements"])
+    found = [Statement(*(s[name] for name in ("part", "case", "what", "figure", "limit"))) for s in told["statements"]]
+    monkeypatch.setattr(selftest, "run_selftest", lambda device: iter(found))
+    ended = call("selftest")
+    assert (ended.code, ended.err) == (0, "")
+    assert f"{len(found)} of {len(found)} statements hold on" in ended.out.splitlines()[-1]
     lines = call("selftest", "--markdown").out.splitlines()
     assert len(lines) == 2 + len(told["statements"])
     assert {line.count("|") for line in lines} == {7}
@@ -138,6 +138,9 @@ def test_the_command(short, monkeypatch):
     ended = call("selftest")
     assert ended.code == 1
     assert "0 of 1 statements hold" in ended.out
+    monkeypatch.setattr(selftest, "run_selftest", lambda device: iter([Statement("cls", "x", "y", float("nan"), 1.0)]))
+    ended = call("selftest", "--json")
+    assert (ended.code, ended.json["failed"]) == (1, 1)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from clrelight.images import write_image
+from clrelight.ingest import read_folder
 from clrelight.jobs.ingest import lend_photographs
 from clrelight.jobs.memory import SPARE_SHARE, _left_in, spare_memory
 from clrelight.jobs.report import Report
@@ -58,7 +59,7 @@ def test_photographs_lie_in_memory_where_there_is_enough(tmp_path, monkeypatch, 
     monkeypatch.setattr("clrelight.jobs.ingest.spare_memory", lambda: SPARE_SHARE * images.nbytes - (not enough))
     report = Report()
     with lend_photographs(
-        folder, tmp_path, 1 << 24, report, None, {}, [tmp_path / "out.h5"], lambda stack: None
+        read_folder(folder), tmp_path, 1 << 24, report, None, [tmp_path / "out.h5"], lambda stack: None
     ) as stack:
         assert (stack.images_ihwc[:] == images).all()
         assert report.facts["photographs_in_memory"] == (images.nbytes if enough else 0)
@@ -74,7 +75,7 @@ def test_a_system_that_forbids_files_in_memory_has_them_on_the_disk(tmp_path, mo
     monkeypatch.setattr(os, "memfd_create", forbidden, raising=False)
     report = Report()
     with lend_photographs(
-        folder, tmp_path, 1 << 24, report, None, {}, [tmp_path / "o.h5"], lambda stack: None
+        read_folder(folder), tmp_path, 1 << 24, report, None, [tmp_path / "o.h5"], lambda stack: None
     ) as stack:
         assert (stack.images_ihwc[:] == images).all()
         assert report.facts["photographs_in_memory"] == 0

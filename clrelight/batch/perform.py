@@ -15,7 +15,7 @@ from clrelight.batch.task import DONE, FAILED, Outcome, Task
 from clrelight.batch.verbs import find_verb
 from clrelight.errors import BusyError, DeviceError, InputError, KernelBuildError
 from clrelight.jobs.farm import ChoreError, Farm
-from clrelight.jobs.pictures import pictures_of
+from clrelight.jobs.pictures import list_pictures
 from clrelight.jobs.report import Progress, Report
 
 _WAIT_SECONDS = 10.0
@@ -125,7 +125,7 @@ def outputs_of(task: Task) -> list[str]:
     # A fit in tiles that stay where they are is not whole without them.
     tiles = [str(task.options["shards"])] if task.options.get("virtual") else []
     outs = [task.out] if task.out else []
-    return [*(pictures_of(task.out) if verb.writes_many and task.out else outs), *more, *tiles]
+    return [*(list_pictures(task.out) if verb.writes_many and task.out else outs), *more, *tiles]
 
 
 def _make_folders(task: Task) -> None:

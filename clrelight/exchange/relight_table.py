@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 COLOUR_SPACES = ("mrgb", "mycc")
 _ROOM = 0.05
@@ -115,7 +114,9 @@ def make_table(values_nd: NDArray[np.float32], planes: int, resolution: int, spa
 
 def _axes(apart_nd: NDArray[np.float32], count: int) -> NDArray[np.float64]:
     """Return the principal axes of samples, (axis, dimension), the largest first."""
+    from scipy.linalg import eigh  # slow to load, and most commands load this module
+
     # The largest alone: half the time of all.
     wanted = [apart_nd.shape[1] - count, apart_nd.shape[1] - 1]
-    _, vectors_da = linalg.eigh((apart_nd.T @ apart_nd).astype(np.float64), subset_by_index=wanted)
+    _, vectors_da = eigh((apart_nd.T @ apart_nd).astype(np.float64), subset_by_index=wanted)
     return vectors_da[:, ::-1].T

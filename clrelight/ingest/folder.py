@@ -117,10 +117,20 @@ def ingest_folder(
     InputError
         As `read_folder` does, and where the file cannot be written.
     """
+    found = read_folder(folder, memory_bytes=memory_bytes, **options)
+    return write_photographs(found, out_path, memory_bytes, progress)
+
+
+def write_photographs(
+    found: Folder,
+    out_path: str | os.PathLike[str],
+    memory_bytes: int = IMAGE_MEMORY,
+    progress: Callable[[int, int], None] | None = None,
+) -> IngestSummary:
+    """Write photographs whose headers `read_folder` has read to a stack file, once; else as `ingest_folder`."""
     # Imported late: the store is needed only when all else is known to be right.
     from clrelight.store import check_output, create_stack
 
-    found = read_folder(folder, memory_bytes=memory_bytes, **options)
     check_output(out_path, found.inputs)
     plan = plan_memory(found.source, memory_bytes)
     with (

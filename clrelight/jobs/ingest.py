@@ -15,7 +15,7 @@ from typing import Any, overload
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
-from clrelight.ingest import ingest_folder, read_folder
+from clrelight.ingest import Folder, read_folder, write_photographs
 from clrelight.ingest.filling import fill_scratch, plan_memory
 from clrelight.jobs.inputs import path_text
 from clrelight.jobs.memory import SPARE_SHARE, spare_memory
@@ -106,12 +106,11 @@ def ingest(
 
 @contextmanager
 def lend_photographs(
-    folder: str | os.PathLike[str],
+    found: Folder,
     place: str | os.PathLike[str],
     memory: int,
     report: Report,
     progress: Progress | None,
-    options: dict[str, Any],
     outs: Sequence[str | os.PathLike[str]],
     look: Callable[[LightStack], object],
 ) -> Iterator[LightStack]:
@@ -121,8 +120,7 @@ def lend_photographs(
     InputError if one of the files `outs`, which are to be made of them, is one of those that are read. `look` may
     refuse what they will be, before any is read.
     """
-    since, options = time.perf_counter(), given_options(folder, options)
-    found = read_folder(folder, memory_bytes=memory, **options)
+    since = time.perf_counter()
     for out in outs:
         check_output(out, found.inputs)
     look(found.stack)
@@ -153,6 +151,14 @@ def given_options(folder: str | os.PathLike[str], options: dict[str, Any]) -> di
     return {name: value for name, value in options.items() if value is not None}
 
 
+def read_photographs(folder: str | os.PathLike[str], memory: int, report: Report, options: dict[str, Any]) -> Folder:
+    """Return what headers and light files of a folder tell, with the time that took reported; as `ingest`."""
+    since = time.perf_counter()
+    found = read_folder(folder, memory_bytes=memory, **given_options(folder, options))
+    report.add("ingest", since)
+    return found
+
+
 def _read(
     folder: str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -161,9 +167,20 @@ def _read(
     progress: Progress | None,
     options: dict[str, Any],
 ) -> None:
-    since = time.perf_counter()
     with stage(progress, "reading images") as tell:
-        summary = ingest_folder(folder, out, memory_bytes=memory, progress=tell, **options)
+        keep_photographs(read_photographs(folder, memory, report, options), out, memory, report, tell)
+
+
+def keep_photographs(
+    found: Folder,
+    out: str | os.PathLike[str],
+    memory: int,
+    report: Report,
+    progress: Callable[[int, int], None],
+) -> None:
+    """Write photographs whose headers are read to a stack file, and report what `ingest` does."""
+    since = time.perf_counter()
+    summary = write_photographs(found, out, memory, progress)
     report.add("ingest", since)
     report.facts |= asdict(summary)
     report.note(*report.facts.pop("notes"))

@@ -22,9 +22,9 @@ from clrelight.fit import prepare_fit
 from clrelight.fit.prepare import check_lights
 from clrelight.fit.selection import WITHIN
 from clrelight.holdout import HoldoutRule
-from clrelight.ingest import read_folder
+from clrelight.ingest import Folder
 from clrelight.jobs.farm import Chore, Farm, shared_path
-from clrelight.jobs.ingest import given_options, ingest, lend_photographs
+from clrelight.jobs.ingest import keep_photographs, lend_photographs, read_photographs
 from clrelight.jobs.inputs import Path as Name
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, paths_among, whole
 from clrelight.jobs.memory import peak_memory
@@ -132,11 +132,11 @@ def pack(
     rule = HoldoutRule(None if holdout is None else whole(holdout, "holdout"), None, holdout_by)
     wanted = degree if isinstance(degree, str) else whole(degree, "degree")
     look, outs = _looking(size, rule, metric, perceptual, (method, wanted, basis)), [out, *paths_among(preview)]
-    _check_there(source, budget, options)
+    found = _found(source, budget, kept, options)
     with (
         claimed([out, keep_stack, preview], [each for each in paths_among(source) if not os.path.isdir(each)], kept),
         opened_on(device, kept) as opened,
-        _photographs(source, outs, keep_stack, budget, options, look, kept, progress, farm) as (stack, stored),
+        _photographs(source, found, outs, keep_stack, budget, options, look, kept, progress, farm) as (stack, stored),
         scratch_workspace(Path(os.fsdecode(out)).parent, budget) as workspace,
     ):
         split = rule.split(stack.directions_i3)
@@ -170,14 +170,18 @@ def _drawn(
     return lambda: write_preview(preview, picture_hwc, report)
 
 
-def _check_there(source: StackLike, memory: int, options: dict[str, Any]) -> None:
-    """Raise InputError where there is no such file, or no lights: before drivers are tested, which takes a minute."""
+def _found(source: StackLike, memory: int, report: Report, options: dict[str, Any]) -> Folder | None:
+    """Return what headers of a folder tell, None of what is none; InputError where there is no such file, or no lights.
+
+    That comes before drivers are tested, which takes a minute.
+    """
     for path in paths_among(source):
         name = os.fsdecode(path)
         if not is_remote(name) and "\0" not in name and not os.path.lexists(name):
             raise InputError(f"there is no file or folder {name}")
         if os.path.isdir(name):
-            read_folder(path, memory_bytes=memory, **given_options(path, options))
+            return read_photographs(path, memory, report, options)
+    return None
 
 
 def _check(measure: str, metric: str, out: Name, keep_stack: Name | None, preview: Name | None) -> None:
@@ -212,6 +216,7 @@ def _looking(
 @contextmanager
 def _photographs(
     source: StackLike,
+    found: Folder | None,
     outs: list[str | os.PathLike[str]],
     keep_stack: str | os.PathLike[str] | None,
     memory: int,
@@ -222,7 +227,7 @@ def _photographs(
     farm: Farm | None,
 ) -> Iterator[tuple[LightStack, str]]:
     """Lend the stack, which is read from a folder first where it is one, and the name of its file, if it has one."""
-    if isinstance(source, LightStack) or not os.path.isdir(source):
+    if isinstance(source, LightStack) or found is None:
         given = [name for name, value in options.items() if value is not None and value is not False]
         if given or keep_stack is not None:
             named = ", ".join([*given, *(["keep_stack"] if keep_stack is not None else [])])
@@ -234,10 +239,9 @@ def _photographs(
         return
     if keep_stack is None and farm is None:
         folder = Path(os.fsdecode(outs[0])).parent
-        with lend_photographs(source, folder, memory, report, progress, options, outs, look) as stack:
+        with lend_photographs(found, folder, memory, report, progress, outs, look) as stack:
             yield stack, ""
         return
-    found = read_folder(source, memory_bytes=memory, **given_options(source, options))
     for out in outs:
         check_output(out, found.inputs)
     look(found.stack)
@@ -249,8 +253,9 @@ def _photographs(
     else:
         kept_at = os.fsdecode(keep_stack)  # type: ignore[arg-type]
         reading = Report(tell=report.note)
-        ingest(source, kept_at, memory=memory, progress=progress, report=reading, **options)
-        report.seconds |= reading.seconds
+        with claimed([kept_at], [], report), stage(progress, "reading images") as tell:
+            keep_photographs(found, kept_at, memory, reading, tell)
+        report.seconds["ingest"] += reading.seconds["ingest"]
     with lend_stack(kept_at, report) as stack:
         yield stack, kept_at
 

@@ -51,7 +51,7 @@ def name_pictures(image: str, count: int) -> list[str]:
     return [image]
 
 
-def pictures_of(image: str) -> list[str]:
+def list_pictures(image: str) -> list[str]:
     """Return the names of the pictures that are there under a name with a number field; the name where none is."""
     folder, name = os.path.split(image)
     field = _NUMBER_FIELD.search(name)

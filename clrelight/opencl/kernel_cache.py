@@ -3,6 +3,10 @@
 PoCL maps whatever its cache holds into the process: damaged bytes crash it, a build that failed midway poisons it, and
 two processes race in it. So each process gives it an empty folder of its own. What a program left there once its
 kernels ran is sealed into one archive with a checksum, and unpacked, after a check, before it is built again.
+
+To know its own file again PoCL preprocesses a program's source each time, in 30 ms. Of the PoCL that we test a program
+is built of the bitcode in its archive instead, in 3: for that its kernels have names that no other program's have,
+since PoCL finds what it compiled of bitcode by the names alone.
 """
 
 from __future__ import annotations
@@ -11,6 +15,7 @@ import atexit
 import hashlib
 import io
 import os
+import re
 import shutil
 import tempfile
 import threading
@@ -32,9 +37,14 @@ _FILE_BYTES, _ROOM_BYTES = 1 << 20, 32 << 20
 """Of what LLVM writes for the programs of a command: a large file, and all of them, about."""
 _DIGEST = hashlib.sha256
 _STALE_SECONDS = 7 * 86400.0
+_KERNEL = re.compile(r"\b(?:__)?kernel\s(?:[^;{]*?\s)?void\s+(\w+)\s*\(")
+_BITCODE = "program.bc"
+_TAG = 16
 _building = threading.RLock()
 _said: set[str] = set()
 _unpacked: dict[str, dict[str, set[str]]] = {}
+_held: dict[Path, list[str]] = {}
+"""Files in the archives that this process has read or written: a program that has no others is not sealed again."""
 
 
 @contextmanager
@@ -133,12 +143,15 @@ class KernelCache:
     ----------
     identity : str
         Of driver, processor and what else decides on machine code.
+    by_bitcode : bool
+        Whether the driver builds programs of the bitcode that it has left, as PoCL 3.0 does.
     """
 
-    def __init__(self, identity: str) -> None:
+    def __init__(self, identity: str, *, by_bitcode: bool = False) -> None:
         place = cache_folder()
         keeps = place is not None and _run_folder is not None
         self._folder = place / "kernels" / _DIGEST(identity.encode()).hexdigest()[:32] if place and keeps else None
+        self._by_bitcode = by_bitcode and self._folder is not None
         # Shared by all devices of one driver in this process: what is unpacked again may be mapped already.
         self._programs = _unpacked.setdefault(str(self._folder), {})
 
@@ -149,17 +162,37 @@ class KernelCache:
         Yields
         ------
         str
-            The program's name for `seal`.
+            The program's name for the other methods.
         """
-        name = _DIGEST("\0".join([source, *options]).encode()).hexdigest()[:40]
+        # Of bitcode, what was compiled of the source would lie at other places.
+        words = [source, *options, *(["of bitcode"] if self._by_bitcode else [])]
+        name = _DIGEST("\0".join(words).encode()).hexdigest()[:40]
         if self._folder is None or _run_folder is None:
             yield name
             return
         with _building:
-            known = self._unpack(name) if name not in self._programs else self._programs[name]
-            before = _program_folders()
+            self._programs[name] = self._unpack(name) if name not in self._programs else self._programs[name]
             yield name
-            self._programs[name] = known | (_program_folders() - before)
+
+    @contextmanager
+    def compiling(self, source: str, name: str) -> Iterator[list[str]]:
+        """Compile a program's source inside `building`, with these options in addition."""
+        before = set() if self._folder is None else _program_folders()
+        kernels = dict.fromkeys(_KERNEL.findall(source)) if self._by_bitcode else {}
+        yield [f"-D{kernel}={self.own_name(kernel, name)}" for kernel in kernels]
+        if self._folder is not None:
+            self._programs[name] |= _program_folders() - before
+
+    def bitcode(self, name: str) -> bytes | None:
+        """Return what a program is to be built of inside `building`, None where that is its source."""
+        if not self._by_bitcode or _run_folder is None:
+            return None
+        found = [path for folder in self._programs[name] if (path := _run_folder / folder / _BITCODE).is_file()]
+        return found[0].read_bytes() if len(found) == 1 else None
+
+    def own_name(self, kernel: str, name: str) -> str:
+        """Return what a kernel is called in a program."""
+        return f"{kernel}_{name[:_TAG]}" if self._by_bitcode else kernel
 
     def seal(self, names: set[str]) -> None:
         """Keep what these programs have compiled by now, in whole archives; a full disk costs the archive, no more."""
@@ -167,13 +200,15 @@ class KernelCache:
             return
         with _building:
             for name in names:
+                folders = [_run_folder / folder for folder in self._programs.get(name, ())]
+                folders += _run_folder.glob(f"*_{name[:_TAG]}")
                 files = sorted(
                     path.relative_to(_run_folder).as_posix()
-                    for folder in self._programs.get(name, ())
-                    for path in (_run_folder / folder).rglob("*")
+                    for folder in folders
+                    for path in folder.rglob("*")
                     if path.is_file()
                 )
-                if files:
+                if files and files != _held.get(self._path(name)):
                     self._write(name, files)
 
     def _path(self, name: str) -> Path:
@@ -191,6 +226,7 @@ class KernelCache:
                     archive.writestr(zipfile.ZipInfo(file), (_run_folder / file).read_bytes())
             content = packed.getvalue()
             write_whole(path, _DIGEST(content).digest() + content)
+            _held[path] = files
             self._prune()
         except OSError as error:
             _say_once(f"{path.parent}: {error.strerror or error}: kernels are compiled anew in the next run")
@@ -213,11 +249,12 @@ class KernelCache:
         try:
             with zipfile.ZipFile(io.BytesIO(content[size:])) as archive:
                 archive.extractall(_run_folder)
-                folders = {"/".join(file.split("/")[:2]) for file in archive.namelist()}
+                folders = {folder for file in archive.namelist() if (folder := _two(file)).find("/") == 2}
+            _held[path] = sorted(archive.namelist())
             os.utime(path)
         except OSError as error:
             # Half of it may be there, which the driver must not find.
-            for file in {"/".join(file.split("/")[:2]) for file in archive.namelist()}:
+            for file in {_two(file) for file in archive.namelist()}:
                 shutil.rmtree(_run_folder / file, ignore_errors=True)
             _say_once(f"{_run_folder}: {error.strerror or error}: kernels are compiled anew")
             return set()
@@ -245,9 +282,13 @@ def _archives(parent: Path) -> Iterator[os.DirEntry[str]]:
 
 
 def _program_folders() -> set[str]:
-    """PoCL keeps a program in AB/CDEF...; its temporary files lie directly in the cache."""
+    """PoCL keeps a program in AB/CDEF..., of bitcode in the kernels' names; its temporary files lie in the cache."""
     assert _run_folder is not None
-    return {path.relative_to(_run_folder).as_posix() for path in _run_folder.glob("*/*") if path.is_dir()}
+    return {path.relative_to(_run_folder).as_posix() for path in _run_folder.glob("??/*") if path.is_dir()}
+
+
+def _two(file: str) -> str:
+    return "/".join(file.split("/")[:2])
 
 
 def _say_once(line: str) -> None:
