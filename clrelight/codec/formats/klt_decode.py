@@ -75,7 +75,7 @@ def bytes_at_once(shape: Shape, count: int) -> int:
 
 
 def _strip_sides(shape: Shape, count: int, memory: int) -> tuple[int, int]:
-    """Return the rows of strips, and the columns that are decoded together.
+    """Return the rows of strips, and the columns that are decoded together: all where they fit half of the memory.
 
     In pieces, units at the edges of precincts are decoded up to nine times, in strips as wide as the image up to three
     times: these are taken where they need no more, or at most a quarter where not even pieces fit.
