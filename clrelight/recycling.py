@@ -12,10 +12,13 @@ from contextlib import contextmanager, suppress
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from clrelight.memory import ARRAY_MEMORY
+
 _LEAST = 1 << 18
 """Bytes below which the C library recycles by itself."""
-_KEPT = 1 << 28
-"""Bytes that lie unused at most, see `kept_within`; what was given back first goes first."""
+_KEPT = ARRAY_MEMORY // 2
+"""Bytes that lie unused at most, see `kept_within`: what a codec needs of a map in memory and needs again for the next.
+What was given back first goes first."""
 
 _SHARE = 4
 """Of a budget of memory, this part of it may lie unused."""
@@ -48,12 +51,17 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
     """
     dtype = np.dtype(dtype)
     size = math.prod(shape) * dtype.itemsize
-    if not _LEAST <= size <= _KEPT:
+    if not is_kept(size):
         return np.empty(shape, dtype)
     block = _take(_class_of(size))
     lease = (ctypes.c_ubyte * size).from_buffer(block.data)
     weakref.finalize(lease, _give_back, block).atexit = False
     return np.frombuffer(memoryview(lease), dtype).reshape(shape)
+
+
+def is_kept(size: int) -> bool:
+    """Return whether memory of so many bytes is used again."""
+    return _LEAST <= size <= _KEPT
 
 
 def zeros(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:

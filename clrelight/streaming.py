@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from clrelight import recycling
 from clrelight.interrupts import SIGNALS
 
 Item = TypeVar("Item")
@@ -78,7 +79,7 @@ class Buffer:
         """Return an array in this memory, its values undefined; what was lent before is overwritten."""
         size = math.prod(shape) * np.dtype(dtype).itemsize
         if size > self._bytes.size:
-            self._bytes = np.empty(size, np.uint8)
+            self._bytes = recycling.empty((size,), np.uint8)
         return self._bytes[:size].view(dtype).reshape(shape)
 
 

@@ -8,7 +8,10 @@ from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_fill import _choose
 from clrelight.codec.streams import ArraySource
+from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.pixels import Pixels
+from clrelight.codec.transforms.principal import ROTATION_UNIT
+from clrelight.codec.transforms.whitening import AXES, whitening_of
 
 
 def rough_map(height, width):
@@ -78,3 +81,25 @@ def test_streams_are_chosen_with_all_that_hang_on_them():
         if unit.level == 1:
             parent = (2, unit.row // 128 * 64, unit.column // 128 * 64)
             assert ((1, unit.row, unit.column) in held) == (parent in held)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
+def test_axes_are_those_of_the_pixels_themselves(scale):
+    """What is found of moments, against coordinates of each pixel."""
+    rng = np.random.default_rng(3)
+    coeffs = (rng.standard_normal((4, 30, 20, 3)) * rng.uniform(0.1, 2.0, (4, 1, 1, 3)) * scale).astype(np.float32)
+    coeffs[0] += np.float32(5 * scale)
+    found = whitening_of(coeffs.shape, lambda places: np.concatenate([coeffs[:, y, x] for y, x in places], axis=1))
+    pixels = coeffs.astype(np.float64).transpose(1, 2, 0, 3).reshape(600, 4, 3)
+    metric = np.ldexp(hemisphere_metric(4, AXES).forward_jk, -found.exponent)
+    channels = np.einsum("jk,pkc->pjc", metric, pixels).reshape(-1, 3)
+    rotation = np.linalg.eigh(channels.T @ channels)[1][:, ::-1].T * ROTATION_UNIT
+    rotation *= np.sign((rotation * found.rotation_cc).sum(axis=1))[:, None]
+    assert np.abs(rotation - found.rotation_cc).max() <= 0.5 + 1e-6
+    coordinates = pixels.reshape(600, -1) @ found.forward_dq.T
+    np.testing.assert_allclose(found.mean_d, coordinates.mean(axis=0), atol=1e-12)
+    along = (coordinates - coordinates.mean(axis=0)) @ found.vectors_jd.T
+    np.testing.assert_allclose(found.deviation_j, along.std(axis=0), atol=1e-12)
+    gram = along.T @ along / 600
+    np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=1e-12)
+    assert (np.diff(found.deviation_j) <= 0).all()

@@ -80,7 +80,7 @@ def test_zeros_and_copies_of_memory_that_was_used():
 
 
 def test_no_more_than_a_bound_is_kept():
-    arrays = [recycling.empty((1 << 24,), np.uint8) for _ in range(20)]
+    arrays = [recycling.empty((1 << 24,), np.uint8) for _ in range(recycling._KEPT // (1 << 24) + 4)]
     del arrays
     assert 0 < sum(block.size for block in recycling._unused) <= recycling._KEPT
 

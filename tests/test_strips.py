@@ -9,6 +9,7 @@ from clrelight.codec.transforms.lifting import list_subbands, transform_planes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.strips import Strips
 from clrelight.device import open_device
+from tests.styles import both_styles
 
 
 def pixels_of(height, width, device, seed=0):
@@ -61,3 +62,23 @@ def test_a_gpu_s_kernels_make_whole_windows():
     device = open_device(style="gpu")
     tiles = list_tiles(1100, 70, 3, 4 * 3 * 70 * 800)
     assert Strips.of(pixels_of(1100, 70, device), make_planes(), tiles) is None
+
+
+@both_styles
+@pytest.mark.parametrize("channel", [1, 2, 3])
+@pytest.mark.parametrize(("rows", "columns"), [((0, 1), (0, 1)), ((3, 20), (5, 38)), ((0, 23), (0, 41))])
+def test_planes_of_a_part_are_sums_of_its_coefficients(device, channel, rows, columns):
+    """Whether kernels read coefficients where they lie, or copies of a part."""
+    rng = np.random.default_rng(channel)
+    coeffs = rng.standard_normal((4, 23, 41, channel)).astype(np.float32)
+    planes = rng.standard_normal((5, 4 * channel)), rng.standard_normal(5)
+    source = ArraySource(coeffs, device)
+    made = device.download(Pixels(source).planes(rows, columns, planes))[:, :, : columns[1] - columns[0]].copy()
+    part = coeffs[:, slice(*rows), slice(*columns)].astype(np.float64)
+    of_pixels = part.transpose(1, 2, 0, 3).reshape(*part.shape[1:3], -1)
+    expected = np.einsum("yxq,jq->jyx", of_pixels, planes[0]) - planes[1][:, None, None]
+    terms = np.einsum("yxq,jq->jyx", abs(of_pixels), abs(planes[0])) + abs(planes[1])[:, None, None]
+    assert (abs(made - expected) <= 4 * channel * np.finfo(np.float32).eps * terms).all()
+    source.in_memory = None
+    copied = device.download(Pixels(source).planes(rows, columns, planes))[:, :, : columns[1] - columns[0]]
+    assert np.array_equal(made, copied)

@@ -1,6 +1,7 @@
 """Units of klt: streams, tiles, regions, levels and damage."""
 
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,9 +28,11 @@ from clrelight.codec.streams import ArraySource, ArrayTarget
 from clrelight.codec.transforms.lifting import padded_width
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.views import Region
+from clrelight.codec.zeros import zeros
 from clrelight.errors import InputError, PayloadError
 from clrelight.harmonics.basis import evaluate_basis
 from tests.reference.entropy import join_plane
+from tests.styles import both_styles
 
 
 def decode_region(body, parsed, shape, region, device):
@@ -43,7 +46,7 @@ def code(device, values, *, together=True, multiplier=0.0, tables=None):
     window, groups = Window(0, 0, height, width), [(0, count)]
     layout = lay_out(list_units(height, width), (height, width), window, width, together, groups)
     taken = device.empty(values.shape, np.float32, np.ascontiguousarray(values, np.float32))
-    index = device.empty(values.shape, np.int32)
+    index = device.hold(np.zeros(values.shape, np.int32))
     coded = encode_streams(device, layout, taken, index, tables, multiplier)
     found = device.hold(np.zeros(values.shape, np.float32))
     fault = decode(device, coded.streams, tables, found, together)
@@ -308,6 +311,43 @@ def test_strips_are_wide_where_pieces_take_as_much():
     wider = (49, 4000, 6000, 3)
     assert klt_decode._strip_sides(wider, 45, klt_decode.bytes_at_once(wider, 45))[1] < 6000
     assert klt_decode._strip_sides(wider, 45, 1 << 28) == (512, 6000)
+
+
+def test_a_map_that_fits_is_one_strip():
+    """Of planes that fit half of the memory no unit is decoded twice; of others strips are as high as they can be."""
+    shape, planes = (25, 816, 1224, 3), 4 * 29 * 816 * 1224
+    assert klt_decode._strip_sides(shape, 29, 2 * planes) == (816, 1224)
+    assert klt_decode._strip_sides(shape, 29, 2 * planes - 8)[0] == 512
+    rows, columns = klt_decode._strip_sides((25, 9000, 1224, 3), 29, 8 * 29 * 1224 * 4000)
+    assert (rows, columns) == (3584, 1224)
+    assert klt_decode._strip_sides((25, 5, 7, 3), 0, 1) == (5, 7)
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 18), (40, 2), (900, 1)])
+def test_rows_of_precincts_are_decoded_together_where_sizes_are_few(count, most):
+    shape, stored = (1, 9000, 3000, 1), SimpleNamespace(n_plane=count, together=False)
+    reader = UnitReader(b"", stored, shape, None)
+    chosen = reader._needed(Region(0, 0, *shape[1:3]))
+    groups = reader._groups(chosen)
+    assert sorted(t for group in groups for t in group) == chosen
+    for group in groups:
+        assert group == sorted(group)  # from coarse to fine
+        covered = klt_regions._cover([reader._units[t] for t in group], *shape[1:3]).shape
+        assert -(-covered[0] // 512) <= most
+        assert covered[0] <= 512 or count * covered[0] * covered[1] // 4 <= klt_regions._KNOWN_BYTES
+
+
+@both_styles
+@pytest.mark.parametrize("shape", [(1,), (3, 5, 7), (1, (1 << 16) - 1), ((1 << 16) + 1,), (2, 3, 1 << 16)])
+def test_zeros_are_zeros(device, shape):
+    for _ in range(2):
+        made = zeros(shape, device)
+        values = device.download(made)
+        assert values.shape == shape
+        assert values.dtype == np.float32
+        assert not values.any()
+        values[...] = np.nan  # memory that was used
+        del made, values
 
 
 @pytest.mark.parametrize("memory", [1 << 30, 1 << 20])

@@ -80,6 +80,8 @@ class Source(ABC):
     """Of those."""
     basis: str = SH
     """What coefficients are of (`clrelight.bases`)."""
+    in_memory: NDArray[np.float32] | None = None
+    """All of them, C-contiguous and not to be written to, where they are there; a device may read parts in place."""
     elsewhere: TileCoder | None = None
     """What codes tiles of them in other processes, where there are such; their bytes are the same."""
 
@@ -166,7 +168,7 @@ class ArraySource(Source):
 
     def __init__(self, coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH) -> None:
         super().__init__(coeffs_khwc.shape, device, Workspace())
-        self._coeffs, self.basis = coeffs_khwc, basis
+        self._coeffs, self.in_memory, self.basis = coeffs_khwc, coeffs_khwc, basis
 
     def read_rows(self, first: int, end: int) -> NDArray[np.float32]:
         """See `Source`."""

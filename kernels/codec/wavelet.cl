@@ -185,25 +185,41 @@ __kernel void synthesise_planes(__global float *restrict planes_pyx, __global fl
                              AT_LEVEL(size_w, level), size_x);
 }
 
+/* to[c plane + x] = scale from[x C + c] */
+static inline void split_row(__global float *to, __global const float *from, const float scale, const int count,
+                             const int channels, const size_t plane)
+{
+    if (channels == 3)
+        for (int x = 0; x < count; x++) {
+            to[x] = scale * from[3 * x];
+            to[plane + x] = scale * from[3 * x + 1];
+            to[2 * plane + x] = scale * from[3 * x + 2];
+        }
+    else
+        for (int c = 0; c < channels; c++)
+            for (int x = 0; x < count; x++) to[c * plane + x] = scale * from[(size_t)x * channels + c];
+}
+
 /* planes[k c][y][x] = scale[k] coeffs[k][y][x][c]. Global size (height, maps): a row of one map. */
 __kernel void planes_from_coeffs(__global float *restrict planes_pyx, __global const float *restrict coeffs_khwc,
                                  __global const float *restrict scale_k, const int size_h, const int size_w,
                                  const int size_c, const int size_y, const int size_x)
 {
     const int y = get_global_id(0), k = get_global_id(1);
-    const float scale = scale_k[k];
-    __global const float *from = coeffs_khwc + ((size_t)k * size_h + y) * size_w * size_c;
-    __global float *to = planes_pyx + ((size_t)k * size_c * size_y + y) * size_x;
-    const size_t plane = (size_t)size_y * size_x;
-    if (size_c == 3)
-        for (int x = 0; x < size_w; x++) {
-            to[x] = scale * from[3 * x];
-            to[plane + x] = scale * from[3 * x + 1];
-            to[2 * plane + x] = scale * from[3 * x + 2];
-        }
-    else
-        for (int c = 0; c < size_c; c++)
-            for (int x = 0; x < size_w; x++) to[c * plane + x] = scale * from[(size_t)x * size_c + c];
+    split_row(planes_pyx + ((size_t)k * size_c * size_y + y) * size_x,
+              coeffs_khwc + ((size_t)k * size_h + y) * size_w * size_c, scale_k[k], size_w, size_c,
+              (size_t)size_y * size_x);
+}
+
+/* planes[k c][y][x] = coeffs[k][top + y][left + x][c], x of `width`. Same global size. */
+__kernel void planes_from_part(__global float *restrict planes_pyx, __global const float *restrict coeffs_khwc,
+                               const int top, const int left, const int width, const int size_h, const int size_w,
+                               const int size_c, const int size_y, const int size_x)
+{
+    const int y = get_global_id(0), k = get_global_id(1);
+    split_row(planes_pyx + ((size_t)k * size_c * size_y + y) * size_x,
+              coeffs_khwc + (((size_t)k * size_h + top + y) * size_w + left) * size_c, 1.0f, width, size_c,
+              (size_t)size_y * size_x);
 }
 
 /* coeffs[k][y][x][c] = scale[k] planes[k c][y][x], kept within the range of float32. Same global size. */

@@ -75,13 +75,18 @@ def bytes_at_once(shape: Shape, count: int) -> int:
 
 
 def _strip_sides(shape: Shape, count: int, memory: int) -> tuple[int, int]:
-    """Return the rows of strips, and the columns that are decoded together.
+    """Return the rows of strips, and the columns that are decoded together: all where they fit half of the memory.
 
     In pieces, units at the edges of precincts are decoded up to nine times, in strips as wide as the image up to three
     times: these are taken where they need no more, or at most a quarter where not even pieces fit.
     """
     _, height, width, _ = shape
-    rows, columns = tile_sides(height, width, count, memory // 2)  # their window, and what is made of it
+    half = memory // 2  # the window of a strip, and what is made of it
+    if 4 * count * height * width <= half:
+        return height, width
+    if (rows := half // max(4 * count * width, 1) - 2 * MARGIN) >= PRECINCT:
+        return rows // PRECINCT * PRECINCT, width
+    rows, columns = tile_sides(height, width, count, half)
     pieces, wide = bytes_at_once(shape, count), 4 * count * min(height, _SIDE) * width
     if columns < width and wide * (_LARGER if memory < pieces else 1.0) <= pieces:
         return min(PRECINCT, height), width

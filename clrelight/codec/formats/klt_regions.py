@@ -27,12 +27,15 @@ from clrelight.codec.formats.klt_salvage import Salvage
 from clrelight.codec.transforms.lifting import padded_width, transform_planes
 from clrelight.codec.views import Region
 from clrelight.codec.workspace import Shape
+from clrelight.codec.zeros import zeros
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 from clrelight.opencl.arguments import DeviceArray
 
 _AT_ONCE = 1 << 31
 """Bytes of planes that are decoded at once."""
+_KNOWN_BYTES = 1 << 25
+"""Of sizes, up to which rows of precincts are decoded together."""
 _REACH = 6
 """Samples of a subband beyond a region that its synthesis looks at: half of the next finer, and three, rounded up."""
 
@@ -204,7 +207,7 @@ class UnitReader:
         """
         rows, columns = window.sides_at(level)
         n_values = self._stored.n_plane if weight_jc is None else weight_jc.shape[1]
-        values = self._device.hold(recycling.zeros((n_values, rows, padded_width(columns)), np.float32))
+        values = zeros((n_values, rows, padded_width(columns)), self._device)
         faulty = []
         for group in groups:
             faulty += self._run_group(group, window, level, values, weight_jc)
@@ -228,11 +231,17 @@ class UnitReader:
         return [(chosen[layout.part_t4[at, 0]], numbers[at]) for at in np.flatnonzero(fault_t)]
 
     def _groups(self, chosen: list[int]) -> list[list[int]]:
-        """Return units apart by rows of precincts, from coarse to fine: what contexts know of others is within one."""
+        """Return units apart by rows of precincts, from coarse to fine: what contexts know of others is within one.
+
+        Rows whose sizes are few are together: of the coarsest levels a row has hardly a unit for each processor.
+        """
         if self._stored.together:
             return [chosen] if chosen else []
         rows = self._by_rows(chosen)
-        return [rows[row] for row in sorted(rows)]
+        sizes = max(self._stored.n_plane * (PRECINCT // 2) * (self._shape[2] // 2), 1)
+        numbers, step = sorted(rows), max(_KNOWN_BYTES // sizes, 1)
+        together = [numbers[first : first + step] for first in range(0, len(numbers), step)]
+        return [sorted(t for number in some for t in rows[number]) for some in together]
 
     def _by_rows(self, chosen: list[int]) -> dict[int, list[int]]:
         rows: dict[int, list[int]] = {}

@@ -67,6 +67,7 @@ class StepFinder(TileEncoder):
         self._windows: list[Window] = []
         self._pieces: dict[int, Pieces] = {}
         self._prepared = 0
+        self._table: tuple[Axes, float, int] | None = None
 
     def _mean(self, step: float) -> NDArray[np.int64]:
         return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
@@ -124,8 +125,11 @@ class StepFinder(TileEncoder):
         return self._table_bytes(axes, step) + index_bytes([int(streams / count) + 1] * count)
 
     def _table_bytes(self, axes: Axes, step: float) -> int:
-        """Return the bytes of a body in front of its index."""
-        return HEAD_SIZE + len(pack_axes(self._whitening.rotation_cc, axes, self._mean(step)))
+        """Return the bytes of a body in front of its index; the last is remembered while streams fill a budget."""
+        if self._table is None or self._table[0] is not axes or self._table[1] != step:
+            packed = pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
+            self._table = axes, step, HEAD_SIZE + len(packed)
+        return self._table[2]
 
     def _find_step(self, budget: int) -> Trial:
         """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight import recycling
 from clrelight.codec.slabs import SLAB_BYTES
 from clrelight.codec.streams import Linear, Source
 from clrelight.codec.transforms.code_values import bend, code_values_of, node_matrices
-from clrelight.codec.transforms.lifting import padded_width, split_planes
+from clrelight.codec.transforms.lifting import padded_width, split_part, split_planes
 from clrelight.codec.transforms.whitening import Planes, reshaped
 from clrelight.device import Device
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, sample_defines
@@ -23,6 +24,8 @@ from clrelight.streaming import Buffer
 from clrelight.tiles import Span
 
 _DEPTH = 64
+_WHOLE = 1 << 31
+"""Bytes of coefficients up to which kernels read them where they lie: drivers have bounds for an array."""
 _ROWS = 32
 """That are taken together where it makes no difference to reading."""
 
@@ -76,14 +79,28 @@ class Pixels:
         if way.fused is not None:
             way.fused.run(made, self._source, rows, columns, at)
             return
-        width, linear = columns[1] - columns[0], self._source.linear
+        width, linear, whole = columns[1] - columns[0], self._source.linear, self._in_place()
         row_bytes = 4 * width * (2 * way.n_value + made.shape[0])
         step, curve = max(SLAB_BYTES // row_bytes, 1), SampleCurve() if linear is None else linear.curve
         for top in range(*rows, step):
-            piece = (top, min(top + step, rows[1]))
+            piece, at_row = (top, min(top + step, rows[1])), at + top - rows[0]
+            if whole is not None:
+                split = self.lend("split", (way.n_value, piece[1] - piece[0], made.shape[2]))
+                split_part(whole, split, (top, columns[0]), width, self.device)
+                self._place(made, split, width, way, at_row)
+                continue
             held = self._read(piece, columns) if linear is None else self._source.read_samples(piece, columns)
-            values = self._values(np.ascontiguousarray(held), way.first, curve)
-            self._place(made, values, (held.shape[1], width), way, at + top - rows[0])
+            values = self._values(held if held.flags.c_contiguous else recycling.copied(held), way.first, curve)
+            split = self.lend("split", (values.shape[0] * self.shape[3], held.shape[1], made.shape[2]))
+            split_planes(reshaped(values, (values.shape[0], held.shape[1], width, self.shape[3])), split, self.device)
+            self._place(made, split, width, way, at_row)
+
+    def _in_place(self) -> DeviceArray | None:
+        """Return coefficients in memory that kernels read as they are, where that is all there is to it."""
+        held, device = self._source.in_memory, self.device
+        if held is None or self.transfer == "srgb" or not (device.style == "cpu" and device.shares_memory):
+            return None
+        return device.upload(held) if held.nbytes <= min(_WHOLE, device.info.memory_bytes // 4) else None
 
     def rows_at_once(self, columns: Span, planes: Planes) -> int:
         """Return the rows of a part of the image that are read together."""
@@ -112,22 +129,12 @@ class Pixels:
             bend(values, self.device, decode=False)
         return values
 
-    def _place(
-        self,
-        made: DeviceArray,
-        values: DeviceArray,
-        shape: tuple[int, int],
-        way: _Way,
-        first_row: int,
-    ) -> None:
-        """Queue the planes of some rows, and wait: what they are made of is read into again."""
-        device, (height, width), (count, _, pitch) = self.device, shape, made.shape
-        channel = self.shape[3]
-        split = self.lend("split", (values.shape[0] * channel, height, pitch))
-        split_planes(reshaped(values, (values.shape[0], height, width, channel)), split, device)
-        flat = height * pitch
+    def _place(self, made: DeviceArray, split: DeviceArray, width: int, way: _Way, first_row: int) -> None:
+        """Queue the planes of some rows of channels, and wait: what they are made of is read into again."""
+        device, (count, _, pitch) = self.device, made.shape
+        n_value, height, flat = split.shape[0], split.shape[1], split.shape[1] * pitch
         part = self.lend("part", (count, flat))
-        apply_operator(device, way.last, reshaped(split, (split.shape[0], flat)), part)
+        apply_operator(device, way.last, reshaped(split, (n_value, flat)), part)
         device.launch(
             "codec/units_encode.cl",
             "place_planes",

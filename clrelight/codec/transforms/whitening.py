@@ -84,22 +84,24 @@ def _whiten(
     channel: int,
     wanted_dc: NDArray[np.float64] | None,
 ) -> Whitening:
-    largest = float(np.abs(pixels_pkc).max())
+    """Return the whitening of pixels, which are overwritten: their moments are what all of it hangs on."""
+    largest = float(max(pixels_pkc.max(), -pixels_pkc.min()))
     exponent = int(np.clip(np.frexp(largest)[1], -126, 126)) if largest else 0
     n_coeff, forward_jk = metric_jk.shape[1], np.ldexp(metric_jk, -exponent)
-    turned_pjc = np.einsum("jk,pkc->pjc", forward_jk, pixels_pkc, optimize=True)
+    centred_pq = pixels_pkc.reshape(len(pixels_pkc), -1)
+    mean_q = centred_pq.mean(axis=0)
+    centred_pq -= mean_q
+    covariance_qq = centred_pq.T @ centred_pq / len(centred_pq)
     if wanted_dc is None:
-        flat = turned_pjc.reshape(-1, channel)
-        wanted_dc = np.linalg.eigh(flat.T @ flat)[1][:, ::-1].T
+        moment_kcld = (covariance_qq + np.outer(mean_q, mean_q)).reshape(n_coeff, channel, n_coeff, channel)
+        gram_kl = forward_jk.T @ forward_jk
+        wanted_dc = np.linalg.eigh(np.einsum("kl,kcld->cd", gram_kl, moment_kcld))[1][:, ::-1].T
     rotation_cc = np.rint(ROTATION_UNIT * wanted_dc).astype(np.int8)
     turn_dc = rotation_cc / ROTATION_UNIT
     forward_dq = np.einsum("dc,jk->djkc", turn_dc, forward_jk).reshape(channel * len(forward_jk), n_coeff * channel)
-    pixels_pd = np.einsum("pjc,dc->pdj", turned_pjc, turn_dc, optimize=True).reshape(len(turned_pjc), -1)
-    mean_d = pixels_pd.mean(axis=0)
-    pixels_pd -= mean_d
-    variance, vectors = np.linalg.eigh(pixels_pd.T @ pixels_pd / len(pixels_pd))
+    variance, vectors = np.linalg.eigh(forward_dq @ covariance_qq @ forward_dq.T)
     deviation = np.sqrt(np.maximum(variance[::-1], 0.0))
-    return Whitening(exponent, rotation_cc, forward_dq, mean_d, vectors[:, ::-1].T, deviation)
+    return Whitening(exponent, rotation_cc, forward_dq, forward_dq @ mean_q, vectors[:, ::-1].T, deviation)
 
 
 def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.float64]:
