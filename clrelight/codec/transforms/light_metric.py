@@ -53,7 +53,9 @@ def light_weights(
     width = max(_WIDTH * float(np.median(chord_u)), 2.0 * float(np.sqrt(weight_n.max())))
     density_n = np.zeros(len(nodes_n3))
     for first in range(0, len(above_i3), _AT_ONCE):
-        near_ni = np.exp((nodes_n3 @ above_i3[first : first + _AT_ONCE].T - 1.0) / width**2)
+        some_i3 = above_i3[first : first + _AT_ONCE]
+        # What would lie below the horizon is mirrored at it: even lights have the same density everywhere.
+        near_ni = sum(np.exp((nodes_n3 @ (some_i3 * [1.0, 1.0, side]).T - 1.0) / width**2) for side in (1.0, -1.0))
         density_n += (near_ni / (weight_n @ near_ni)).sum(axis=1)
     density_n *= weight_n.sum() / len(above_i3)
     return weight_n * ((1.0 - _ELSEWHERE) * density_n + _ELSEWHERE)
