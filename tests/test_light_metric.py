@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from clrelight.codec import codec_class, decode, encode
 from clrelight.codec.transforms.light_metric import light_root, light_weights
 from clrelight.codec.transforms.metric import hemisphere_metric
@@ -83,7 +84,7 @@ def test_lights_in_a_cap_are_shown_better_at_the_same_bytes(device) -> None:
         wrong_kp = (decode(encoded.to_bytes(), device).astype(np.float64) - coeffs_khwc).reshape(N_COEFF, -1)
         return float(((basis_ik @ wrong_kp) ** 2).mean())
 
-    assert error(lights_i3) < 0.5 * error(None)
+    assert error(lights_i3) < 0.6 * error(None)
 
 
 def test_lights_of_a_fit_are_those_of_its_directions(device) -> None:

@@ -42,9 +42,9 @@ class Klt(PartsCodec):
     """Whitened coordinates, their principal axes over coefficients and channels, 9/7 wavelet, and units of rANS.
 
     One quantiser step for everything, in a metric where it costs the same image error near all lights of the fit (all
-    over the hemisphere, where none are known). An axis is coded if
-    what it saves in squared error is worth the bits of its plane and of its row in the table, however few pixels need
-    it; the planes are solved against the table as it is coded. Indices are chosen by what they cost.
+    over the hemisphere, where none are known). An axis is coded if what it saves in squared error is worth the bits of
+    its plane and of its row in the table, however few pixels need it; the planes are solved against the table as it is
+    coded. Indices are chosen by what they cost.
 
     Attributes
     ----------
