@@ -124,7 +124,9 @@ def _whiten(
 
 def _each_channel(rows_jd: NDArray[np.float64], matrix_nn: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return rows whose part of each channel is multiplied by a matrix."""
-    return (rows_jd.reshape(len(rows_jd), -1, len(matrix_nn)) @ matrix_nn).reshape(rows_jd.shape)
+    n_component = len(matrix_nn)
+    parts_jcn = rows_jd.reshape(len(rows_jd), rows_jd.shape[1] // n_component, n_component)  # of no rows, too
+    return (parts_jcn @ matrix_nn).reshape(rows_jd.shape)
 
 
 def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.float64]:
