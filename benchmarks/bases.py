@@ -116,7 +116,13 @@ def coded(fitted: CoefficientMap, name: str, device: Device) -> CoefficientMap:
     if "bits" in options and codec_id == "klt":
         height, width, _ = fitted.image_shape
         options = {"byte_budget": int(options["bits"] * height * width / 8)}
-    encoded = encode(fitted.coeffs_khwc, codec_class(codec_id).from_config(options), device, fitted.basis)
+    encoded = encode(
+        fitted.coeffs_khwc,
+        codec_class(codec_id).from_config(options),
+        device,
+        fitted.basis,
+        fitted.fitted_lights,
+    )
     return replace(fitted, coeffs_khwc=decode(encoded.to_bytes(), device))
 
 

@@ -99,7 +99,13 @@ def _relight_stored(work: Workload, dtype: str, copies: int, goal: float | None 
 def _relight_view(work: Workload, codec_id: str, config: dict[str, object], goal: float | None) -> Stage:
     """Return relighting of decoded bytes in their own basis, beside that of the coefficients they decode to."""
     directions_i3 = _directions(work, 1)
-    encoded = encode(work.fitted.coeffs_khwc, codec_class(codec_id).from_config(config), work.device)
+    encoded = encode(
+        work.fitted.coeffs_khwc,
+        codec_class(codec_id).from_config(config),
+        work.device,
+        work.fitted.basis,
+        work.fitted.fitted_lights,
+    )
     view, decoded = decode_view(encoded, work.device), replace(work.fitted, coeffs_khwc=decode(encoded, work.device))
     assert view is not None
     coeffs_ks = decoded.coeffs_khwc.reshape(decoded.n_coeff, -1)[:, work.checked_s].astype(np.float64)

@@ -78,6 +78,11 @@ class FittedStack:
         """The functions of the fit at all lights."""
         return evaluate_basis(self.stack.directions_i3, self.degree)
 
+    @property
+    def seen_lights(self) -> NDArray[np.float64]:
+        """Directions of the lights that were fitted."""
+        return self.stack.directions_i3[self.fitted_i]
+
     def photographs(self, rows: slice) -> NDArray[np.float32]:
         """Return rows of all photographs in units of the peak (light, row, column, channel)."""
         return self.stack.images_ihwc[:, rows] / np.float32(self.stack.peak)

@@ -88,7 +88,7 @@ class KltCurve:
         coeffs_khwc, device = self._stack.coeffs_khwc, self._device
         codec = codec_class("klt").from_config({"rate": rate})
         since = time.perf_counter()
-        encoded = encode(coeffs_khwc, codec, device)
+        encoded = encode(coeffs_khwc, codec, device, lights_i3=self._stack.seen_lights)
         ended = time.perf_counter()
         decoded_khwc = decode(encoded, device)
         seconds = (ended - since, time.perf_counter() - ended)

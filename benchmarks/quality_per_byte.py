@@ -93,7 +93,7 @@ def _rows(stack: LightStack, picture: str | None) -> list[list[str]]:
 
     def code(way: str, source: CoefficientMap, codec: str, **config: object) -> Found:
         chosen = codec_class(codec).from_config(config).for_transfer(stack.transfer)
-        encoded = encode(source.coeffs_khwc, chosen, device)
+        encoded = encode(source.coeffs_khwc, chosen, device, source.basis, source.fitted_lights)
         decoded = replace(source, coeffs_khwc=decode(encoded.to_bytes(), device))
         return Found(way, encoded.encoded_bytes, measure(decoded), decoded)
 

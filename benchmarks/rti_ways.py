@@ -174,7 +174,7 @@ def _fit(way: Way, case: Case, device: Device) -> _Model:
     def code(bits: float) -> tuple[int, Relit]:
         budget = int(bits * height * width / 8)
         codec = codec_class("klt").from_config({"byte_budget": budget}).for_transfer(case.stack.transfer)
-        encoded = encode(fitted.coeffs_khwc, codec, device)
+        encoded = encode(fitted.coeffs_khwc, codec, device, fitted.basis, fitted.fitted_lights)
         decoded = replace(fitted, coeffs_khwc=decode(encoded.to_bytes(), device))
         return encoded.encoded_bytes, images(decoded)
 

@@ -18,6 +18,17 @@ def check_sums(maps_jhwc: NDArray[np.float32], device: Device) -> NDArray[np.flo
     return maps_jhwc
 
 
+def check_coefficients(coeffs_khwc: NDArray[np.float32], device: Device, first_row: int = 0) -> None:
+    """Raise InputError that names a coefficient which is not finite, of rows from `first_row` on."""
+    if all_finite(coeffs_khwc, device):
+        return
+    k, row, column, channel = (int(i) for i in np.argwhere(~np.isfinite(coeffs_khwc))[0])
+    raise InputError(
+        f"coefficient (k, row, column, channel) = {(k, first_row + row, column, channel)} is "
+        f"{coeffs_khwc[k, row, column, channel]}, expected a finite number"
+    )
+
+
 def all_finite(coeffs_khwc: NDArray[np.float32], device: Device) -> bool:
     """Return whether a float32 array holds neither infinity nor NaN; it is not sent to a device of other memory."""
     if not device.shares_memory or not coeffs_khwc.flags.c_contiguous:

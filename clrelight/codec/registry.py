@@ -14,7 +14,7 @@ from clrelight.bases import SH
 from clrelight.codec.bodies import Body, BodyWriter, MemoryBody
 from clrelight.codec.damage import Damage
 from clrelight.codec.encoded import Encoded, check_shape
-from clrelight.codec.finite import all_finite
+from clrelight.codec.finite import all_finite, check_coefficients
 from clrelight.codec.rate.noise import Noise, second_moments
 from clrelight.codec.streams import ArraySource, ArrayTarget, Source, Target
 from clrelight.codec.transforms.metric import MAX_METRIC_DEGREE
@@ -164,18 +164,9 @@ def _checked(coeffs_khwc: NDArray[np.float32], device: Device) -> NDArray[np.flo
     return coeffs
 
 
-def check_coefficients(coeffs_khwc: NDArray[np.float32], device: Device, first_row: int = 0) -> None:
-    """Raise InputError that names a coefficient which is not finite, of rows from `first_row` on."""
-    if all_finite(coeffs_khwc, device):
-        return
-    k, row, column, channel = (int(i) for i in np.argwhere(~np.isfinite(coeffs_khwc))[0])
-    raise InputError(
-        f"coefficient (k, row, column, channel) = {(k, first_row + row, column, channel)} is "
-        f"{coeffs_khwc[k, row, column, channel]}, expected a finite number"
-    )
-
-
-def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device, basis: str = SH) -> Encoded:
+def encode(
+    coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device, basis: str = SH, lights_i3: NDArray | None = None
+) -> Encoded:
     """Encode a coefficient map.
 
     Parameters
@@ -188,6 +179,9 @@ def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device, basis
         Where to encode.
     basis : str
         What they are coefficients of (`clrelight.bases`).
+    lights_i3 : ndarray, shape (n_light, 3), float64, optional
+        Unit vectors of the lights that they were fitted to: `klt` spends bits where these are. By default all of the
+        hemisphere is worth the same.
 
     Returns
     -------
@@ -199,7 +193,7 @@ def encode(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device, basis
     InputError
         If the shape is impossible, a coefficient is not finite, or the codec cannot hold one.
     """
-    source, body = array_source(coeffs_khwc, device, basis), MemoryBody()
+    source, body = array_source(coeffs_khwc, device, basis, lights_i3), MemoryBody()
     info = encode_stream(source, codec, body)
     return Encoded(codec.id, codec.to_config(), source.shape, body.to_bytes(), info)
 
@@ -217,9 +211,11 @@ def predict_noise(coeffs_khwc: NDArray[np.float32], codec: Codec, device: Device
     return predict_noise_of(array_source(coeffs_khwc, device), codec)
 
 
-def array_source(coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH) -> ArraySource:
+def array_source(
+    coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH, lights_i3: NDArray | None = None
+) -> ArraySource:
     """Return coefficients in memory as `encode_stream` takes them; InputError as `encode` raises it."""
-    return ArraySource(_checked(coeffs_khwc, device), device, basis)
+    return ArraySource(_checked(coeffs_khwc, device), device, basis, lights_i3)
 
 
 def predict_noise_of(source: Source, codec: Codec) -> Noise | None:

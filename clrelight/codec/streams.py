@@ -6,7 +6,6 @@ maps are one part; the same calls on what lies in files take as much memory as a
 
 from __future__ import annotations
 
-import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -22,7 +21,7 @@ from clrelight.codec.finite import check_sums
 from clrelight.codec.workspace import ArrayPlanes, Planes, Shape, Workspace
 from clrelight.device import Device
 from clrelight.matmul import SampleCurve, multiply_columns
-from clrelight.streaming import Buffer, reading_ahead
+from clrelight.streaming import reading_ahead
 from clrelight.tiles import read_rows_into, row_tiles
 
 if TYPE_CHECKING:
@@ -82,6 +81,8 @@ class Source(ABC):
     """What coefficients are of (`clrelight.bases`)."""
     in_memory: NDArray[np.float32] | None = None
     """All of them, C-contiguous and not to be written to, where they are there; a device may read parts in place."""
+    lights_i3: NDArray[np.float64] | None = None
+    """The lights that they were fitted to, where these are known."""
     elsewhere: TileCoder | None = None
     """What codes tiles of them in other processes, where there are such; their bytes are the same."""
 
@@ -166,9 +167,12 @@ class Source(ABC):
 class ArraySource(Source):
     """Coefficients in memory, C-contiguous."""
 
-    def __init__(self, coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH) -> None:
+    def __init__(
+        self, coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH, lights_i3: NDArray | None = None
+    ) -> None:
         super().__init__(coeffs_khwc.shape, device, Workspace())
-        self._coeffs, self.in_memory, self.basis = coeffs_khwc, coeffs_khwc, basis
+        self._coeffs, self.in_memory = coeffs_khwc, coeffs_khwc
+        self.basis, self.lights_i3 = basis, lights_i3
 
     def read_rows(self, first: int, end: int) -> NDArray[np.float32]:
         """See `Source`."""
@@ -295,8 +299,3 @@ class _MappedTarget(Target):
     def row_parts(self, multiple: int = 1) -> list[slice]:
         """See `Target`; as coefficients take them, which are no fewer."""
         return self._target.row_parts(multiple)
-
-
-def buffers() -> Iterator[Buffer]:
-    """Return two buffers, in turns."""
-    return itertools.cycle([Buffer(), Buffer()])

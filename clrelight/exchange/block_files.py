@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from clrelight.codec import Bc6h, Encoded
 from clrelight.codec.bodies import BodyWriter
-from clrelight.codec.registry import check_coefficients, encode_stream
+from clrelight.codec.finite import check_coefficients
+from clrelight.codec.registry import encode_stream
 from clrelight.codec.streams import Source
 from clrelight.codec.workspace import PARTS, BoundedWorkspace
 from clrelight.dataset import CoefficientMap

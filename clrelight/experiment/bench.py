@@ -163,7 +163,10 @@ class Bench:
             self._warm_up(codec, coeffs_khwc)
             try:
                 noise = predict_noise(coeffs_khwc, codec, self.device)
-                encoded, row["seconds_encode"] = self._timed(lambda: encode(coeffs_khwc, codec, self.device))
+                lights_i3 = coefficients.fitted_lights
+                encoded, row["seconds_encode"] = self._timed(
+                    lambda: encode(coeffs_khwc, codec, self.device, lights_i3=lights_i3)
+                )
             except InputError as error:
                 return append(results, without_quality(row, str(error)))
             # From the bytes alone, so that nothing the encoder knows can leak into the measurement.

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.registry import check_coefficients
+from clrelight.codec.finite import check_coefficients
 from clrelight.codec.streams import Linear, Source, parts_of
 from clrelight.codec.workspace import PARTS, Workspace
 from clrelight.fit.precision import DOUBLE, compute_dtype
@@ -27,7 +27,8 @@ class FittedSource(Source):
     def __init__(self, prepared: PreparedFit, workspace: Workspace, bands: Bands) -> None:
         shape = (coefficient_count(prepared.degree), *prepared.stack.image_shape)
         super().__init__(shape, prepared.device, workspace)
-        self._report, self._bands, self.basis = prepared.report, bands, prepared.record.basis
+        self._report, self._bands = prepared.report, bands
+        self.basis, self.lights_i3 = prepared.record.basis, prepared.record.fitted_lights
         self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.arithmetic))
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
         self.sample_type = np.dtype(prepared.stack.images_ihwc.dtype)

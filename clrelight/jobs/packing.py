@@ -158,7 +158,7 @@ class Pack:
             with stage(self.progress, f"fitting {prepared.method.title}") as tell:
                 fitted = collect_fit(prepared, memory_bytes=self.workspace.memory_bytes, progress=tell)
             self.report.add("fit", since)
-            yield array_source(fitted.coeffs_khwc, prepared.device, fitted.basis)
+            yield array_source(fitted.coeffs_khwc, prepared.device, fitted.basis, fitted.fitted_lights)
         else:
             if self.elsewhere is not None:
                 self.elsewhere.farm.begin()

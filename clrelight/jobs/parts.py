@@ -43,8 +43,9 @@ def take_source(coefficients: CoefficientMap, codec: Codec, device: Device, work
     shape = tuple(coefficients.coeffs_khwc.shape)
     in_memory = isinstance(coefficients.coeffs_khwc, np.ndarray)
     if in_memory or fits(workspace, shape) or codec.encoding_holds:
-        return array_source(coefficients.to_float32().coeffs_khwc, device, coefficients.basis)
-    return StoredSource(coefficients.coeffs_khwc, device, workspace, coefficients.basis)
+        held = coefficients.to_float32().coeffs_khwc
+        return array_source(held, device, coefficients.basis, coefficients.fitted_lights)
+    return StoredSource(coefficients.coeffs_khwc, device, workspace, coefficients.basis, coefficients.fitted_lights)
 
 
 def encode_source(source: Source, codec: Codec, workspace: ScratchWorkspace) -> Encoded:

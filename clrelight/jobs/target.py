@@ -112,7 +112,7 @@ def encode_to_quality(
     def try_place(place: float) -> float:
         nonlocal found
         setting, made = make(place)
-        encoded = encode(coefficients.coeffs_khwc, made, device, coefficients.basis)
+        encoded = encode(coefficients.coeffs_khwc, made, device, coefficients.basis, coefficients.fitted_lights)
         decoded = replace(coefficients, coeffs_khwc=decode(encoded.to_bytes(), device))
         trial = Trial(setting, encoded.encoded_bytes, measure(decoded))
         trials.append(trial)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -9,21 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.bases import SH
-from clrelight.codec.registry import check_coefficients, check_decoded
-from clrelight.codec.streams import Source, Target, buffers
+from clrelight.codec.finite import check_coefficients
+from clrelight.codec.registry import check_decoded
+from clrelight.codec.streams import Source, Target
 from clrelight.codec.workspace import Workspace
 from clrelight.device import Device
 from clrelight.store.stored import StoredArray
+from clrelight.streaming import Buffer
 from clrelight.tiles import read_rows_into
 
 
 class StoredSource(Source):
     """The coefficients of an open fit, read as they are needed and looked at before they are used."""
 
-    def __init__(self, stored_khwc: StoredArray, device: Device, workspace: Workspace, basis: str = SH) -> None:
+    def __init__(
+        self,
+        stored_khwc: StoredArray,
+        device: Device,
+        workspace: Workspace,
+        basis: str = SH,
+        lights_i3: NDArray[np.float64] | None = None,
+    ) -> None:
         super().__init__(stored_khwc.shape, device, workspace)
-        self.basis = basis
-        self._stored, self._buffers = stored_khwc, buffers()
+        self.basis, self.lights_i3 = basis, lights_i3
+        self._stored, self._buffers = stored_khwc, _buffers()
         if stored_khwc.chunks:
             self.row_step = stored_khwc.chunks[1]
 
@@ -38,7 +48,7 @@ class StoredSource(Source):
         """See `Source`."""
         with super().rows(multiple) as parts:
             yield parts
-        self._buffers = buffers()  # a codec that goes on with maps has their memory
+        self._buffers = _buffers()  # a codec that goes on with maps has their memory
 
     def check(self, coeffs_khwc: NDArray[np.float32], first_row: int) -> None:
         """Raise InputError that names a coefficient which is not finite."""
@@ -97,3 +107,8 @@ class PlanesTarget(Target):
         """See `Target`."""
         check_decoded(maps_khwc, self._codec_id, self._device)
         self.planes.put_maps(first, maps_khwc)
+
+
+def _buffers() -> Iterator[Buffer]:
+    """Return two buffers, in turns."""
+    return itertools.cycle([Buffer(), Buffer()])

@@ -41,9 +41,10 @@ _PIECE, _PIECE_VALUES = 128, 1 << 23
 class Klt(PartsCodec):
     """Whitened coordinates, their principal axes over coefficients and channels, 9/7 wavelet, and units of rANS.
 
-    One quantiser step for everything, in a metric where it costs the same image error everywhere. An axis is coded if
-    what it saves in squared error is worth the bits of its plane and of its row in the table, however few pixels need
-    it; the planes are solved against the table as it is coded. Indices are chosen by what they cost.
+    One quantiser step for everything, in a metric where it costs the same image error near all lights of the fit (all
+    over the hemisphere, where none are known). An axis is coded if what it saves in squared error is worth the bits of
+    its plane and of its row in the table, however few pixels need it; the planes are solved against the table as it is
+    coded. Indices are chosen by what they cost.
 
     Attributes
     ----------
@@ -114,34 +115,37 @@ class Klt(PartsCodec):
 
     def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
         """See `Codec`; the step chosen and the number of planes are reported."""
-        shape, device = source.shape, source.device
+        shape = source.shape
         check_metric(self.metric, shape[3])
         if self.transfer != "srgb":
             content, info = self._encode_as(Pixels(source), source.workspace)
         elif 4 * math.prod(shape) <= _WHOLE_BYTES:
-            content, info = self._encode_either(source.whole(), device, source.workspace, source.basis)
+            content, info = self._encode_either(_held(source), source.workspace)
         else:
             transfer = self._choose_transfer(source)
             content, info = self._encode_as(Pixels(source, transfer), source.workspace)
         body.write_all(content)
         return info
 
-    def _encode_either(
-        self, coeffs_khwc: NDArray[np.float32], device: Device, workspace: Workspace, basis: str
-    ) -> tuple[bytes, dict[str, float]]:
+    def _encode_either(self, source: ArraySource, workspace: Workspace) -> tuple[bytes, dict[str, float]]:
         """Return a map behind the curve, or without it, whichever leaves less error of code values."""
+        coeffs_khwc, device, basis, lights_i3 = source.whole(), source.device, source.basis, source.lights_i3
         shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device, basis)
-        there_and_back = code_value_error(radiance_of(values_khwc, device, basis), coeffs_khwc, device, basis)
+
+        def error(found_khwc: NDArray[np.float32]) -> float:
+            return code_value_error(found_khwc, coeffs_khwc, device, basis, lights_i3)
+
+        there_and_back = error(radiance_of(values_khwc, device, basis))
         # The coefficients of code values are there already.
-        bent = self._encode_as(Pixels(ArraySource(values_khwc, device, basis)), workspace, "srgb")
-        lost = code_value_error(self.decode_body(bent[0], shape, device), coeffs_khwc, device, basis)
+        bent = self._encode_as(Pixels(ArraySource(values_khwc, device, basis, lights_i3)), workspace, "srgb")
+        lost = error(self.decode_body(bent[0], shape, device))
         if lost > _CODED * there_and_back:
             return bent
         try:
-            plain = self._encode_as(Pixels(ArraySource(coeffs_khwc, device, basis)), workspace)
+            plain = self._encode_as(Pixels(source), workspace)
         except InputError:  # the step or budget is none for this way
             return bent
-        left = code_value_error(self.decode_body(plain[0], shape, device), coeffs_khwc, device, basis)
+        left = error(self.decode_body(plain[0], shape, device))
         return bent if lost < left else plain
 
     def _choose_transfer(self, source: Source) -> str:
@@ -156,7 +160,8 @@ class Klt(PartsCodec):
         mosaic_khwc = np.concatenate(pieces, axis=1)
         share = mosaic_khwc.size / math.prod(source.shape)
         codec = self if self.byte_budget is None else replace(self, byte_budget=max(int(self.byte_budget * share), 1))
-        content, _ = codec._encode_either(mosaic_khwc, source.device, Workspace(), source.basis)
+        mosaic = ArraySource(mosaic_khwc, source.device, source.basis, source.lights_i3)
+        content, _ = codec._encode_either(mosaic, Workspace())
         return parse_body(drop_padding(content, mosaic_khwc.shape), mosaic_khwc.shape).head.transfer
 
     def _encode_as(
@@ -201,6 +206,10 @@ class Klt(PartsCodec):
         """See `Codec`; None of old bodies."""
         body = drop_padding(body, shape)
         return UnitView(body, parse_body(body, shape), shape, damage) if _is_in_units(body) else None
+
+
+def _held(source: Source) -> ArraySource:
+    return ArraySource(source.whole(), source.device, source.basis, source.lights_i3)
 
 
 def _is_in_units(body: Body) -> bool:

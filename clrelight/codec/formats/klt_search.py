@@ -60,7 +60,9 @@ class StepFinder(TileEncoder):
         self._progress = progress
         shape, self._transfer, self._memory = pixels.shape, transfer, memory
         self._n_pixel = shape[1] * shape[2]
-        self._whitening = whitening_of(shape, pixels.of_places, colour_axes(metric, transfer), pixels.basis)
+        self._whitening = whitening_of(
+            shape, pixels.of_places, colour_axes(metric, transfer), pixels.basis, pixels.lights_i3
+        )
         largest = float(np.abs(self._whitening.mean_d).max())
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
@@ -86,7 +88,7 @@ class StepFinder(TileEncoder):
         count = int((self._whitening.deviation_j > _TRIED * step).sum())
         self._prepare(count)
         vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
-        axes = quantise_axes(vectors, deviation, self._n_pixel, step)
+        axes = quantise_axes(vectors, deviation, self._n_pixel, step, self._whitening.root_nn)
         streams, sizes = 0.0, np.zeros(0)
         if count:
             chosen = range(len(self._windows))[every // 2 :: every] or range(len(self._windows))
@@ -97,7 +99,7 @@ class StepFinder(TileEncoder):
             bits_j = np.sum([each.bits_j for each in tried], axis=0) * share
             energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
             saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
-            saved_j -= energy_j * ((axes.vectors_jd - vectors) ** 2).sum(axis=1)
+            saved_j -= energy_j * self._whitening.cost_j(axes.vectors_jd - vectors)
             pays = saved_j > _AXIS_MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
             streams = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0)

@@ -17,6 +17,7 @@ from clrelight import recycling
 from clrelight.bases import SH, basis_of
 from clrelight.codec.finite import check_sums
 from clrelight.codec.slabs import CACHED_BYTES, slabs
+from clrelight.codec.transforms.light_metric import light_weights
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.whitening import reshaped
 from clrelight.conventions import linear_to_srgb
@@ -58,9 +59,13 @@ def radiance_of(values_khwc: NDArray[np.float32], device: Device, basis: str = S
 
 
 def code_value_error(
-    found_khwc: NDArray[np.float32], coeffs_khwc: NDArray[np.float32], device: Device, basis: str = SH
+    found_khwc: NDArray[np.float32],
+    coeffs_khwc: NDArray[np.float32],
+    device: Device,
+    basis: str = SH,
+    lights_i3: NDArray[np.float64] | None = None,
 ) -> float:
-    """Return the mean squared error over the hemisphere of sRGB code values clipped to [0, 1].
+    """Return the mean squared error over the hemisphere of sRGB code values clipped to [0, 1], by `light_weights`.
 
     NaN where something is. Of some of the pixels where there are many, and at other directions than the nodes of
     `code_values_of`, which does best there.
@@ -68,6 +73,7 @@ def code_value_error(
     n_coeff, channel = len(coeffs_khwc), coeffs_khwc.shape[-1]
     degree = degree_of(n_coeff)
     directions_i3, weight_i = product_rule(degree + 1)
+    weight_i = light_weights(directions_i3, weight_i, lights_i3)
     synthesis_ik = basis_of(basis).evaluate(directions_i3, degree)
     n_pixel = coeffs_khwc[0, ..., 0].size
     some = slice(0, None, -(-n_pixel // _LOOKED_AT) | 1)  # odd, to leave no column of an image out

@@ -45,7 +45,7 @@ class Pixels:
 
     def __init__(self, source: Source, transfer: str = "linear") -> None:
         self.shape, self.device, self.transfer, self.basis = source.shape, source.device, transfer, source.basis
-        self._source, self.elsewhere = source, source.elsewhere
+        self._source, self.elsewhere, self.lights_i3 = source, source.elsewhere, source.lights_i3
         self._buffers: dict[str, Buffer] = defaultdict(Buffer)
         self._way: tuple[NDArray[np.float64], _Way] | None = None
 

@@ -50,18 +50,32 @@ class Axes:
         return self.entries_jd / np.exp2(self.scales_j[:, None] / SCALES_PER_OCTAVE)
 
 
-def quantise_axes(vectors_jd: NDArray[np.float64], deviation_j: NDArray[np.float64], n_pixel: int, step: float) -> Axes:
+def quantise_axes(
+    vectors_jd: NDArray[np.float64],
+    deviation_j: NDArray[np.float64],
+    n_pixel: int,
+    step: float,
+    root_nn: NDArray[np.float64],
+) -> Axes:
     """Return the axes in steps that cost the image what a step of the planes costs it.
 
     An error e of an entry of axis j adds ``n_pixel deviation_j^2 e^2`` to the squared error, one of a plane's sample
     adds e^2: equal slopes of distortion and bits ask for ``step / (deviation sqrt(n_pixel))``. An axis may come out as
-    zeros.
+    zeros. Where errors e of a channel's components cost ``|root e|^2``, each entry makes up for what those after it
+    were rounded by, as far as it can (Babai's nearest plane): `root_nn` is upper triangular.
     """
-    ratio = deviation_j * np.sqrt(n_pixel) / (_COARSER * step)
+    diagonal_n = np.diag(root_nn)
+    ratio = deviation_j * np.sqrt(n_pixel * np.mean(diagonal_n**2)) / (_COARSER * step)
     scales = np.clip(np.rint(SCALES_PER_OCTAVE * np.log2(np.maximum(ratio, 1.0))), 0, 80).astype(np.uint8)
     exact = vectors_jd * np.exp2(scales[:, None] / SCALES_PER_OCTAVE)
-    entries = (np.sign(exact) * np.floor(np.abs(exact) + _ROUNDING)).astype(np.int64)
-    return Axes(entries, scales)
+    # One component of all axes and channels in a row.
+    wanted_nr = exact.reshape(-1, len(root_nn)).T.copy()
+    rounded_nr = np.empty_like(wanted_nr)
+    after_nn = np.triu(root_nn, 1) / diagonal_n[:, None]
+    for n in range(len(root_nn) - 1, -1, -1):
+        value = wanted_nr[n] + after_nn[n, n + 1 :] @ (wanted_nr[n + 1 :] - rounded_nr[n + 1 :])
+        rounded_nr[n] = np.sign(value) * np.floor(np.abs(value) + _ROUNDING)
+    return Axes(rounded_nr.T.reshape(exact.shape).astype(np.int64), scales)
 
 
 def make_operator(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.bases import SH
+from clrelight.codec.transforms.light_metric import light_root
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes
 from clrelight.opencl.arguments import DeviceArray
@@ -41,9 +42,11 @@ class Whitening:
         The division, the hemisphere's metric and the rotation.
     mean_d : ndarray, float64
     vectors_jd : ndarray, float64
-        Axes of unit length, by the deviation of the pixels along them.
+        Axes by the deviation of the pixels along them, of unit length in the metric of `root_nn`.
     deviation_j : ndarray, float64
         Standard deviations, descending.
+    root_nn : ndarray, shape (n_component, n_component), float64
+        What an error e of a channel's coordinates costs is ``|root e|^2``; upper triangular.
     """
 
     exponent: int
@@ -52,30 +55,44 @@ class Whitening:
     mean_d: NDArray[np.float64]
     vectors_jd: NDArray[np.float64]
     deviation_j: NDArray[np.float64]
+    root_nn: NDArray[np.float64]
 
     def exact(self, count: int) -> Planes:
         """Return what makes the first planes."""
-        vectors = self.vectors_jd[:count]
-        return vectors @ self.forward_dq, vectors @ self.mean_d
+        return self._made(_each_channel(self.vectors_jd[:count], self.root_nn.T))
 
     def solved(self, axes: Axes) -> Planes:
         """Return the same for axes as the decoder knows them: planes are coordinates along them by least squares."""
-        vectors = axes.vectors_jd
+        vectors = _each_channel(axes.vectors_jd, self.root_nn.T)
         # The axes being near orthonormal, their Gram matrix is near the identity, and far smaller than they are.
-        solution = np.linalg.pinv(vectors @ vectors.T, hermitian=True) @ vectors
-        return solution @ self.forward_dq, solution @ self.mean_d
+        return self._made(np.linalg.pinv(vectors @ vectors.T, hermitian=True) @ vectors)
+
+    def cost_j(self, errors_jd: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what errors of axes cost for each squared unit of their planes."""
+        return (_each_channel(errors_jd, self.root_nn.T) ** 2).sum(axis=1)
+
+    def _made(self, solution_jd: NDArray[np.float64]) -> Planes:
+        weighted_jd = _each_channel(solution_jd, self.root_nn)
+        return weighted_jd @ self.forward_dq, weighted_jd @ self.mean_d
 
 
 def whitening_of(
-    shape: tuple[int, int, int, int], read: ReadPlaces, turn_dc: NDArray[np.float64] | None = None, basis: str = SH
+    shape: tuple[int, int, int, int],
+    read: ReadPlaces,
+    turn_dc: NDArray[np.float64] | None = None,
+    basis: str = SH,
+    lights_i3: NDArray[np.float64] | None = None,
 ) -> Whitening:
     """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does.
 
-    Errors along the rows of `turn_dc` cost alike; by default those of the channels do, in the rows of a rotation.
+    Errors along the rows of `turn_dc` cost alike; by default those of the channels do, in the rows of a rotation. Over
+    directions they cost what `clrelight.codec.transforms.light_metric.light_root` says of `lights_i3`.
     """
     pixels_pkc = _sample(shape, read)
     with on_one_thread():
-        return _whiten(pixels_pkc, hemisphere_metric(shape[0], AXES, basis).forward_jk, shape[3], turn_dc)
+        metric = hemisphere_metric(shape[0], AXES, basis)
+        root_nn = light_root(metric, basis, lights_i3)
+        return _whiten(pixels_pkc, metric.forward_jk, shape[3], turn_dc, root_nn)
 
 
 def _whiten(
@@ -83,6 +100,7 @@ def _whiten(
     metric_jk: NDArray[np.float64],
     channel: int,
     wanted_dc: NDArray[np.float64] | None,
+    root_nn: NDArray[np.float64],
 ) -> Whitening:
     """Return the whitening of pixels, which are overwritten: their moments are what all of it hangs on."""
     largest = float(max(pixels_pkc.max(), -pixels_pkc.min()))
@@ -94,14 +112,23 @@ def _whiten(
     covariance_qq = centred_pq.T @ centred_pq / len(centred_pq)
     if wanted_dc is None:
         moment_kcld = (covariance_qq + np.outer(mean_q, mean_q)).reshape(n_coeff, channel, n_coeff, channel)
-        gram_kl = forward_jk.T @ forward_jk
-        wanted_dc = np.linalg.eigh(np.einsum("kl,kcld->cd", gram_kl, moment_kcld))[1][:, ::-1].T
+        shown_jk = root_nn @ forward_jk
+        wanted_dc = np.linalg.eigh(np.einsum("kl,kcld->cd", shown_jk.T @ shown_jk, moment_kcld))[1][:, ::-1].T
     rotation_cc = np.rint(ROTATION_UNIT * wanted_dc).astype(np.int8)
     turn_dc = rotation_cc / ROTATION_UNIT
     forward_dq = np.einsum("dc,jk->djkc", turn_dc, forward_jk).reshape(channel * len(forward_jk), n_coeff * channel)
-    variance, vectors = np.linalg.eigh(forward_dq @ covariance_qq @ forward_dq.T)
+    shown_dq = _each_channel(forward_dq.T, root_nn.T).T
+    variance, vectors = np.linalg.eigh(shown_dq @ covariance_qq @ shown_dq.T)
     deviation = np.sqrt(np.maximum(variance[::-1], 0.0))
-    return Whitening(exponent, rotation_cc, forward_dq, forward_dq @ mean_q, vectors[:, ::-1].T, deviation)
+    vectors_jd = _each_channel(vectors[:, ::-1].T, np.linalg.inv(root_nn).T)
+    return Whitening(exponent, rotation_cc, forward_dq, forward_dq @ mean_q, vectors_jd, deviation, root_nn)
+
+
+def _each_channel(rows_jd: NDArray[np.float64], matrix_nn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rows whose part of each channel is multiplied by a matrix."""
+    n_component = len(matrix_nn)
+    parts_jcn = rows_jd.reshape(len(rows_jd), rows_jd.shape[1] // n_component, n_component)  # of no rows, too
+    return (parts_jcn @ matrix_nn).reshape(rows_jd.shape)
 
 
 def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.float64]:
