@@ -68,8 +68,7 @@ class Source(ABC):
     ----------
     shape : tuple of int
         (n_coeff, height, width, channel).
-    device : Device
-    workspace : Workspace
+    device, workspace : Device, Workspace
     """
 
     row_step = 1
@@ -80,8 +79,7 @@ class Source(ABC):
     """Of those."""
     basis: str = SH
     """What coefficients are of (`clrelight.bases`)."""
-    in_memory: NDArray[np.float32] | None = None
-    """All of them, C-contiguous and not to be written to, where they are there; a device may read parts in place."""
+    in_memory: NDArray[np.float32] | None = None  # all of them, C-contiguous: a device may read parts in place
     elsewhere: TileCoder | None = None
     """What codes tiles of them in other processes, where there are such; their bytes are the same."""
 
