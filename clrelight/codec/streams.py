@@ -67,8 +67,7 @@ class Source(ABC):
     ----------
     shape : tuple of int
         (n_coeff, height, width, channel).
-    device : Device
-    workspace : Workspace
+    device, workspace : Device, Workspace
     """
 
     row_step = 1
@@ -79,10 +78,8 @@ class Source(ABC):
     """Of those."""
     basis: str = SH
     """What coefficients are of (`clrelight.bases`)."""
-    in_memory: NDArray[np.float32] | None = None
-    """All of them, C-contiguous and not to be written to, where they are there; a device may read parts in place."""
-    lights_i3: NDArray[np.float64] | None = None
-    """The lights that they were fitted to, where these are known."""
+    in_memory: NDArray[np.float32] | None = None  # all of them, C-contiguous: a device may read parts in place
+    lights_i3: NDArray[np.float64] | None = None  # that they were fitted to, where these are known
     elsewhere: TileCoder | None = None
     """What codes tiles of them in other processes, where there are such; their bytes are the same."""
 
