@@ -253,8 +253,7 @@ def _streamed(path: str | os.PathLike, part: Part, n_bytes: int, schema: Schema)
             yield draft
             draft.finish()
     with naming(path):
-        head = os.pread(part.descriptor, _SUPERBLOCK.size, 0)
-        version, size = _SUPERBLOCK.unpack(head)
+        version, size = _SUPERBLOCK.unpack(os.pread(part.descriptor, _SUPERBLOCK.size, 0))
         if version not in (2, 3) or os.fstat(part.descriptor).st_size < size:
             raise OSError(f"HDF5 left it at superblock {version} and {size} bytes")
         os.ftruncate(part.descriptor, size)  # gives back what was reserved in excess
