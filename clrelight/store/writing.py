@@ -22,6 +22,7 @@ from clrelight.store.creating import create_compact, create_in_memory, create_on
 from clrelight.store.nexus import describe
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
 from clrelight.store.seal import MOST_IN_TEXT, SEAL_ATTRIBUTE, TABLE, seal_of, sums_text, type_text
+from clrelight.store.superblock import closed_image
 from clrelight.tiles import Rectangle, check_shape
 
 IN_MEMORY_BYTES = 64 << 20
@@ -237,7 +238,7 @@ def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int, schema: 
         yield draft
         draft.finish()
         file.flush()
-        image = file.id.get_file_image()
+        image = closed_image(file.id.get_file_image())
     part.write(image)
 
 
@@ -252,8 +253,7 @@ def _streamed(path: str | os.PathLike, part: Part, n_bytes: int, schema: Schema)
             yield draft
             draft.finish()
     with naming(path):
-        head = os.pread(part.descriptor, _SUPERBLOCK.size, 0)
-        version, size = _SUPERBLOCK.unpack(head)
+        version, size = _SUPERBLOCK.unpack(os.pread(part.descriptor, _SUPERBLOCK.size, 0))
         if version not in (2, 3) or os.fstat(part.descriptor).st_size < size:
             raise OSError(f"HDF5 left it at superblock {version} and {size} bytes")
         os.ftruncate(part.descriptor, size)  # gives back what was reserved in excess
