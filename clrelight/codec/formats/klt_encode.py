@@ -218,7 +218,7 @@ class Encoder(StepFinder):
         coder = self._pixels.elsewhere
         if coder is not None:
             return LastElsewhere(coder, tile, (self._shape[1], self._shape[2]), planes, self._pixels.transfer, step)
-        self._pixels.forget()  # indices of this one take as much again as its values
+        self.forget()  # indices of this one take as much again as its values
         return LastHere(self, self.take_part(tile.window, tile, planes, lent=True), step)
 
     def _fill(self, budget: int, axes: Axes, step: float, streams: list[bytes], last: tuple[Tile, Last, float]) -> None:

@@ -97,6 +97,7 @@ class CodedPart:
     @classmethod
     def of(cls, encoder: TileEncoder, tile: Tile, planes: Planes, step: float, multiplier: float) -> CodedPart:
         """Code a part of the last tile."""
+        encoder.forget()
         part = encoder.take_part(tile.window, tile, planes)
         index = encoder.device.empty(part.values.shape, np.int32)
         streams = encoder.encode_part(part, step, multiplier, index=index).streams

@@ -141,6 +141,10 @@ class TileEncoder:
     def __init__(self, pixels: Pixels) -> None:
         self._shape, self._pixels, self.device = pixels.shape, pixels, pixels.device
 
+    def forget(self) -> None:
+        """Give back memory that parts were lent."""
+        self._pixels.forget()
+
     def take_part(self, window: Window, tile: Tile, planes: Planes, *, lent: bool = False) -> Part:
         """Return wavelet coefficients of the planes of a window, of which a tile's are coded."""
         rows, columns = (window.top, window.bottom), (window.left, window.right)
