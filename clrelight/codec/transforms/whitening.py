@@ -117,7 +117,7 @@ def _whiten(
     pixels_pd -= shown_mean_d
     variance, vectors = np.linalg.eigh(pixels_pd.T @ pixels_pd / len(pixels_pd))
     deviation = np.sqrt(np.maximum(variance[::-1], 0.0))
-    back_nn = np.linalg.inv(root_nn).T
+    back_nn = np.asarray(np.linalg.inv(root_nn).T, np.float64)
     mean_d, vectors_jd = _each_channel(shown_mean_d[None], back_nn)[0], _each_channel(vectors[:, ::-1].T, back_nn)
     return Whitening(exponent, rotation_cc, forward_dq, mean_d, vectors_jd, deviation, root_nn)
 
