@@ -120,7 +120,7 @@ def _whiten(
     shown_dq = _each_channel(forward_dq.T, root_nn.T).T
     variance, vectors = np.linalg.eigh(shown_dq @ covariance_qq @ shown_dq.T)
     deviation = np.sqrt(np.maximum(variance[::-1], 0.0))
-    vectors_jd = _each_channel(vectors[:, ::-1].T, np.linalg.inv(root_nn).T)
+    vectors_jd = _each_channel(vectors[:, ::-1].T, np.asarray(np.linalg.inv(root_nn).T, np.float64))
     return Whitening(exponent, rotation_cc, forward_dq, forward_dq @ mean_q, vectors_jd, deviation, root_nn)
 
 
