@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
-  const { TILE, tilePlace, halved, floatsOf, fromBase64, evaluationOf } = clrelight;
+  const { TILE, tilePlace, halved, floatsOf, fromBase64, evaluationOf, productRule, spreadOverAzimuths } = clrelight;
 
   const ROOM = 768 * 2 ** 20; // bytes of textures
   const MOST_AT_ONCE = 4; // requests to the server
@@ -23,9 +23,13 @@
   /** A file of the manifest with its numbers as arrays. */
   function openFile(facts, id) {
     const file = { ...facts, id, layers: Math.ceil(facts.planes / 4) };
-    for (const name of ["operator", "nodes", "analysis", "directions"]) if (facts[name]) file[name] = floatsOf(facts[name]);
+    for (const name of ["operator", "directions"]) if (facts[name]) file[name] = floatsOf(facts[name]);
     if (file.kind === "photographs") [file.planes, file.layers] = [file.channels, 1];
-    if (file.bent) file.straight = straightFile(file);
+    if (file.bent) {
+      file.nodes = productRule(file.degree).directions;
+      file.analysis = spreadOverAzimuths(floatsOf(facts.analysis), file.degree);
+      file.straight = straightFile(file);
+    }
     return file;
   }
 
