@@ -27,7 +27,8 @@
     if (file.kind === "photographs") [file.planes, file.layers] = [file.channels, 1];
     if (file.bent) {
       file.nodes = productRule(file.degree).directions;
-      file.analysis = spreadOverAzimuths(floatsOf(facts.analysis), file.degree);
+      file.columns = floatsOf(facts.analysis);
+      file.analysis = spreadOverAzimuths(file.columns, file.degree);
       file.straight = straightFile(file);
     }
     return file;
@@ -135,8 +136,8 @@
 
     /** What a worker makes coefficients with, once: of large degrees it takes a moment. */
     tellCurve(worker, file) {
-      const { id, planes, channels, analysis } = file;
-      file.curve ??= { planes, channels, analysis, evaluation: evaluationOf(file) };
+      const { id, planes, channels, columns, degree } = file;
+      file.curve ??= { planes, channels, columns, degree, evaluation: evaluationOf(file) };
       if (!worker.curves.has(id)) worker.worker.postMessage({ type: "curve", id, curve: file.curve });
       worker.curves.add(id);
     }
