@@ -105,3 +105,34 @@ def test_coefficients_behind_the_curve_are_those_of_the_format(degree):
     np.testing.assert_allclose(np.reshape(directions, (-1, 3)), expected_i3, atol=1e-12)
     analysis_ki = node_matrices(n_coeff)[1]
     np.testing.assert_allclose(np.reshape(matrix, (n_coeff, -1)), analysis_ki, atol=1e-6 * abs(analysis_ki).max())
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_planes_behind_the_curve_become_coefficients_of_radiance(degree):
+    """Beside sums over all nodes in NumPy; five pixels, for four are taken at a time."""
+    n_coeff, planes, pixels, channels = (degree + 1) ** 2, 6, 5, 3
+    rng = np.random.default_rng(7)
+    operator_kcj = rng.standard_normal((n_coeff, channels, planes + 1)) / n_coeff
+    values_jp = rng.standard_normal((8, pixels)).astype(np.float16)
+    values_jp[planes:] = 0
+    code = """
+    const { straighten, floatsOf, productRule, evaluationOf } = clrelight;
+    const { degree, planes, pixels } = data;
+    const nodes = productRule(degree).directions;
+    const evaluation = evaluationOf({ nodes, channels: 3, planes, operator: data.operator, degree });
+    const curve = { planes, channels: 3, evaluation, columns: floatsOf(data.columns), degree };
+    return [...straighten(Uint16Array.from(data.texels), pixels, curve)];
+    """
+    texels = values_jp.reshape(2, 4, pixels).swapaxes(1, 2).ravel().view(np.uint16)
+    sent = {"degree": degree, "planes": planes, "pixels": pixels, "operator": operator_kcj.ravel().tolist()}
+    found = mathematics(code, texels=texels.tolist(), columns=floats_text(analysis_columns(n_coeff)), **sent)
+    layers = -(-n_coeff * channels // 4)
+    found_qp = np.uint16(found).view(np.float16).reshape(layers, pixels, 4).swapaxes(1, 2).reshape(-1, pixels)
+
+    directions_i3, _ = product_rule(degree)
+    given_jp = np.concatenate([values_jp[:planes].astype(float), np.ones((1, pixels))])
+    coded_icp = np.einsum("ik,kcj,jp->icp", real_harmonics(directions_i3, degree), operator_kcj, given_jp)
+    size = np.abs(coded_icp)
+    radiance_icp = np.sign(coded_icp) * np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
+    expected = np.einsum("ki,icp->kcp", node_matrices(n_coeff)[1], radiance_icp).reshape(-1, pixels)
+    np.testing.assert_allclose(found_qp[: len(expected)], expected, rtol=2**-10, atol=1e-4 * np.abs(expected).max())
