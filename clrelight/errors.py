@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 
 class InputError(ValueError):
     """Something the user gave is wrong; the message is one line that says what, and what would be right."""
+
+
+def unknown(what: str, given: object, known: Iterable[str]) -> InputError:
+    """Return the error of a name that is none of those known: the line lists these, and says which is nearest."""
+    import difflib  # of no use where nothing is wrong
+
+    names = list(known)
+    near = difflib.get_close_matches(str(given), names, n=1)
+    meant = f" (did you mean {near[0]!r}?)" if near else ""
+    return InputError(f"unknown {what} {given!r}; known are {', '.join(names)}{meant}")
 
 
 class StoreFormatError(InputError):

@@ -18,7 +18,7 @@ from clrelight.codec.formats.dds import dds_header
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.durable import check_output, naming, replacing, replacing_folder
-from clrelight.errors import InputError
+from clrelight.errors import InputError, unknown
 from clrelight.exchange.block_files import BlockFiles, put_blocks
 from clrelight.exchange.channels import ExrFile, exr_spec
 from clrelight.passes import map_rows
@@ -44,7 +44,7 @@ class _Texture:
 def check_export(out: str | os.PathLike, file_format: str, inputs: Iterable[str | os.PathLike] = ()) -> None:
     """Raise InputError if an export cannot go to `out` as it looks now; for asking before long work."""
     if file_format not in EXPORTS:
-        raise InputError(f"unknown format {file_format!r}; known are {', '.join(EXPORTS)}")
+        raise unknown("format", file_format, EXPORTS)
     target = Path(os.fsdecode(out))
     if _is_array(target):
         if file_format != "dds":

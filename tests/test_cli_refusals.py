@@ -99,7 +99,8 @@ FITS = [
     ("stack.h5 @o.h5 --memory 10", "more than the memory budget 10"),
     ("stack.h5 @o.h5 --device warp", "no OpenCL device matches 'warp'; there are 0: "),
     ("stack.h5 @o.h5 --device 99", "no OpenCL device matches '99'"),
-    ("stack.h5", "Missing argument 'OUT' (see clrelight fit --help)"),
+    ("stack.h5", "Missing argument 'OUT'; it is clrelight fit [OPTIONS] STACK OUT (see clrelight fit --help)"),
+    ("stack.h5 @o.h5 --method csl", "(did you mean 'cls'?)"),
     ("stack.h5 @o.h5 --depth 3", "No such option '--depth'"),
 ]
 ENCODES = [

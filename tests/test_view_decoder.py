@@ -1,4 +1,4 @@
-"""The page's decoder of klt 4, a second implementation of docs/bitstream.md, and its mathematics, against Python's."""
+"""The page's decoder of klt 4, a second implementation of docs/bitstream.md, against Python's."""
 
 import base64
 from pathlib import Path
@@ -14,12 +14,8 @@ from clrelight.codec.minimum_size import drop_padding
 from clrelight.codec.views import Region
 from clrelight.device import open_device
 from clrelight.errors import PayloadError
-from clrelight.lighting.light import Light, turn_about_z
-from clrelight.lighting.sky import sky_light
-from clrelight.view.lights import sky_tables
 from tests import mutations
-from tests.javascript import DECODER, evaluate
-from tests.reference.basis import real_harmonics
+from tests.javascript import evaluate
 from tests.reference.entropy import list_bands
 from tests.reference.klt4 import START, decode_klt4
 from tests.reference.payload import open_payload
@@ -237,63 +233,3 @@ def test_halves_are_rounded_as_numpy_rounds():
     np.testing.assert_array_equal(np.uint16(found).view(np.float16), expected)
     back = run("return data.bits.map((bits) => clrelight.fromHalf(bits));", bits=found)
     np.testing.assert_array_equal(np.float32(back), expected.astype(np.float32))
-
-
-MATHEMATICS = (*DECODER, "harmonics.js", "lighting.js")
-
-
-def mathematics(code, **data):
-    return evaluate(code, data, MATHEMATICS)
-
-
-def test_the_basis_is_ours():
-    rng = np.random.default_rng(1)
-    directions = rng.standard_normal((20, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    directions = np.concatenate([directions, np.eye(3)])
-    code = "return data.directions.map((direction) => [...clrelight.evaluateBasis(direction, data.degree)]);"
-    for degree in (0, 4, 20):
-        found = mathematics(code, directions=directions.tolist(), degree=degree)
-        np.testing.assert_allclose(found, real_harmonics(directions, degree), atol=1e-12)
-
-
-def test_light_is_turned_as_ours():
-    rng = np.random.default_rng(2)
-    coeffs = rng.standard_normal((49, 3))
-    code = "return [...clrelight.turnAboutZ(Float64Array.from(data.coeffs), 3, data.angle)];"
-    found = mathematics(code, coeffs=coeffs.ravel().tolist(), angle=0.7)
-    np.testing.assert_allclose(np.reshape(found, (49, 3)), turn_about_z(Light(coeffs), 0.7).coeffs_kc, atol=1e-12)
-
-
-def test_a_soft_lamp_is_the_mean_over_its_cap():
-    angle, degree, direction = 25.0, 6, np.array([0.3, -0.4, np.sqrt(0.75)])
-    code = "return [...clrelight.lampCoefficients(data.direction, data.angle, data.degree)];"
-    found = mathematics(code, direction=direction.tolist(), angle=angle, degree=degree)
-    rng = np.random.default_rng(3)
-    height = 1 - rng.random(30_000) * (1 - np.cos(np.radians(angle)))
-    turn, across = 2 * np.pi * rng.random(len(height)), np.sqrt(1 - height**2)
-    u = np.cross(direction, [0.0, 0.0, 1.0])
-    u /= np.linalg.norm(u)
-    spread = np.outer(height, direction) + np.outer(across * np.cos(turn), u)
-    spread += np.outer(across * np.sin(turn), np.cross(direction, u))
-    np.testing.assert_allclose(found, real_harmonics(spread, degree).mean(axis=0), atol=1e-2)
-    # A lamp whose cap reaches below the horizon keeps what is above it.
-    low = np.array([np.cos(0.1), 0.0, np.sin(0.1)])
-    found = mathematics(code, direction=low.tolist(), angle=40.0, degree=1)
-    assert found[0] == pytest.approx(np.sqrt(1 / (4 * np.pi)))
-    assert found[2] > np.sqrt(3 / (4 * np.pi)) * np.sin(0.1)
-
-
-def test_skies_are_interpolated_between_ours():
-    table = sky_tables(12)
-    assert [each["name"] for each in table] == ["clear", "partly-cloudy", "overcast"]
-    code = """
-    const seen = { lying: "", standing: "" };
-    const lighting = new clrelight.Lighting({ light_degree: 12, skies: data.skies, environments: [], seen });
-    return data.asked.map(([sky, height]) => [...lighting.skyAt(sky, height)]);
-    """
-    asked = {(0, 35.0): 1e-6, (1, 37.0): 0.01, (2, 90.0): 1e-6}
-    found = mathematics(code, skies=table, asked=list(asked))
-    for (number, height), tolerance, coeffs in zip(asked, asked.values(), found, strict=True):
-        made = sky_light(table[number]["name"], height, degree=12).coeffs_kc[:, 0]
-        np.testing.assert_allclose(coeffs, made / (made[0] * np.sqrt(4 * np.pi)), atol=tolerance)

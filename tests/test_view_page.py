@@ -264,6 +264,10 @@ def test_everything_has_a_name(page):
     ]
     assert nameless == []
     assert sum(node["role"]["value"] in controls for node in nodes if not node["ignored"]) > 12
+    # Who says what is written on a button means that button.
+    unlike = """[...document.querySelectorAll("button[aria-label]")].map((each) => [each.ariaLabel, each.textContent])
+      .filter(([name, text]) => /\\w/.test(text) && !name.includes(text))"""
+    assert page.evaluate(unlike) == []
 
 
 def test_a_page_that_is_served_shows_photographs(folder):

@@ -77,6 +77,20 @@ def test_the_page_tells_of_its_files(server, folder):
     assert np.all(np.linalg.norm(directions, axis=1) == pytest.approx(1.0))
 
 
+def test_pages_of_high_degrees_are_no_larger(tmp_path):
+    """Tables of lights, skies and nodes behind the curve go into pages of any degree; numbers of a file are its own."""
+    coeffs = 0.1 * np.random.default_rng(3).standard_normal((441, 8, 8, 1)).astype(np.float32)
+    fit = cr.CoefficientMap(coeffs, 20, "spline", 1.0, "srgb", np.eye(3)[2:])
+    cr.encode(fit, "klt", rate=2, transfer="srgb", out=tmp_path / "high.h5")
+    cr.write_viewer(tmp_path / "high.h5", tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text("utf-8")
+    manifest = manifest_of(page)
+    own = [manifest["files"][0].pop(name) for name in ("operator", "units", "directions")]
+    body = re.search(r'<script id="data-body-0"[^>]*>\n(.*?)\n</script>', page, re.DOTALL)[1]
+    assert len(own[0]) > 100_000
+    assert len(page) - sum(map(len, own)) - len(body) < 250_000
+
+
 def test_tiles_hold_the_coefficients(server, folder):
     fit = read_fit(folder / "fit.h5")
     expected = fit.coeffs_khwc.transpose(0, 3, 1, 2).reshape(27, 64, 64)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, unknown
 
 SH = "sh"
 """What files and calls mean that name no basis."""
@@ -88,7 +88,7 @@ def basis_ids() -> list[str]:
 def basis_of(basis_id: object) -> Basis:
     """Return the basis of an id; InputError lists the known ones."""
     if not isinstance(basis_id, str) or basis_id not in _REGISTRY:
-        raise InputError(f"unknown basis {basis_id!r}; known are {', '.join(basis_ids())}")
+        raise unknown("basis", basis_id, basis_ids())
     return _REGISTRY[basis_id]
 
 

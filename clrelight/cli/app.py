@@ -124,8 +124,7 @@ def _explain(error: BaseException) -> tuple[int, str] | None:
         if error.ctx and isinstance(error, _NO_COMMAND):
             click.echo(error.ctx.get_help())
             return 0, ""
-        where = error.ctx.command_path if error.ctx else "clrelight"
-        return _refuse(f"{where}: {error.format_message().rstrip('.')} (see {where} --help)")
+        return _refuse(_usage_line(error))
     if isinstance(error, BrokenPipeError):
         return 0, ""  # the reader of a pipe has gone: nothing is left to say, and nobody to say it to
     if _lacks_descriptors(error):
@@ -144,6 +143,19 @@ def _explain(error: BaseException) -> tuple[int, str] | None:
     if isinstance(error, KernelBuildError):
         return 1, f"clrelight: {error}"
     return None
+
+
+def _usage_line(error: click.UsageError) -> str:
+    """Return what is wrong with a command's words, and what words it takes where some are missing or too many."""
+    if error.ctx is None:
+        return f"clrelight: {error.format_message()}"
+    where, command, told = error.ctx.command_path, error.ctx.command, error.format_message().rstrip(".")
+    if isinstance(command, click.Group):
+        if "Did you mean" not in told and not isinstance(command, Sectioned):
+            told = f"{told}; there are {', '.join(command.list_commands(error.ctx))}"
+    elif "argument" in told:
+        told = f"{told}; it is {where} {' '.join(command.collect_usage_pieces(error.ctx))}"
+    return f"{where}: {told} (see {where} --help)"
 
 
 def _refuse(message: str, code: int = 2) -> tuple[int, str]:

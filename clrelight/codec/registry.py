@@ -21,7 +21,7 @@ from clrelight.codec.transforms.metric import MAX_METRIC_DEGREE
 from clrelight.codec.views import Regions, View
 from clrelight.configurable import Configurable
 from clrelight.device import Device
-from clrelight.errors import InputError, PayloadError
+from clrelight.errors import InputError, PayloadError, unknown
 from clrelight.harmonics.index import degree_of
 
 _REGISTRY: dict[str, type[Codec]] = {}
@@ -145,7 +145,7 @@ def codec_ids() -> list[str]:
 def codec_class(codec_id: str) -> type[Codec]:
     """Return the class of an id; InputError lists the known ones."""
     if codec_id not in _REGISTRY:
-        raise InputError(f"unknown codec {codec_id!r}; known are {', '.join(codec_ids())}")
+        raise unknown("codec", codec_id, codec_ids())
     return _REGISTRY[codec_id]
 
 

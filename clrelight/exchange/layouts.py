@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, unknown
 from clrelight.exchange.pyramid import Cut
 
 ARCHIVES = ("tarzoom", "itarzoom")
@@ -88,5 +88,5 @@ LAYOUTS = {
 def find_layout(name: str) -> Layout:
     """Return a layout; InputError for an unknown name."""
     if name not in LAYOUTS:
-        raise InputError(f"unknown layout of tiles {name!r}; known are {', '.join(LAYOUTS)}")
+        raise unknown("layout of tiles", name, LAYOUTS)
     return LAYOUTS[name]

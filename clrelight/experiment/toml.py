@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, unknown
 from clrelight.experiment.grid import (
     DEFAULT_SCENE,
     PAPER_METHODS,
@@ -83,7 +83,7 @@ def _toml_value(value: Any) -> str:
 def _experiment_of(given: Mapping[str, Any], file: Path) -> Experiment:
     for key in given:
         if key not in _TOML_KEYS:
-            raise InputError(f"unknown key {key!r}; known are {', '.join(_TOML_KEYS)}")
+            raise unknown("key", key, _TOML_KEYS)
     names = _list_of(str, given, "methods", list(PAPER_METHODS))
     options = _typed(dict, given, "method", {})
     for name in options:

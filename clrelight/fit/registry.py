@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clrelight.configurable import Configurable
 from clrelight.device import Device
-from clrelight.errors import InputError
+from clrelight.errors import unknown
 from clrelight.fit.plan import FitPlan, Lighting
 from clrelight.fit.samples import Samples
 from clrelight.matmul import SampleCurve
@@ -170,5 +170,5 @@ def method_ids() -> list[str]:
 def method_class(method_id: str) -> type[FitMethod]:
     """Return the class of an id; InputError lists the known ones."""
     if method_id not in _REGISTRY:
-        raise InputError(f"unknown method {method_id!r}; known are {', '.join(method_ids())}")
+        raise unknown("method", method_id, method_ids())
     return _REGISTRY[method_id]

@@ -38,6 +38,11 @@ def band(l: int) -> slice:
     return slice(l * l, (l + 1) * (l + 1))
 
 
+def cosine_indices(degree: int) -> NDArray[np.intp]:
+    """Return the k of orders m >= 0, by degree and order: all there is of what is the same at y and -y."""
+    return np.array([coefficient_index(l, m) for l in range(degree + 1) for m in range(l + 1)])
+
+
 def degrees_of_coefficients(degree: int) -> NDArray[np.intp]:
     """Return the degree l of every coefficient k."""
     return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)

@@ -16,7 +16,7 @@ from clrelight.codec import bytes_to_decode, decode_stream
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.directions import unit_directions
-from clrelight.errors import InputError
+from clrelight.errors import InputError, unknown
 from clrelight.exchange.channels import write_channels
 from clrelight.exchange.ktx2 import write_ktx2
 from clrelight.exchange.light_json import write_light_json
@@ -107,7 +107,7 @@ def export_for_viewers(
         If the format is unknown, the fit is no picture of 1 or 3 channels, or `out` cannot be written.
     """
     if format not in FORMATS:
-        raise InputError(f"unknown format {format!r}; known are {', '.join(FORMATS)}")
+        raise unknown("format", format, FORMATS)
     if url is None and "iiif" in (format, tiles):
         raise InputError("IIIF images name their own address: say where the folder will be found, as --url https://...")
     made = _QUALITY.get(format, 100) if quality is None else quality

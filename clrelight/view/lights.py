@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.harmonics.hemisphere import project_onto_hemisphere
-from clrelight.harmonics.index import band, coefficient_count
-from clrelight.harmonics.rotation import rotation_blocks
+from clrelight.harmonics.index import coefficient_count, cosine_indices
 from clrelight.lighting.environment import read_environment
 from clrelight.lighting.light import Light
 from clrelight.lighting.projection import project_environment
@@ -28,25 +26,11 @@ SKIES = {"clear": 19, "partly-cloudy": 19, "overcast": 1}
 """Skies of the CIE that the page offers, and of how many heights of the sun from 0 to 90 degrees it has each."""
 _TABLE = "skies.npy"
 _LEAST_DEGREE, MOST_DEGREE = 12, 20
-_STANDING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Zenith up in the picture, what was forward behind it: for pictures of walls and of things that stand."""
 
 
 def light_degree(degrees: Sequence[int]) -> int:
     """Return the degree of lights for fits of some degrees: the horizon mixes what lies beyond a fit's own."""
     return min(max(_LEAST_DEGREE, *degrees), MOST_DEGREE)
-
-
-def seen_matrix(degree: int, wide: int, *, standing: bool) -> NDArray[np.float64]:
-    """Return what a fit sees of a light, (n_coeff, n_coeff of `wide`): the upper hemisphere's part of it.
-
-    The light's zenith is that of the picture, or where it is `standing`, up in the picture.
-    """
-    turn_kk = np.eye(coefficient_count(wide))
-    if standing:
-        for l, block in enumerate(rotation_blocks(_STANDING, wide)):
-            turn_kk[band(l), band(l)] = block
-    return project_onto_hemisphere(turn_kk, degree)
 
 
 def sun_heights(count: int) -> NDArray[np.float64]:
@@ -68,9 +52,9 @@ def make_sky_table() -> NDArray[np.float32]:
 
 
 def sky_tables(degree: int) -> list[dict[str, Any]]:
-    """Return the skies up to a degree as the page takes them."""
+    """Return the skies up to a degree as the page takes them: orders from 0 on, for the sun is at azimuth 0."""
     with resources.files("clrelight.view").joinpath(_TABLE).open("rb") as file:
-        table_sk = np.load(file)[:, : coefficient_count(degree)]
+        table_sk = np.load(file)[:, cosine_indices(degree)]
     tables, first = [], 0
     for name, count in SKIES.items():
         rows = table_sk[first : first + count]

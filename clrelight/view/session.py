@@ -18,9 +18,9 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for, stage
 from clrelight.jobs.written import count_stops
 from clrelight.view.document import page_pieces, start_tables, tile_names
-from clrelight.view.lights import light_degree, read_surroundings, seen_matrix, sky_tables
+from clrelight.view.lights import light_degree, read_surroundings, sky_tables
 from clrelight.view.server import ViewServer
-from clrelight.view.sources import PayloadSource, Source, StackSource, floats_text, opened_source
+from clrelight.view.sources import PayloadSource, Source, StackSource, opened_source
 from clrelight.view.texels import BORDER, TILE
 
 PLANES = ("half", "uint8")
@@ -79,10 +79,6 @@ def opened_session(
             "light_degree": degree,
             "skies": sky_tables(degree),
             "environments": surroundings,
-            "seen": {
-                name: floats_text(seen_matrix(max(degrees), degree, standing=name == "standing"))
-                for name in ("lying", "standing")
-            },
             "start": start_tables() if any(isinstance(source, PayloadSource) for source in sources) else "",
         }
         yield Session(sources, manifest)

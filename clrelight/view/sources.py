@@ -25,8 +25,7 @@ from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
-from clrelight.harmonics.index import degree_of
-from clrelight.harmonics.quadrature import product_rule
+from clrelight.harmonics.index import cosine_indices, degree_of
 from clrelight.jobs.inputs import Packed, decoded_of, lend_fitted
 from clrelight.jobs.report import Report
 from clrelight.store import file_schema, open_stack
@@ -92,10 +91,8 @@ class PayloadSource(Source):
         facts = {**super().facts(), "shape": list(self._shape), "front": self._front, "length": len(self.body)}
         facts |= {"planes": len(self._units), "units": floats_text(self._units)}
         facts |= {"operator": floats_text(self._operator), "bent": self._bent}
-        if self._bent:  # light from everywhere is summed over these directions, behind the curve
-            directions_i3, _ = product_rule(degree_of(self._shape[0]))
-            facts["nodes"] = floats_text(directions_i3)
-            facts["analysis"] = floats_text(node_matrices(self._shape[0])[1])
+        if self._bent:
+            facts["analysis"] = floats_text(analysis_columns(self._shape[0]))
         return facts
 
     def read(self, begin: int, end: int) -> bytes:
@@ -106,6 +103,15 @@ class PayloadSource(Source):
     def tile(self, level: int, row: int, column: int, light: int, planes: str) -> bytes:
         """See `Source`: the page makes tiles of the body."""
         raise LookupError("a payload has no tiles")
+
+
+def analysis_columns(n_coeff: int) -> NDArray[np.float64]:
+    """Return what makes coefficients of radiance at the nodes behind the curve, ((l, m >= 0), node of azimuth 0).
+
+    About z all of it follows: rows of order m go as cos(m azimuth), those of -m as the sine.
+    """
+    degree = degree_of(n_coeff)
+    return node_matrices(n_coeff)[1][cosine_indices(degree), :: 2 * degree + 1]
 
 
 class _TiledSource(Source):

@@ -74,5 +74,59 @@
     });
   }
 
-  Object.assign(clrelight, { evaluateBasis, turnAboutZ, capWindow, capDirections, indexOf });
+  /** Gauss's rule on 0 to 1: [nodes, weights], exact for polynomials of degrees below twice their count. */
+  function gaussRule(count) {
+    const [nodes, weights] = [new Float64Array(count), new Float64Array(count)];
+    for (let i = 0; i < count; i++) {
+      let x = -Math.cos((Math.PI * (i + 0.75)) / (count + 0.5));
+      let slope;
+      for (let step = 0; step < 8; step++) {
+        let [before, now] = [1, x];
+        for (let l = 2; l <= count; l++) [before, now] = [now, ((2 * l - 1) * x * now - (l - 1) * before) / l];
+        slope = (count * (x * now - before)) / (x * x - 1);
+        x -= now / slope;
+      }
+      nodes[i] = (x + 1) / 2;
+      weights[i] = 1 / ((1 - x * x) * slope * slope);
+    }
+    return [nodes, weights];
+  }
+
+  /** Directions [node][3] and solid angles of the upper hemisphere, exact for products of two functions of a degree. */
+  function productRule(degree) {
+    const [heights, shares] = gaussRule(degree + 1);
+    const around = 2 * degree + 1;
+    const directions = new Float64Array(3 * heights.length * around);
+    const weights = new Float64Array(heights.length * around);
+    heights.forEach((z, q) => {
+      for (let a = 0; a < around; a++) {
+        const [across, azimuth] = [Math.sqrt(1 - z * z), (2 * Math.PI * a) / around];
+        directions.set([across * Math.cos(azimuth), across * Math.sin(azimuth), z], 3 * (q * around + a));
+        weights[q * around + a] = (shares[q] * 2 * Math.PI) / around;
+      }
+    });
+    return { directions, weights };
+  }
+
+  /**
+   * A matrix [k][node of the product rule] of its columns at azimuth 0, of orders from 0 on: [l and m][height].
+   *
+   * What is symmetric about z depends on azimuth as y_k does, by the cosine or the sine of m times it.
+   */
+  function spreadOverAzimuths(columns, degree) {
+    const [heights, around] = [degree + 1, 2 * degree + 1];
+    const matrix = new Float64Array((degree + 1) ** 2 * heights * around);
+    for (let l = 0, row = 0; l <= degree; l++)
+      for (let m = 0; m <= l; m++, row++)
+        for (let q = 0; q < heights; q++)
+          for (let a = 0; a < around; a++) {
+            const angle = (2 * Math.PI * m * a) / around;
+            const at = (k) => (k * heights + q) * around + a;
+            matrix[at(indexOf(l, m))] = columns[row * heights + q] * Math.cos(angle);
+            if (m) matrix[at(indexOf(l, -m))] = columns[row * heights + q] * Math.sin(angle);
+          }
+    return matrix;
+  }
+
+  Object.assign(clrelight, { evaluateBasis, turnAboutZ, capWindow, capDirections, productRule, spreadOverAzimuths, indexOf });
 })();

@@ -2,11 +2,16 @@
 "use strict";
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
-  const { evaluateBasis, turnAboutZ, capWindow, capDirections, floatsOf } = clrelight;
+  const { evaluateBasis, turnAboutZ, capWindow, capDirections, productRule, indexOf, floatsOf } = clrelight;
 
   const RADIANS = Math.PI / 180;
   const SAMPLES = 128; // of a soft lamp that reaches below the horizon
   const BENT_SAMPLES = 24; // of a soft lamp behind a curve: each is a sum over all planes
+
+  const degreeAndOrder = (k) => {
+    const l = Math.floor(Math.sqrt(k));
+    return [l, k - indexOf(l, 0)];
+  };
 
   /** Where the sun stands, or the lamp. */
   function sunDirection({ height, azimuth }, standing) {
@@ -35,40 +40,55 @@
     return sum;
   }
 
-  /** What lights a picture: lights of the manifest, and matrices that say what fits see of them. */
+  /** What lights a picture: lights of the manifest, and what fits see of them. */
   class Lighting {
     constructor(manifest) {
       this.degree = manifest.light_degree;
       this.skies = manifest.skies.map((sky) => ({ ...sky, table: floatsOf(sky.table) }));
       this.environments = manifest.environments.map((each) => ({ ...each, table: floatsOf(each.table) }));
-      this.matrices = { lying: floatsOf(manifest.seen.lying), standing: floatsOf(manifest.seen.standing) };
+      this.views = new Map();
     }
 
     /** Coefficients of a sky, its sun at azimuth 0, between the heights of the table. */
     skyAt(index, height) {
       const { heights, table } = this.skies[index];
       const count = (this.degree + 1) ** 2;
+      const half = ((this.degree + 1) * (this.degree + 2)) / 2; // orders from 0 on
       const place = heights.length > 1 ? (height / heights[heights.length - 1]) * (heights.length - 1) : 0;
       const low = Math.min(Math.floor(place), Math.max(heights.length - 2, 0));
       const share = place - low;
       return Float64Array.from({ length: count }, (_, k) => {
-        const here = table[low * count + k];
-        return share ? here + share * (table[(low + 1) * count + k] - here) : here;
+        const [l, m] = degreeAndOrder(k);
+        if (m < 0) return 0; // a sky is the same on both sides of its sun
+        const at = (row) => table[row * half + (l * (l + 1)) / 2 + m];
+        return share ? at(low) + share * (at(low + 1) - at(low)) : at(low);
       });
+    }
+
+    /** Basis functions [node][k] at directions of the picture's upper hemisphere, and at the same about the zenith. */
+    viewOf(standing) {
+      if (!this.views.has(standing)) {
+        const { directions, weights } = productRule(this.degree);
+        const list = Array.from(weights, (_, i) => [...directions.subarray(3 * i, 3 * i + 3)]);
+        const rows = (place) => list.map((direction) => evaluateBasis(place(direction), this.degree));
+        const here = rows((direction) => direction);
+        this.views.set(standing, { weights, here, there: standing ? rows(([x, y, z]) => [x, -z, y]) : here });
+      }
+      return this.views.get(standing);
     }
 
     /** What fits up to a degree see of light [k][channel] about its zenith: [k][channel], 3 channels. */
     seen(light, channels, standing, degree) {
-      const wide = (this.degree + 1) ** 2;
-      const count = (degree + 1) ** 2;
-      const matrix = standing ? this.matrices.standing : this.matrices.lying;
+      const { weights, here, there } = this.viewOf(standing);
+      const [wide, count] = [(this.degree + 1) ** 2, (degree + 1) ** 2];
       const found = new Float64Array(3 * count);
-      for (let k = 0; k < count; k++)
-        for (let c = 0; c < 3; c++) {
-          let sum = 0;
-          for (let j = 0; j < wide; j++) sum += matrix[k * wide + j] * light[channels === 3 ? 3 * j + c : j];
-          found[3 * k + c] = sum;
-        }
+      const sums = new Float64Array(channels);
+      weights.forEach((weight, i) => {
+        sums.fill(0);
+        for (let j = 0, at = 0; j < wide; j++) for (let c = 0; c < channels; c++) sums[c] += there[i][j] * light[at++];
+        for (let k = 0; k < count; k++)
+          for (let c = 0; c < 3; c++) found[3 * k + c] += weight * here[i][k] * sums[channels === 3 ? c : 0];
+      });
       return found;
     }
 

@@ -153,7 +153,7 @@
 
     showFigures() {
       const factor = this.coarser / this.scale;
-      const coarse = factor > 1 ? ` · drawn at ${factor} × coarser pixels` : "";
+      const coarse = factor > 1 ? ` · ${factor} × coarser pixels` : "";
       const zoom = `${Math.round(100 * this.view.zoom)} %${coarse}`;
       const { files } = this.manifest;
       const { compare, first, second } = this.state;
@@ -164,7 +164,7 @@
       const decibels = decibelsApart(this.renderer.read(0), this.renderer.read(1), files[first].transfer);
       const text = decibels === Infinity ? "identical" : `${decibels.toFixed(2)} dB`;
       const size = `${(files[first].bytes / files[second].bytes).toPrecision(3)} × its bytes`;
-      this.panel.figure(Number.isNaN(decibels) ? zoom : `${zoom} · ${text} from ${files[second].name} here, ${size}`);
+      this.panel.figure(Number.isNaN(decibels) ? zoom : `${text} from ${files[second].name} here, ${size} · ${zoom}`);
     }
 
     /** Set a part of the state, by a name or a path of names. */

@@ -85,8 +85,9 @@
       offer("first", names);
       offer("second", names);
       byId("comparison").hidden = files.length < 2;
-      document.querySelector("label[for=light-environment]").hidden = !environments.length;
-      byId("light-environment").disabled = !environments.length;
+      for (const each of [byId("light-environment"), document.querySelector("label[for=light-environment]")]) {
+        each.hidden = !environments.length;
+      }
     }
 
     toggle() {
@@ -114,7 +115,7 @@
       byId("error-row").hidden = state.compare !== "error";
       byId("second-row").hidden = state.compare === "one";
       const photographs = this.app.shownFiles().some((file) => file.kind === "photographs");
-      for (const id of ["light-sky", "light-environment"]) byId(id).disabled = photographs || !byId(id).labels.length;
+      for (const id of ["light-sky", "light-environment"]) byId(id).disabled = photographs;
       byId("photograph-note").hidden = !photographs;
       this.showSplit(state);
       const file = files[state.first];

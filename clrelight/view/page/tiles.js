@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const clrelight = (globalThis.clrelight ??= {});
-  const { TILE, tilePlace, halved, floatsOf, fromBase64, evaluationOf } = clrelight;
+  const { TILE, tilePlace, halved, floatsOf, fromBase64, evaluationOf, productRule, spreadOverAzimuths } = clrelight;
 
   const ROOM = 768 * 2 ** 20; // bytes of textures
   const MOST_AT_ONCE = 4; // requests to the server
@@ -23,9 +23,14 @@
   /** A file of the manifest with its numbers as arrays. */
   function openFile(facts, id) {
     const file = { ...facts, id, layers: Math.ceil(facts.planes / 4) };
-    for (const name of ["operator", "nodes", "analysis", "directions"]) if (facts[name]) file[name] = floatsOf(facts[name]);
+    for (const name of ["operator", "directions"]) if (facts[name]) file[name] = floatsOf(facts[name]);
     if (file.kind === "photographs") [file.planes, file.layers] = [file.channels, 1];
-    if (file.bent) file.straight = straightFile(file);
+    if (file.bent) {
+      file.nodes = productRule(file.degree).directions;
+      file.columns = floatsOf(facts.analysis);
+      file.analysis = spreadOverAzimuths(file.columns, file.degree);
+      file.straight = straightFile(file);
+    }
     return file;
   }
 
@@ -131,8 +136,8 @@
 
     /** What a worker makes coefficients with, once: of large degrees it takes a moment. */
     tellCurve(worker, file) {
-      const { id, planes, channels, analysis } = file;
-      file.curve ??= { planes, channels, analysis, evaluation: evaluationOf(file) };
+      const { id, planes, channels, columns, degree } = file;
+      file.curve ??= { planes, channels, columns, degree, evaluation: evaluationOf(file) };
       if (!worker.curves.has(id)) worker.worker.postMessage({ type: "curve", id, curve: file.curve });
       worker.curves.add(id);
     }
