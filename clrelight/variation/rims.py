@@ -17,13 +17,14 @@ from scipy import linalg, special
 from scipy.interpolate import CubicSpline
 
 from clrelight.variation.circles import Circle
+from clrelight.variation.descent import descend
 
 _WAYS, _MOST_PIXELS = 6, 6000
 _INSIDE_ORDERS, _LEAST_ORDER, _MOST_ORDER = (5, 3, 3), 4, 12
 """Orders of Fourier series in the angle: of 1, of the normal's z and of its square inside; outside of the level."""
 _BLURS, _LEAST_BLUR, _MOST_BLUR = (0.6, 0.9, 1.3, 1.9, 2.7), 0.3, 0.25
 """Standard deviations in pixels that are tried first; the least of all, and the greatest as a share of the radius."""
-_ROUNDS, _TURNS, _STEPS, _NEAR_ENOUGH = 2, 3, 4, 3e-3
+_ROUNDS, _TURNS, _STEPS, _NEAR_ENOUGH = 2, 3, 4, np.array([3e-3, 3e-3, 3e-3, np.inf])
 _STRIDES = (0.02, 0.02, 0.02, 0.03)
 _IN, _OUT = 0.8, 0.2
 """Share of the sphere in a pixel from which on it tells of the inside, and below which of the outside."""
@@ -237,41 +238,25 @@ class _Band:
     def _descend(
         self, values_4: NDArray, start_4: NDArray, trust_4: NDArray, turned_mm: NDArray, weight_pm: NDArray
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Take Levenberg and Marquardt's steps; what is linear follows each (Kaufman's variable projection)."""
-        turned_pm = self.samples_pm @ turned_mm
+        """Return the values that leave least beside the trust in the start, what is left, and its slopes."""
+        turned_pm, root_4 = self.samples_pm @ turned_mm, np.sqrt(trust_4)
 
-        def left(tried_4: NDArray) -> tuple[float, _Solved]:
+        def evaluate(tried_4: NDArray[np.float64]) -> tuple[NDArray[np.float64], _Solved]:
             solved = _Solved(self.design(tried_4)[0], turned_pm, weight_pm)
-            return float(np.sum(solved.left_pm**2) + np.sum(trust_4 * (tried_4 - start_4) ** 2)), solved
+            return np.append(solved.left_pm.ravel(), root_4 * (tried_4 - start_4)), solved
 
-        (energy, solved), damp = left(values_4), 1e-3
-        for _ in range(_STEPS):
-            slopes = [self._slope(values_4, k, solved) for k in range(4)]
-            slopes_pm4 = np.stack(slopes, axis=2)
-            slopes_n4 = slopes_pm4.reshape(-1, 4)
-            hessian_44 = slopes_n4.T @ slopes_n4 + np.diag(trust_4)
-            right_4 = -slopes_n4.T @ solved.left_pm.ravel() - trust_4 * (values_4 - start_4)
-            for _ in range(4):
-                step_4 = np.linalg.solve(hessian_44 + damp * np.diag(np.diag(hessian_44)), right_4)
-                tried_4 = values_4 + np.clip(step_4, -0.5, 0.5)
-                tried_4[3] = np.clip(tried_4[3], np.log(_LEAST_BLUR), np.log(_MOST_BLUR * tried_4[2]))
-                tried = left(tried_4)
-                if tried[0] < energy:
-                    break
-                damp *= 10.0
-            else:
-                break
-            moved = np.abs(tried_4 - values_4)[:3].max()
-            values_4, (energy, solved), damp = tried_4, tried, max(damp / 10.0, 1e-6)
-            if moved < _NEAR_ENOUGH:
-                break
-        return values_4, solved.left_pm, slopes_pm4
+        def slope(at_4: NDArray[np.float64], k: int, solved: _Solved) -> NDArray[np.float64]:
+            step_4 = np.zeros(4)
+            step_4[k] = _STRIDES[k]
+            more_pf, less_pf = self.design(at_4 + step_4)[0], self.design(at_4 - step_4)[0]
+            change_pm = solved.beside((less_pf - more_pf) @ solved.found_fm / (2.0 * _STRIDES[k]))
+            return np.append(change_pm.ravel(), root_4 * (step_4 > 0.0))
 
-    def _slope(self, values_4: NDArray[np.float64], k: int, solved: _Solved) -> NDArray[np.float64]:
-        step_4 = np.zeros(4)
-        step_4[k] = _STRIDES[k]
-        more_pf, less_pf = self.design(values_4 + step_4)[0], self.design(values_4 - step_4)[0]
-        return solved.beside((less_pf - more_pf) @ solved.found_fm / (2.0 * _STRIDES[k]))
+        def confine(tried_4: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.append(tried_4[:3], np.clip(tried_4[3], np.log(_LEAST_BLUR), np.log(_MOST_BLUR * tried_4[2])))
+
+        found = descend(values_4, evaluate, slope, steps=_STEPS, settled_k=_NEAR_ENOUGH, confine=confine)
+        return found.values_k, found.state.left_pm, found.slopes_nk[:-4].reshape(*turned_pm.shape, 4)
 
 
 class _Solved:
