@@ -20,8 +20,9 @@ from clrelight.variation.circles import Circle
 from clrelight.variation.descent import descend
 
 _WAYS, _MOST_PIXELS = 6, 6000
-_INSIDE_ORDERS, _LEAST_ORDER, _MOST_ORDER = (5, 3, 3), 4, 12
-"""Orders of Fourier series in the angle: of 1, of the normal's z and of its square inside; outside of the level."""
+_INSIDE_ORDERS, _SMALL_ORDERS, _LEAST_ORDER, _MOST_ORDER = (5, 2, 1), (5, 3, 3), 4, 12
+"""Orders of Fourier series in the angle: of 1, of the normal's z and of its square inside; outside of the level. That
+of shading is 1, of z 0; more of z and z^2 looks like an outline elsewhere where the blur is wide."""
 _BLURS, _LEAST_BLUR, _MOST_BLUR = (0.6, 0.9, 1.3, 1.9, 2.7), 0.3, 0.25
 """Standard deviations in pixels that are tried first; the least of all, and the greatest as a share of the radius."""
 _ROUNDS, _TURNS, _STEPS, _NEAR_ENOUGH = 2, 3, 4, np.array([3e-3, 3e-3, 3e-3, np.inf])
@@ -30,6 +31,9 @@ _IN, _OUT = 0.8, 0.2
 """Share of the sphere in a pixel from which on it tells of the inside, and below which of the outside."""
 _OUTSTANDING, _LEAST_CALM = 6.0, 5
 """How far above the others, in spreads of these, a highlight at the outline is; photographs without one, at least."""
+_WIDE, _SMALL = 1.5, 15.0
+"""Pixels of blur for which the band is wide enough at least: texture misleads a narrow one. Pixels of radius below
+which so wide a band reaches half way to the middle, and more happens in it."""
 _REACH = 5.0
 """Standard deviations of the blur beyond which nothing comes in."""
 _WRONG, _START_OFF = 60.0, 0.3
@@ -110,7 +114,7 @@ def fit_rim(samples_ihw: NDArray[np.floating], start: Circle, place: Place | Non
         x_hw, y_hw = (each.reshape(x_hw.shape) for each in place(x_hw.ravel(), y_hw.ravel()))
     values_4 = np.array([start.x, start.y, start.radius, 0.0])
     for turn in range(_ROUNDS):
-        blur = max(float(np.exp(values_4[3])), 1.5 * (turn == 0))
+        blur = max(float(np.exp(values_4[3])), _WIDE * (turn == 0 or values_4[2] >= _SMALL))
         band = _Band.cut(samples_ihw, x_hw, y_hw, values_4, blur)
         if band is None:
             return None
@@ -159,7 +163,7 @@ class _Band:
         pixels = np.flatnonzero((away_hw > radius - within) & (away_hw < radius + beyond))
         pixels = pixels[:: max(1, len(pixels) // _MOST_PIXELS)]
         most = int(np.clip(0.5 * radius, _LEAST_ORDER, _MOST_ORDER))
-        orders = (*_INSIDE_ORDERS, most, most // 2)
+        orders = (*(_INSIDE_ORDERS if radius >= _SMALL else _SMALL_ORDERS), most, most // 2)
         if len(pixels) < 2 * sum(2 * order + 1 for order in orders):
             return None
         series_ip = samples_ihw.reshape(len(samples_ihw), -1)[:, pixels].astype(np.float64)
