@@ -181,12 +181,13 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     z_rq, count = columns.z_rq, columns.source_ip.shape[1]
     rank, padded = z_rq.shape
     real = np.dtype(z_rq.dtype)
-    wide_r, wide_j = -(-rank // 8) * 8, -(-len(plan.low_j) // 64) * 64
+    wide_r, wide_j = -(-rank // 8) * 8, -(-len(plan.low_j) // 16) * 16
     active = -(-min(len(plan.low_j), plan.different + _MORE_ACTIVE) // 8) * 8
-    scratch = active * (2 * active + wide_r + 7) + 5 * wide_r + wide_j
+    scratch = active * (2 * active + wide_r + 16 + 8) + 6 * wide_r + 3 * wide_j
     groups = padded // LANES
     items = min(groups, _ITEMS_PER_UNIT[device.style] * device.info.compute_units)
     items = max(1, min(items, _MOST_SCRATCH // (scratch * real.itemsize)))
+    singular = np.pad(plan.singular_r.astype(real), (0, wide_r - rank))
     values = np.zeros((len(plan.low_j), wide_r), real)
     values[:, :rank] = plan.values_jr
     across = np.zeros((wide_r, wide_j), np.float32)
@@ -197,10 +198,15 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
     if columns.exponent_p is not None:
         unit_q[:count] = np.ldexp(1.0, -columns.exponent_p)
     lambda_q, unmet_q = device.empty((padded,), np.float32), device.empty((padded,), np.int32)
-    arrays = [device.upload(array) for array in (unit_q, plan.singular_r.astype(real), values, across)]
+    arrays = [device.upload(array) for array in (unit_q, singular, values, across)]
     arrays += [device.upload(array.astype(real)) for array in (low_t, high_t)]
     room = device.empty((items, scratch), real)
-    numbers = float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2), plan.least_energy, _value_rounding(plan)
+    numbers = (
+        float(_LEAST_LAMBDA[real] * plan.singular_r.max() ** 2),
+        plan.least_energy,
+        _value_rounding(plan),
+        _longest(plan),
+    )
     defines = {
         "REAL_BITS": 8 * real.itemsize,
         "Z_BITS": 8 * z_rq.dtype.itemsize,
@@ -235,8 +241,12 @@ def _count_different(values_jr: NDArray[np.float64]) -> int:
 
 def _value_rounding(plan: BoundedPlan) -> float:
     """Return the error of a value that is summed in float32, for coefficients of norm 1: eps32 / 2 for each product."""
-    longest = float(np.linalg.norm(plan.values_jr, axis=1).max())
-    return 0.5 * float(np.finfo(np.float32).eps) * (len(plan.singular_r) + 4) * longest
+    return 0.5 * float(np.finfo(np.float32).eps) * (len(plan.singular_r) + 4) * _longest(plan)
+
+
+def _longest(plan: BoundedPlan) -> float:
+    """Return by how much a value changes at most with coefficients by a norm of 1."""
+    return float(np.linalg.norm(plan.values_jr, axis=1).max())
 
 
 def _within(lower: float | None, upper: float | None) -> str:

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from clrelight.variation.circles import Circle
+from clrelight.variation.descent import Descended, descend
 from clrelight.variation.spheres import SphereView
 
 _TAILS = (2.0, 8.0)
 """Exponents p of a lobe's ``(1 + t^2 / (p w^2))^-p``: 2 is Trowbridge and Reitz's, 8 nearly Beckmann's and Phong's."""
-_LOOKED_AT, _ROUNDS, _STEP = 6, 12, 0.05
+_LOOKED_AT, _ROUNDS, _STEP, _NEAR_ENOUGH = 6, 12, 0.05, np.array([2e-3, 2e-3, np.inf])
 _MOST_PIXELS = 2500
 _LEAST_EXPLAINED = 0.97
 """Share of a highlight's energy that a lobe has to explain; a lamp of another form keeps the mean of its pixels."""
@@ -113,8 +114,7 @@ class LobeFit:
     ) -> FoundLobe | None:
         """Return the lobe of one highlight whose pixels are known; None where it is none.
 
-        Levenberg and Marquardt's steps for its middle and width; its height and the ground, a plane, follow by least
-        squares each time. Clipped pixels do not count.
+        Its height and the ground, a plane, follow its middle and width by least squares. Clipped pixels do not count.
         """
         rows_p, columns_p = np.nonzero(blob_hw)
         weight_p = np.maximum(moved_hw[rows_p, columns_p], 1e-12)
@@ -125,45 +125,34 @@ class LobeFit:
             return None
         width = np.hypot(size / self.circle.radius, 1e-3) * 0.5 * (2.0 if lobe.by_light else 1.0)
         values_3 = np.array([x, y, np.log(width)])
-        found = self._energy(values_3, window, lobe)
-        damp = 1e-2
-        for _ in range(_ROUNDS):
-            slopes_p3 = np.stack([self._slope(values_3, k, window, lobe, found[2]) for k in range(3)], axis=1)
-            hessian_33, right_3 = slopes_p3.T @ slopes_p3, -slopes_p3.T @ found[1]
-            for _ in range(4):
-                damped_33 = hessian_33 + damp * np.diag(np.diag(hessian_33)) + 1e-15 * np.eye(3)
-                step_3 = np.clip(np.linalg.solve(damped_33, right_3), -0.5, 0.5)
-                tried = self._energy(values_3 + step_3, window, lobe)
-                if tried[0] < found[0]:
-                    break
-                damp *= 8.0
-            else:
-                break
-            values_3, found, damp = values_3 + step_3, tried, max(damp / 8.0, 1e-7)
-            if np.abs(step_3[:2]).max() < 2e-3:
-                break
-        return self._told(values_3, window, found, hessian_33, (x, y, size))
+        found = descend(
+            values_3,
+            lambda tried_3: self._left(tried_3, window, lobe),
+            lambda at_3, k, solved_4: self._slope(at_3, k, window, lobe, solved_4),
+            steps=_ROUNDS,
+            settled_k=_NEAR_ENOUGH,
+        )
+        return self._told(found, window, (x, y, size))
 
     def _told(
         self,
-        values_3: NDArray[np.float64],
+        found: Descended[NDArray[np.float64]],
         window: _Window,
-        found: tuple[float, NDArray[np.float64], NDArray[np.float64]],
-        hessian_33: NDArray[np.float64],
         start: tuple[float, float, float],
     ) -> FoundLobe | None:
+        x, y = (float(each) for each in found.values_k[:2])
         varied = window.samples_p - window.samples_p.mean()
         # Noise of samples is not the lobe's fault; the median of them had none to speak of.
-        excess = found[0] - 1.5 * self.noise**2 * len(varied)
+        excess = found.energy - 1.5 * self.noise**2 * len(varied)
         energy = max(float(varied @ varied), 1e-30)
-        moved = float(np.hypot(values_3[0] - start[0], values_3[1] - start[1]))
+        moved = float(np.hypot(x - start[0], y - start[1]))
         is_alike = excess <= (1.0 - _LEAST_EXPLAINED) * energy
-        if not is_alike or found[2][0] <= 0.0 or moved > 0.5 * start[2] + 0.7:
+        if not is_alike or found.state[0] <= 0.0 or moved > 0.5 * start[2] + 0.7:
             return None
-        variance = found[0] / max(len(varied) - 7, 1)
-        spread_33 = np.linalg.pinv(hessian_33) * variance
+        variance = found.energy / max(len(varied) - 7, 1)
+        spread_33 = np.linalg.pinv(found.slopes_nk.T @ found.slopes_nk) * variance
         off = float(np.sqrt(max(spread_33[0, 0] + spread_33[1, 1], 0.0) / 2.0))
-        return FoundLobe(float(values_3[0]), float(values_3[1]), off, found[0] / energy)
+        return FoundLobe(x, y, off, found.energy / energy)
 
     def _window(
         self,
@@ -198,14 +187,13 @@ class LobeFit:
             kept_p,
         )
 
-    def _energy(
+    def _left(
         self, values_3: NDArray[np.float64], window: _Window, lobe: Lobe
-    ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-        """Return what is left, squared and as it is, and the height with the ground's three."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return what is left, and the height with the ground's three."""
         columns_p4 = np.concatenate([self._shape(values_3, window, lobe)[:, None], window.ground_p3], axis=1)
         solved_4 = np.linalg.lstsq(columns_p4, window.samples_p, rcond=None)[0]
-        left_p = window.samples_p - columns_p4 @ solved_4
-        return float(left_p @ left_p), left_p, solved_4
+        return window.samples_p - columns_p4 @ solved_4, solved_4
 
     def _slope(
         self, values_3: NDArray[np.float64], k: int, window: _Window, lobe: Lobe, solved_4: NDArray[np.float64]

@@ -17,18 +17,23 @@ from scipy import linalg, special
 from scipy.interpolate import CubicSpline
 
 from clrelight.variation.circles import Circle
+from clrelight.variation.descent import descend
 
 _WAYS, _MOST_PIXELS = 6, 6000
-_INSIDE_ORDERS, _LEAST_ORDER, _MOST_ORDER = (5, 3, 3), 4, 12
-"""Orders of Fourier series in the angle: of 1, of the normal's z and of its square inside; outside of the level."""
+_INSIDE_ORDERS, _SMALL_ORDERS, _LEAST_ORDER, _MOST_ORDER = (5, 2, 1), (5, 3, 3), 4, 12
+"""Orders of Fourier series in the angle: of 1, of the normal's z and of its square inside; outside of the level. That
+of shading is 1, of z 0; more of z and z^2 looks like an outline elsewhere where the blur is wide."""
 _BLURS, _LEAST_BLUR, _MOST_BLUR = (0.6, 0.9, 1.3, 1.9, 2.7), 0.3, 0.25
 """Standard deviations in pixels that are tried first; the least of all, and the greatest as a share of the radius."""
-_ROUNDS, _TURNS, _STEPS, _NEAR_ENOUGH = 2, 3, 4, 3e-3
+_ROUNDS, _TURNS, _STEPS, _NEAR_ENOUGH = 2, 3, 4, np.array([3e-3, 3e-3, 3e-3, np.inf])
 _STRIDES = (0.02, 0.02, 0.02, 0.03)
 _IN, _OUT = 0.8, 0.2
 """Share of the sphere in a pixel from which on it tells of the inside, and below which of the outside."""
 _OUTSTANDING, _LEAST_CALM = 6.0, 5
 """How far above the others, in spreads of these, a highlight at the outline is; photographs without one, at least."""
+_WIDE, _SMALL = 1.5, 15.0
+"""Pixels of blur for which the band is wide enough at least: texture misleads a narrow one. Pixels of radius below
+which so wide a band reaches half way to the middle, and more happens in it."""
 _REACH = 5.0
 """Standard deviations of the blur beyond which nothing comes in."""
 _WRONG, _START_OFF = 60.0, 0.3
@@ -109,7 +114,7 @@ def fit_rim(samples_ihw: NDArray[np.floating], start: Circle, place: Place | Non
         x_hw, y_hw = (each.reshape(x_hw.shape) for each in place(x_hw.ravel(), y_hw.ravel()))
     values_4 = np.array([start.x, start.y, start.radius, 0.0])
     for turn in range(_ROUNDS):
-        blur = max(float(np.exp(values_4[3])), 1.5 * (turn == 0))
+        blur = max(float(np.exp(values_4[3])), _WIDE * (turn == 0 or values_4[2] >= _SMALL))
         band = _Band.cut(samples_ihw, x_hw, y_hw, values_4, blur)
         if band is None:
             return None
@@ -158,7 +163,7 @@ class _Band:
         pixels = np.flatnonzero((away_hw > radius - within) & (away_hw < radius + beyond))
         pixels = pixels[:: max(1, len(pixels) // _MOST_PIXELS)]
         most = int(np.clip(0.5 * radius, _LEAST_ORDER, _MOST_ORDER))
-        orders = (*_INSIDE_ORDERS, most, most // 2)
+        orders = (*(_INSIDE_ORDERS if radius >= _SMALL else _SMALL_ORDERS), most, most // 2)
         if len(pixels) < 2 * sum(2 * order + 1 for order in orders):
             return None
         series_ip = samples_ihw.reshape(len(samples_ihw), -1)[:, pixels].astype(np.float64)
@@ -237,41 +242,25 @@ class _Band:
     def _descend(
         self, values_4: NDArray, start_4: NDArray, trust_4: NDArray, turned_mm: NDArray, weight_pm: NDArray
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Take Levenberg and Marquardt's steps; what is linear follows each (Kaufman's variable projection)."""
-        turned_pm = self.samples_pm @ turned_mm
+        """Return the values that leave least beside the trust in the start, what is left, and its slopes."""
+        turned_pm, root_4 = self.samples_pm @ turned_mm, np.sqrt(trust_4)
 
-        def left(tried_4: NDArray) -> tuple[float, _Solved]:
+        def evaluate(tried_4: NDArray[np.float64]) -> tuple[NDArray[np.float64], _Solved]:
             solved = _Solved(self.design(tried_4)[0], turned_pm, weight_pm)
-            return float(np.sum(solved.left_pm**2) + np.sum(trust_4 * (tried_4 - start_4) ** 2)), solved
+            return np.append(solved.left_pm.ravel(), root_4 * (tried_4 - start_4)), solved
 
-        (energy, solved), damp = left(values_4), 1e-3
-        for _ in range(_STEPS):
-            slopes = [self._slope(values_4, k, solved) for k in range(4)]
-            slopes_pm4 = np.stack(slopes, axis=2)
-            slopes_n4 = slopes_pm4.reshape(-1, 4)
-            hessian_44 = slopes_n4.T @ slopes_n4 + np.diag(trust_4)
-            right_4 = -slopes_n4.T @ solved.left_pm.ravel() - trust_4 * (values_4 - start_4)
-            for _ in range(4):
-                step_4 = np.linalg.solve(hessian_44 + damp * np.diag(np.diag(hessian_44)), right_4)
-                tried_4 = values_4 + np.clip(step_4, -0.5, 0.5)
-                tried_4[3] = np.clip(tried_4[3], np.log(_LEAST_BLUR), np.log(_MOST_BLUR * tried_4[2]))
-                tried = left(tried_4)
-                if tried[0] < energy:
-                    break
-                damp *= 10.0
-            else:
-                break
-            moved = np.abs(tried_4 - values_4)[:3].max()
-            values_4, (energy, solved), damp = tried_4, tried, max(damp / 10.0, 1e-6)
-            if moved < _NEAR_ENOUGH:
-                break
-        return values_4, solved.left_pm, slopes_pm4
+        def slope(at_4: NDArray[np.float64], k: int, solved: _Solved) -> NDArray[np.float64]:
+            step_4 = np.zeros(4)
+            step_4[k] = _STRIDES[k]
+            more_pf, less_pf = self.design(at_4 + step_4)[0], self.design(at_4 - step_4)[0]
+            change_pm = solved.beside((less_pf - more_pf) @ solved.found_fm / (2.0 * _STRIDES[k]))
+            return np.append(change_pm.ravel(), root_4 * (step_4 > 0.0))
 
-    def _slope(self, values_4: NDArray[np.float64], k: int, solved: _Solved) -> NDArray[np.float64]:
-        step_4 = np.zeros(4)
-        step_4[k] = _STRIDES[k]
-        more_pf, less_pf = self.design(values_4 + step_4)[0], self.design(values_4 - step_4)[0]
-        return solved.beside((less_pf - more_pf) @ solved.found_fm / (2.0 * _STRIDES[k]))
+        def confine(tried_4: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.append(tried_4[:3], np.clip(tried_4[3], np.log(_LEAST_BLUR), np.log(_MOST_BLUR * tried_4[2])))
+
+        found = descend(values_4, evaluate, slope, steps=_STEPS, settled_k=_NEAR_ENOUGH, confine=confine)
+        return found.values_k, found.state.left_pm, found.slopes_nk[:-4].reshape(*turned_pm.shape, 4)
 
 
 class _Solved:

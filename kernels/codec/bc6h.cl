@@ -33,7 +33,6 @@
 #error "CHANNELS must be defined: 3, or 1 for texels of three planes"
 #endif
 
-typedef float16 __attribute__((aligned(4))) float16_at;
 
 #define MAP_OF(g, m) (CHANNELS == 3 ? (g) : 3 * (g) + (m))
 #define MODES 4

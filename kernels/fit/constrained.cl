@@ -6,7 +6,7 @@
  *   unmet_q      (Q) int         out: 1 where not all constraints can be met, 2 where the search did not end, else 0
  *   energy_q     (Q) Z           E, in the units of z^2
  *   unit_q       (Q) REAL        radiance 1 in the units of the samples
- *   singular_r   (R) REAL        sigma; 0 for what no light sees
+ *   singular_s   (S) REAL        sigma; 0 for what no light sees, and beyond R
  *   rows_js         (J, S) REAL      values at the directions of the eigenbasis, zeros beyond R
  *   across_st         (S, T) float     the same, zeros beyond R and J
  *   low_t, high_t  (T) REAL      in units of radiance; +-1e30 for none, and beyond J
@@ -14,6 +14,7 @@
  *   least        REAL            what lambda is at least: it takes the least energy of what is equally near
  *   least_energy REAL            of any t that meets the bounds, in units of radiance^2
  *   doubt        float           error of a value that is summed in float, in sqrt(E)
+ *   longest      float           norm of a row, at most
  *
  *   Z_BITS       32 or 64, the type of z
  *   ROOM         components that there is memory for, at least R
@@ -41,30 +42,28 @@ typedef z8 __attribute__((aligned(Z_BITS / 8))) z8_at;
 #define ROUGHLY 1e-2f /* of lambda: where a column's own search begins */
 #define CLS_STEPS 60
 
-/* Roughly the lambda of eq. 25, at least `least`, by Newton from the left. */
-INLINE lanes search_lambda(const lanes *b, __global const REAL *singular_r, const int size_r, const lanes energy,
-                           const REAL least)
+/* Roughly the lambda of eq. 25, at least `least`, by Newton from the left; b in sqrt(E). */
+INLINE float8 search_lambda(const float8 *b, __global const REAL *singular_s, const int size_r, const float least)
 {
-    const lanes inverse_root = 1.0f / root(energy);
-    lanes norm = 0.0f, lambda = least;
+    float8 norm = 0.0f, lambda = least;
     for (int r = 0; r < size_r; r++) {
-        const lanes alone = ABSOLUTE(b[r]) * inverse_root - singular_r[r] * singular_r[r];
+        const float8 alone = ABSOLUTE(b[r]) - (float)(singular_s[r] * singular_s[r]);
         lambda = GREATER(alone, lambda);
         norm = b[r] * b[r] + norm;
     }
-    norm = root(norm) * inverse_root - singular_r[0] * singular_r[0];
+    norm = root(norm) - (float)(singular_s[0] * singular_s[0]);
     lambda = GREATER(norm, lambda);
     for (int k = 0; k < CLS_STEPS; k++) {
-        lanes f = 0.0f, slope = TINY;
+        float8 f = 0.0f, slope = FLT_MIN;
         for (int r = 0; r < size_r; r++) {
-            const lanes inverse = 1.0f / (singular_r[r] * singular_r[r] + lambda);
-            const lanes t = b[r] * inverse;
-            f = t * t + f;
-            slope = t * t * inverse + slope;
+            const float8 inverse = 1.0f / ((float)(singular_s[r] * singular_s[r]) + lambda);
+            const float8 t = b[r] * inverse, square = t * t;
+            f = square + f;
+            slope = square * inverse + slope;
         }
-        const lanes ahead = lambda + f / slope * (root(f) * inverse_root - 1.0f);
-        const lanes next = GREATER(ahead, (lanes)least), step = next - lambda;
-        const lanes_mask moved = ABSOLUTE(step) > ROUGHLY * lambda;
+        const float8 ahead = lambda + f / slope * (root(f) - 1.0f);
+        const float8 next = GREATER(ahead, (float8)least), step = next - lambda;
+        const int8 moved = ABSOLUTE(step) > ROUGHLY * lambda;
         lambda = moved ? next : lambda;
         if (!any_lane(moved)) break;
     }
@@ -73,30 +72,39 @@ INLINE lanes search_lambda(const lanes *b, __global const REAL *singular_r, cons
 
 __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict lambda_q,
                              __global int *restrict unmet_q, __global const Z *restrict energy_q,
-                             __global const REAL *restrict unit_q, __global const REAL *restrict singular_r,
+                             __global const REAL *restrict unit_q, __global const REAL *restrict singular_s,
                              __global const REAL *restrict rows_js, __global const float *restrict across_st,
                              __global const REAL *restrict low_t, __global const REAL *restrict high_t,
                              __global REAL *restrict scratch_wn, const REAL least, const REAL least_energy,
-                             const float doubt,
+                             const float doubt, const float longest,
                              const int first, const int end, const int size_j, const int size_r, const int size_q)
 {
     __global REAL *scratch = scratch_wn + (long)get_global_id(0) * SCRATCH;
     __global REAL *column = scratch + COLUMN_PLACE, *small = scratch + SMALL_PLACE;
     column_state c = {scratch + GRAM_PLACE, scratch + FACTOR_PLACE, scratch + PANEL_PLACE,
-                      column, column + WIDTH_R, column + 2 * WIDTH_R, column + 3 * WIDTH_R,
-                      (__global float *)(column + 4 * WIDTH_R), (__global float *)(column + 5 * WIDTH_R),
+                      scratch + BACK_PLACE, column, column + WIDTH_R, column + 2 * WIDTH_R, column + 3 * WIDTH_R, column + 5 * WIDTH_R,
+                      (__global float *)(column + 4 * WIDTH_R), (__global float *)(column + 6 * WIDTH_R),
+                      (__global float *)(column + 6 * WIDTH_R + WIDTH_J),
+                      (__global float *)(column + 6 * WIDTH_R + 2 * WIDTH_J),
                       small, small + WIDTH_A, small + 2 * WIDTH_A, small + 3 * WIDTH_A, small + 4 * WIDTH_A,
-                      small + 5 * WIDTH_A, small + 6 * WIDTH_A,
-                      rows_js, across_st, low_t, high_t, 1.0f, 1.0f, doubt, 0, size_j, size_r};
-    for (int n = 0; n < 5 * WIDTH_R + WIDTH_J; n++) column[n] = 0.0f;
+                      small + 5 * WIDTH_A, small + 6 * WIDTH_A, small + 7 * WIDTH_A,
+                      rows_js, across_st, low_t, high_t, 1.0f, 1.0f, doubt, longest, 1e30f, 0, size_j, size_r};
+    for (int n = 0; n < COLUMN_SIZE + 8 * WIDTH_A; n++) column[n] = 0.0f;
     for (int group = first + get_global_id(0); group < end; group += get_global_size(0)) {
         const int q = group * LANES;
         lanes b[ROOM];
         for (int r = 0; r < size_r; r++)
-            b[r] = singular_r[r] * CONVERT(AT(__global const, z8, z_rq + (long)r * size_q + q), lanes);
+            b[r] = singular_s[r] * CONVERT(AT(__global const, z8, z_rq + (long)r * size_q + q), lanes);
         const lanes given = CONVERT(AT(__global const, z8, energy_q + q), lanes);
         const lanes energy = GREATER(given, (lanes)TINY); /* of black columns any positive bound will do */
-        lanes lambda = search_lambda(b, singular_r, size_r, energy, least);
+        const lanes inverse_root = 1.0f / root(energy);
+        float8 rough_b[ROOM];
+        for (int r = 0; r < size_r; r++) {
+            const lanes part = b[r] * inverse_root;
+            rough_b[r] = CONVERT(part, float8);
+        }
+        const float8 rough = search_lambda(rough_b, singular_s, size_r, (float)GREATER(least, (REAL)FLT_MIN));
+        lanes lambda = CONVERT(rough, lanes);
         int unmet[LANES];
         for (int lane = 0; lane < LANES; lane++) {
             c.unit = unit_q[q + lane];
@@ -104,7 +112,7 @@ __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict
             for (int r = 0; r < size_r; r++) c.b[r] = ((const REAL *)(b + r))[lane];
             unmet[lane] = ((const REAL *)&given)[lane] < least_energy * c.unit * c.unit;
             if (!unmet[lane] &&
-                !solve_column(&c, singular_r, ((const REAL *)&energy)[lane], least, (REAL *)&lambda + lane))
+                !solve_column(&c, singular_s, ((const REAL *)&energy)[lane], least, (REAL *)&lambda + lane))
                 unmet[lane] = 2;
             for (int r = 0; r < size_r; r++) ((REAL *)(b + r))[lane] = c.t[r];
         }

@@ -17,7 +17,7 @@ from clrelight.jobs.variation.components import read_normals
 from clrelight.jobs.variation.light_frames import Frames
 from clrelight.masks import read_mask
 from clrelight.variation.factoring import lights_from_surface
-from clrelight.variation.shading import lights_from_normals
+from clrelight.variation.shading import are_sums_of_three, lights_from_normals, shade_explains
 
 _PIXELS, _SURFACE_PIXELS = 8_000, 20_000
 """That are enough: three unknowns a lamp; and slopes of a surface, which blocks of pixels smooth away."""
@@ -56,6 +56,7 @@ def lights_of_object(
     used_hw = _shrunk(inside_hw, window, factor)[:, :, 0] > 0.99
     with stage(progress, "finding lights"):
         if normals_hw3 is None:
+            _check_lit(are_sums_of_three(samples_ihw[:, used_hw]))
             lights_i3, residual_i = _with_surface(samples_ihw, used_hw, report)
         else:
             mean_hw3 = _shrunk(normals_hw3, window, factor)
@@ -70,8 +71,13 @@ def lights_of_object(
                 _check_size(albedo, values_hwc.shape[:2], frames)
                 albedo_p = _shrunk(values_hwc.astype(np.float32).mean(axis=2), window, factor)[:, :, 0][used_hw]
             unit_p3 = mean_hw3[used_hw] / length_hw[used_hw][:, None]
-            shaded = lights_from_normals(samples_ihw[:, used_hw], unit_p3, albedo_p)
+            samples_ip = samples_ihw[:, used_hw]
+            shaded = lights_from_normals(samples_ip, unit_p3, albedo_p)
             lights_i3, residual_i = shaded.lights_i3, shaded.residual_i
+            is_lit = are_sums_of_three(samples_ip)
+            if not is_lit and albedo_p is not None:
+                is_lit = shade_explains(samples_ip, unit_p3, lights_i3, albedo_p)
+            _check_lit(is_lit)
     report.add("solve", since)
     length_i = np.linalg.norm(lights_i3, axis=1)
     mean = float(length_i[length_i > 0.0].mean()) if length_i.any() else 1.0
@@ -80,6 +86,14 @@ def lights_of_object(
         for residual, length in zip(residual_i, length_i, strict=True)
     ]
     return np.where(length_i[:, None] > 0.0, lights_i3 / np.maximum(length_i, 1e-12)[:, None], 0.0), rows
+
+
+def _check_lit(is_lit: bool | None) -> None:
+    if is_lit is False:
+        raise InputError(
+            "the photographs do not differ as those of one matte object under lamps do, which are nearly sums of three "
+            "pictures: they look like noise, or show different things"
+        )
 
 
 def _read_object(
