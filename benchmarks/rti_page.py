@@ -129,8 +129,8 @@ def draw_pictures(folder: Path, results: Sequence[StackResult], ways: Sequence[W
         _draw(path, done[place], ways)
         beside = f"{abs(margin[place]):.2f} dB {'above' if margin[place] >= 0 else 'below'} the best {whose}"
         drawn[path] = (
-            f"{done[place].name}, the {what} of the stacks that are not alike to the eye: {first.label} is {beside} over "
-            f"all unseen lights; below, errors times {_ERROR_GAIN:g}"
+            f"{done[place].name}, the {what} of the stacks that are not alike to the eye: {first.label} is {beside} "
+            f"over all unseen lights; below, errors times {_ERROR_GAIN:g}"
         )
     return drawn
 

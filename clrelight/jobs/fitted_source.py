@@ -28,7 +28,8 @@ class FittedSource(Source):
         shape = (coefficient_count(prepared.degree), *prepared.stack.image_shape)
         super().__init__(shape, prepared.device, workspace)
         self._report, self._bands, self.basis = prepared.report, bands, prepared.record.basis
-        self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.arithmetic))
+        curve = prepared.method.curve_of(prepared.stack)
+        self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.arithmetic), curve)
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
         self.sample_type = np.dtype(prepared.stack.images_ihwc.dtype)
         self._mask_hw = prepared.stack.mask_hw
