@@ -296,7 +296,7 @@ def test_a_hole_among_the_lights_is_foretold_by_who_asks_for_it(device, exponent
     everywhere = prepare_fit(stack.select(fitted), "auto", "auto")
     there = prepare_fit(stack.select(fitted), "auto", "auto", unseen_t3=stack.directions_i3[held])
     reached = mean_psnr(collect_fit(there), stack.select(held))
-    assert reached < 30.0
+    assert reached < 31.0
     assert everywhere.choice.chosen.predicted is None
     assert there.choice.chosen.predicted == pytest.approx(reached, abs=1.5)
     assert "predicted at the lights held out" in there.choice.note
