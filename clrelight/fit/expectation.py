@@ -217,17 +217,16 @@ def _weigh_neighbours(targets_t3: NDArray[np.float64], directions_g3: NDArray[np
     return np.asarray(weight_tg / weight_tg.sum(axis=1, keepdims=True))
 
 
-def least_degree(
+def cost_of_series(
     model: KrigingModel,
     trials: Trials,
     error: float,
-    within: float,
     relit: Callable[[int, NDArray[np.float64]], NDArray[np.float64]],
-) -> tuple[int, float]:
-    """Return the least degree whose series costs no more than `within` dB, and what it costs.
+) -> Callable[[int], float]:
+    """Return what the series of a degree costs in dB of the mean PSNR between the lights.
 
-    The cost is that of the mean PSNR between the lights where the whole function's squared error is `error`. `relit`
-    takes a degree and directions, and returns what the series is there, in units of what `trials` shows.
+    The whole function's squared error is `error`. `relit` takes a degree and directions, and returns what the series is
+    there, in units of what `trials` shows.
     """
     targets_t3 = list_unseen(trials.places.directions_g3, 0.5 * trials.gap)
     targets_t3 = targets_t3[:: max(1, len(targets_t3) // _TARGETS)]
@@ -238,6 +237,9 @@ def least_degree(
         lost_t = np.mean((trials.show(relit(degree, targets_t3)) - whole_tp) ** 2, axis=1)
         return float(_DB * np.mean(np.log1p(lost_t / max(error, LEAST_ERROR))))
 
-    # The cost falls with the degree.
-    degree = bisect_left(range(LARGEST_DEGREE), True, key=lambda degree: cost(degree) <= within)
-    return degree, cost(degree) if degree < LARGEST_DEGREE else 0.0
+    return cost
+
+
+def least_degree(cost: Callable[[int], float], within: float) -> int:
+    """Return the least degree whose series costs no more than `within` dB, or the largest; costs fall with it."""
+    return bisect_left(range(LARGEST_DEGREE), True, key=lambda degree: cost(degree) <= within)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clrelight.errors import InputError
 from clrelight.fit.choice import AT_GIVEN, CLEAR, IN_GAPS, Candidate, Choice
 from clrelight.fit.curved import CurvedSpectrumFit
-from clrelight.fit.expectation import Expectation, expect_unseen, least_degree
+from clrelight.fit.expectation import Expectation, cost_of_series, expect_unseen, least_degree
 from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.leave_out_error import LEAST_ERROR, Trials, krige_left_out, try_method
 from clrelight.fit.registry import FitMethod
@@ -83,7 +83,8 @@ def choose_model(
             method.plan(trials.lighting, min(degrees[1:2] or degrees))
     winner = _find_winner(base, others, within) if starts else _pick_simplest(others, within)
     if winner is None:
-        chosen = kriged.choose_degree(degrees, within, expected, told)
+        degree, cost = kriged.choose_degree(degrees, within, expected)
+        chosen = replace(base, degree=degree, predicted=_foretell(told, -cost))
         choice = replace(_conclude(chosen, [chosen, *others], told), settled=kriged.settled)
     else:
         gain = _mean_gain(base, winner)
@@ -103,9 +104,13 @@ def choose_model(
 def _take_curve(
     choice: Choice, shown: _Kriged, degrees: Sequence[int], within: float, unseen_t3: NDArray[np.float64] | None
 ) -> Choice:
+    """Return the choice of values as displayed, or the one before where a series of their radiance costs too much."""
     expected = shown.expect()
+    degree, cost = shown.choose_degree(degrees, within, expected)
+    if (choice.code_gain or 0.0) - cost < CLEAR:
+        return choice
     told = expected if unseen_t3 is None else shown.expect(unseen_t3)
-    chosen = shown.choose_degree(degrees, within, expected, told)
+    chosen = replace(shown.judged, degree=degree, predicted=_foretell(told, -cost))
     taken = _conclude(chosen, [chosen, *choice.tried], told)
     return replace(taken, settled=shown.settled, code_gain=choice.code_gain)
 
@@ -132,15 +137,15 @@ class _Kriged:
     def expect(self, unseen_t3: NDArray[np.float64] | None = None) -> Expectation:
         return expect_unseen(self.model, self.trials, unseen_t3)
 
-    def choose_degree(
-        self, degrees: Sequence[int], within: float, expected: Expectation, told: Expectation
-    ) -> Candidate:
-        """Return it at the degree asked for, or the least that costs no more than `within`."""
-        degree, cost = degrees[0], 0.0
-        if len(degrees) > 1:
-            series = functools.partial(self.settled.relit, self.model, self.trials.samples)
-            degree, cost = least_degree(self.model, self.trials, expected.error, within, series)
-        return replace(self.judged, degree=degree, predicted=_foretell(told, -cost))
+    def choose_degree(self, degrees: Sequence[int], within: float, expected: Expectation) -> tuple[int, float]:
+        """Return the degree asked for, or the least that costs no more than `within`, and what it costs."""
+        series = functools.partial(self.settled.relit, self.model, self.trials.samples)
+        if len(degrees) == 1:  # nothing is decided by it: what is likely counts, not the least that errors may be
+            error = expected.error if expected.psnr is None else 10.0 ** (-expected.psnr / 10.0)
+            return degrees[0], cost_of_series(self.model, self.trials, error, series)(degrees[0])
+        cost = cost_of_series(self.model, self.trials, expected.error, series)
+        degree = least_degree(cost, within)
+        return degree, cost(degree)
 
 
 def _leave_out(model: KrigingModel, trials: Trials) -> NDArray[np.float64]:
