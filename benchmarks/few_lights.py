@@ -4,19 +4,23 @@ Scenes drawn at random (smooth, matt, glossy, translucent, with cast shadows), u
 random or in two rings, three of four in 8 bits, the others as floats. Each is fitted by `spectrum` as it is, and with
 functions that never end, and tested under lights in the gaps between those fitted; more than 60 dB count as 60.
 Printed are decibels by which the former is better: the mean, the worst and the best, for each kind of scene, and for
-each way in which an end is found.
+each way in which an end is found. With ``--stacks GLOB`` (CLRELIGHT_DATA) scenes are SynthRTI's and RealRTI's instead,
+under a few of their lights that are far from each other.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.auto_grid import keep_gaps
+from benchmarks.rti_stacks import find_stacks, read_case
 from clrelight.dataset import LightStack
 from clrelight.fit.left_out import LIMIT_LIGHTS
+from clrelight.fit.places import pick_spread
 from clrelight.fit.plan import make_lighting
 from clrelight.fit.samples import Samples
 from clrelight.fit.spectrum import SpectrumFit
@@ -30,6 +34,7 @@ KINDS = (
     "glossy", "cast shadows",
 )  # fmt: skip
 COLUMNS, TESTS = 498, 120
+STACK_COLUMNS, STACK_COUNTS = 1500, (7, 9, 12, 14, 16)
 _SHARPNESS = 5, 8, 15, 30, 80
 _LEAST = 1e-6
 """A smaller mean squared error counts as this."""
@@ -145,6 +150,16 @@ def draw_scene(seed: int) -> tuple[str, LightStack, LightStack]:
     return kind, seen, keep_gaps(seen, tested)
 
 
+def list_stacks(patterns: Sequence[str]) -> Iterator[tuple[str, LightStack, LightStack]]:
+    """Yield name, lights to fit and lights in the gaps of stacks whose names fit one of the patterns."""
+    for source in find_stacks(patterns):
+        case = read_case(source)
+        seen, tested = (Samples(part, STACK_COLUMNS).stack for part in (case.seen, case.stack.select(case.unseen_i)))
+        for count in STACK_COUNTS:
+            some = seen.select(pick_spread(seen.directions_i3, count))
+            yield source.name, some, keep_gaps(some, tested)
+
+
 def fit_and_test(seen: LightStack, tested: LightStack, limit: int | None) -> tuple[float, int]:
     """Return the mean PSNR in dB of `spectrum` at the lights tested, and the degree where its functions end."""
     lighting, samples = make_lighting(seen, "uniform", "hemisphere"), Samples(seen)
@@ -161,19 +176,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=121)
     parser.add_argument("--first", type=int, default=1000, help="Seed of the first.")
+    parser.add_argument("--stacks", action="append", metavar="GLOB", help="Such as 'Single/*', instead of scenes.")
     given = parser.parse_args()
     clear, agreed, every = "an end that lights left out ask for", "an end on which three agree", "all"
-    gains: dict[str, list[float]] = {name: [] for name in (*KINDS, clear, agreed, every)}
-    for seed in range(given.first, given.first + given.scenes):
-        kind, seen, tested = draw_scene(seed)
+    drawn = (draw_scene(seed) for seed in range(given.first, given.first + given.scenes))
+    gains: dict[str, list[float]] = {} if given.stacks else {kind: [] for kind in KINDS}
+    ends: dict[str, list[float]] = {clear: [], agreed: [], every: []}
+    for kind, seen, tested in list_stacks(given.stacks) if given.stacks else drawn:
         reached, limit = fit_and_test(seen, tested, None)
         gain = reached - fit_and_test(seen, tested, LARGEST_DEGREE)[0]
-        gains[kind].append(gain)
+        gains.setdefault(kind, []).append(gain)
         if limit < LARGEST_DEGREE:
-            gains[clear if (limit + 1) ** 2 <= seen.n_light / LIMIT_LIGHTS else agreed].append(gain)
-        gains[every].append(gain)
+            ends[clear if (limit + 1) ** 2 <= seen.n_light / LIMIT_LIGHTS else agreed].append(gain)
+        ends[every].append(gain)
     print("| scenes | number | mean, dB | worst | best |\n" + "|---" * 5 + "|")
-    for name, some in gains.items():
+    for name, some in {**gains, **ends}.items():
         if not some:
             continue
         print(f"| {name} | {len(some)} | {np.mean(some):+.2f} | {min(some):+.2f} | {max(some):+.2f} |")

@@ -46,7 +46,7 @@ QUICK_PIXELS, _WARM_PIXELS = 64, 16
 @click.option("--device", "device_name", help="Index, gpu, cpu, pocl or a part of a name.")
 @click.option("--json", "json_path", type=click.Path(dir_okay=False, path_type=Path), help="Keep all figures.")
 @click.option("--markdown", type=click.Path(dir_okay=False, path_type=Path), help=f"Fill what stands between {BEGIN}s.")
-@click.option("--pictures", type=click.Path(file_okay=False, path_type=Path), help="Draw two stacks into this folder.")
+@click.option("--pictures", type=click.Path(file_okay=False, path_type=Path), help="Draw stacks into this folder.")
 def main(
     patterns: tuple[str, ...],
     texts: tuple[str, ...],

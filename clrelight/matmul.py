@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.conventions import srgb_to_linear
+from clrelight.conventions import linear_to_srgb, srgb_to_linear
 from clrelight.device import Device
 from clrelight.matmul_gpu import launch_matmul, pack_rows
 from clrelight.opencl.arguments import DeviceArray
@@ -27,6 +27,10 @@ _SAMPLE_TYPES = {"uint8": "uchar", "uint16": "ushort", "float16": "half", "float
 _FLOAT32 = np.dtype(np.float32)
 
 
+ENCODED = "encoded"
+"""A `SampleCurve.transfer` that is none of a stack: linear code values, to be put on the sRGB curve."""
+
+
 @dataclass(frozen=True)
 class SampleCurve:
     """How kernels turn code values into linear radiance.
@@ -36,7 +40,7 @@ class SampleCurve:
     peak : float
         Code value that means 1.0.
     transfer : str
-        ``"linear"`` or ``"srgb"``.
+        ``"linear"`` or ``"srgb"``; of integers also `ENCODED`.
     """
 
     peak: float = 1.0
@@ -52,7 +56,8 @@ class SampleCurve:
         """Return linear radiance for each code value, as `real`; one unused entry where no table is used."""
         if self.mode(dtype) != 1:
             return np.zeros(1, real)
-        return srgb_to_linear(np.arange(np.iinfo(dtype).max + 1) / self.peak).astype(real)
+        turn = linear_to_srgb if self.transfer == ENCODED else srgb_to_linear
+        return turn(np.arange(np.iinfo(dtype).max + 1) / self.peak).astype(real)
 
     def operator_scale(self) -> float:
         """Return the factor that a matrix on code values must carry for its result to be in units of the peak."""

@@ -44,6 +44,7 @@ def check_photographs(device: Device) -> Iterator[Statement]:
     yield from _rate(device)
     for layout, shape in (("latlong", (24, 48)), ("angular", (40, 40))):
         yield from _light(device, layout, shape)
+    yield from _curved(device)
     yield from _choice(device)
 
 
@@ -189,6 +190,21 @@ def _light(device: Device, layout: str, shape: tuple[int, int]) -> Iterator[Stat
     found_nc = integrate_irradiance(environment, normals_n3, device=device)
     error = float(np.abs(found_nc - exact_nc).max() / exact_nc.max())
     yield Statement("irradiance", layout, "error, of the largest", error, 1e-5)
+
+
+def _curved(device: Device) -> Iterator[Statement]:
+    """Values as displayed that are one function for all pixels but for a factor: radiance between the lights."""
+    lights_i3, between_t3 = make_pattern("uniform", 40), make_pattern("uniform", 97)
+    factor_p = np.linspace(0.2, 0.9, _WIDTH)
+    shown_ip, shown_tp = (
+        np.outer(0.5 + 0.3 * s_n3[:, 0] + 0.2 * s_n3[:, 2], factor_p) for s_n3 in (lights_i3, between_t3)
+    )
+    codes = np.rint(65535.0 * shown_ip).astype(np.uint16)
+    stack = LightStack(codes[:, None, :, None], lights_i3, 65535.0, "srgb")
+    found_kp = collect_fit(prepare_fit(stack, "spectrum-curve", 6, device=device)).coeffs_khwc.reshape(-1, _WIDTH)
+    exact_tp = ((shown_tp + 0.055) / 1.055) ** 2.4
+    error = float(np.abs(evaluate_basis(between_t3, 6) @ found_kp - exact_tp)[shown_tp > 0.05].max())
+    yield Statement("spectrum-curve", "a ramp as displayed", "error between the lights, of the peak", error, 0.01)
 
 
 def _choice(device: Device) -> Iterator[Statement]:

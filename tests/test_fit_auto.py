@@ -296,7 +296,7 @@ def test_a_hole_among_the_lights_is_foretold_by_who_asks_for_it(device, exponent
     everywhere = prepare_fit(stack.select(fitted), "auto", "auto")
     there = prepare_fit(stack.select(fitted), "auto", "auto", unseen_t3=stack.directions_i3[held])
     reached = mean_psnr(collect_fit(there), stack.select(held))
-    assert reached < 30.0
+    assert reached < 31.0
     assert everywhere.choice.chosen.predicted is None
     assert there.choice.chosen.predicted == pytest.approx(reached, abs=1.5)
     assert "predicted at the lights held out" in there.choice.note
@@ -305,18 +305,20 @@ def test_a_hole_among_the_lights_is_foretold_by_who_asks_for_it(device, exponent
     assert (there.method, there.degree) == (everywhere.method, everywhere.degree)
 
 
-def test_code_values_are_offered_where_they_fit_better(device):
+def test_values_as_displayed_are_offered_where_they_fit_better(device):
     """Columns smooth in code values are not in radiance, and the other way round."""
     smooth = make_scene(3, 60, noise=0.0)
-    coded, linear = (prepare_fit(replace(smooth, transfer=transfer), "auto", "auto") for transfer in ("srgb", "linear"))
+    coded, linear = (
+        prepare_fit(replace(smooth, transfer=transfer), "spectrum", "auto") for transfer in ("srgb", "linear")
+    )
     assert coded.choice.code_gain > 3.0
-    assert "ingest --transfer linear" in coded.choice.note
+    assert "spectrum-curve, which fits values as displayed, could be" in coded.choice.note
     assert linear.choice.code_gain is None
-    assert "--transfer" not in linear.choice.note
+    assert "spectrum-curve" not in linear.choice.note
     encoded = np.rint(255 * linear_to_srgb(np.asarray(smooth.images_ihwc) / 255)).astype(np.uint8)
     radiance = prepare_fit(replace(smooth, images_ihwc=encoded, transfer="srgb"), "auto", "auto")
     assert radiance.choice.code_gain < 0.0
-    assert "--transfer" not in radiance.choice.note
+    assert "spectrum-curve" not in radiance.choice.note
 
 
 def test_samples_above_the_peak(device):

@@ -112,7 +112,7 @@ def test_every_figure_is_kept_and_the_page_filled(data, monkeypatch):
     assert text.endswith("\n<!-- /rti -->\nafter\n")
     assert "old" not in text
     assert text.count("| cls 2 |") >= 3
-    for name in ("rti_median.png", "rti_worst.png"):
+    for name in ("rti_median.png", "rti_worst.png", "rti_best.png"):
         assert Image.open(pictures / name).size[0] > 300
         assert text.count(f"](pictures/{name})") == 1
     assert "the middle 64 pixels only" in output

@@ -40,7 +40,7 @@ _BESIDE_UPDATE = (*_HOW, "update")
     "--method",
     default="cls",
     show_default=True,
-    help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum, constrained or auto.",
+    help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum, spectrum-curve, constrained or auto.",
 )
 @click.option("--degree", type=DegreeType(), default=6, show_default=True, help="Largest SH degree, or auto.")
 @basis_option

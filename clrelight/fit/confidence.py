@@ -43,7 +43,7 @@ def map_confidence(stack: LightStack, method: FitMethod, weights: str, sampling:
     x_hw, y_hw = np.meshgrid(centre, -centre)
     inside_hw = x_hw**2 + y_hw**2 <= 1.0
     x, y = x_hw[inside_hw], y_hw[inside_hw]
-    trials = Trials.make(Samples(stack), weights, sampling)
+    trials = method.view(Trials.make(Samples(stack), weights, sampling))
     psnr_hw1 = np.zeros((SIZE, SIZE, 1), np.float32)
     with on_one_thread():
         directions_t3 = np.stack([x, y, np.sqrt(1.0 - x**2 - y**2)], axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -15,7 +16,6 @@ from clrelight.fit.left_out import solve_zones
 from clrelight.fit.places import find_zones, list_unseen, mutual_angles, nearest_angles, spread_points
 from clrelight.fit.plan import is_sphere
 from clrelight.fit.zonal import LARGEST_DEGREE
-from clrelight.harmonics.basis import evaluate_basis
 
 FEWEST_JUDGES = 6
 _NEAR = 0.5
@@ -217,22 +217,29 @@ def _weigh_neighbours(targets_t3: NDArray[np.float64], directions_g3: NDArray[np
     return np.asarray(weight_tg / weight_tg.sum(axis=1, keepdims=True))
 
 
-def least_degree(model: KrigingModel, trials: Trials, error: float, within: float) -> tuple[int, float]:
-    """Return the least degree whose series costs no more than `within` dB, and what it costs.
+def cost_of_series(
+    model: KrigingModel,
+    trials: Trials,
+    error: float,
+    relit: Callable[[int, NDArray[np.float64]], NDArray[np.float64]],
+) -> Callable[[int], float]:
+    """Return what the series of a degree costs in dB of the mean PSNR between the lights.
 
-    The cost is that of the mean PSNR between the lights where the whole series' squared error is `error`.
+    The whole function's squared error is `error`. `relit` takes a degree and directions, and returns what the series is
+    there, in units of what `trials` shows.
     """
     targets_t3 = list_unseen(trials.places.directions_g3, 0.5 * trials.gap)
     targets_t3 = targets_t3[:: max(1, len(targets_t3) // _TARGETS)]
-    radiance_ip = trials.samples.radiance_ip
-    whole_tp = trials.show(model.weights_at(targets_t3) @ radiance_ip)
+    whole_tp = trials.show(model.weights_at(targets_t3) @ trials.samples.radiance_ip)
 
     @cache
     def cost(degree: int) -> float:
-        cut_ti = evaluate_basis(targets_t3, degree) @ model.map_samples(degree)
-        lost_t = np.mean((trials.show(cut_ti @ radiance_ip) - whole_tp) ** 2, axis=1)
+        lost_t = np.mean((trials.show(relit(degree, targets_t3)) - whole_tp) ** 2, axis=1)
         return float(_DB * np.mean(np.log1p(lost_t / max(error, LEAST_ERROR))))
 
-    # The cost falls with the degree.
-    degree = bisect_left(range(LARGEST_DEGREE), True, key=lambda degree: cost(degree) <= within)
-    return degree, cost(degree) if degree < LARGEST_DEGREE else 0.0
+    return cost
+
+
+def least_degree(cost: Callable[[int], float], within: float) -> int:
+    """Return the least degree whose series costs no more than `within` dB, or the largest; costs fall with it."""
+    return bisect_left(range(LARGEST_DEGREE), True, key=lambda degree: cost(degree) <= within)

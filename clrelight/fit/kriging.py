@@ -110,7 +110,7 @@ class KrigingModel:
             return self.plain.variance_at(targets_t3)
         basis_tk = evaluate_basis(targets_t3, LARGEST_DEGREE)
         kernel_tg = self._kernel_to(basis_tk)
-        explained_t = np.einsum("ij,jk,ik->i", kernel_tg, self.inverse_gg, kernel_tg)
+        explained_t = np.einsum("ij,ij->i", kernel_tg @ self.inverse_gg, kernel_tg)
         return np.maximum(basis_tk**2 @ self.variance_k - explained_t, 0.0) + self.noise
 
     def variance_of(self, sums_gz: NDArray[np.float64], slope: float) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.configurable import Configurable
+from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import unknown
 from clrelight.fit.plan import FitPlan, Lighting
@@ -113,6 +114,10 @@ class FitMethod(Configurable, ABC):
     @abstractmethod
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the matrices for these lights; InputError where the method cannot fit this degree to them."""
+
+    def curve_of(self, stack: LightStack) -> SampleCurve | None:
+        """Return how kernels read a stack's samples where it is not as radiance."""
+        return None
 
     def shrink(self, device: Device, plan: FitPlan, columns: Columns) -> Shrunk:
         """Queue the change of the components in place."""

@@ -126,7 +126,8 @@ def fit_tiles(
         If a row does not fit the budget, or samples are negative or not finite.
     """
     stack, report = prepared.stack, prepared.report
-    scaling = TileScaling(stack, prepared.plan, compute_dtype(prepared.arithmetic))
+    curve = prepared.method.curve_of(stack)
+    scaling = TileScaling(stack, prepared.plan, compute_dtype(prepared.arithmetic), curve)
     height, width, channel = stack.image_shape
     step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step, beside=beside)
     tiles = row_tiles(rows or (0, height), step)

@@ -67,14 +67,20 @@ class Samples:
         pixels, channels = self.stack.image_shape[1:]
         wanted = max(1, max_columns // channels)
         chosen = np.unique(np.linspace(0, pixels - 1, min(wanted, pixels)).astype(np.intp))
-        return self._holding(replace(self.stack, images_ihwc=self.stack.images_ihwc[:, :, chosen]))
+        return self.holding(replace(self.stack, images_ihwc=self.stack.images_ihwc[:, :, chosen]))
 
     def select(self, lights_i: NDArray[np.intp]) -> Samples:
         """Return the same pixels under these lights only."""
-        return self._holding(self.stack.select(lights_i))
+        return self.holding(self.stack.select(lights_i))
+
+    @property
+    def source(self) -> LightStack:
+        """The stack whose pixels these are; nothing is read for it."""
+        return self._source
 
     @staticmethod
-    def _holding(stack: LightStack) -> Samples:
+    def holding(stack: LightStack) -> Samples:
+        """Return all pixels of a stack of one row."""
         made = Samples(stack)
         made.__dict__["stack"] = stack  # what the cached property would compute, known already
         return made

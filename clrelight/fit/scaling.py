@@ -73,6 +73,8 @@ class TileScaling:
         The range depends on its singular values and its bound.
     dtype : dtype
         What the kernels compute in; of float64 everything is in range.
+    curve : SampleCurve, optional
+        How integer samples are read that are not read as radiance (`FitMethod.curve_of`).
 
     Attributes
     ----------
@@ -80,18 +82,18 @@ class TileScaling:
         That of nearly all tiles: the stack's, its peak's exponent taken out where it is extreme.
     """
 
-    def __init__(self, stack: LightStack, plan: FitPlan, dtype: np.dtype) -> None:
+    def __init__(self, stack: LightStack, plan: FitPlan, dtype: np.dtype, curve: SampleCurve | None = None) -> None:
         self._stack = stack
         wide = dtype == np.float64
         self._least, self._exponent = (0.0, 0) if wide else _range(plan)
         self._most = math.inf if wide else _MOST
-        plain = wide or _PLAIN_PEAKS[0] <= stack.peak <= _PLAIN_PEAKS[1]
+        plain = wide or curve is not None or _PLAIN_PEAKS[0] <= stack.peak <= _PLAIN_PEAKS[1]
         mantissa, exponent = math.frexp(stack.peak)
         # An sRGB curve is not linear in the peak: samples of an extreme one are decoded here.
         self._decodes_all = stack.transfer == "srgb" and not plain
         shifts = stack.transfer == "linear" and not plain
         self._peak_exponent = exponent if shifts else 0
-        self.curve = SampleCurve(mantissa if shifts else stack.peak, stack.transfer)
+        self.curve = curve or SampleCurve(mantissa if shifts else stack.peak, stack.transfer)
 
     def load(self, first: int, end: int, out_ihwc: NDArray | None = None) -> ScaledTile:
         """Return rows first..end of a stack as `LightStack.read_rows` does, in range; the same errors."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.errors import InputError
-from clrelight.fit.expectation import Expectation, expect_unseen, least_degree
+from clrelight.fit.choice import AT_GIVEN, CLEAR, IN_GAPS, Candidate, Choice
+from clrelight.fit.curved import CurvedSpectrumFit
+from clrelight.fit.expectation import Expectation, cost_of_series, expect_unseen, least_degree
 from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.leave_out_error import LEAST_ERROR, Trials, krige_left_out, try_method
 from clrelight.fit.registry import FitMethod
@@ -30,96 +32,7 @@ WITHIN = 0.05
 _DOUBT = 3.0
 """Standard errors by which another method must be better than spectrum: neighbouring lights err alike, and many
 models are tried."""
-_CLEAR = 0.5
-"""Decibels that it must be better by beside that."""
 _FEWEST = 6
-_IN_GAPS, _AT_GIVEN = "unseen lights", "the lights held out"
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A model, and what it is expected to reach at unseen lights.
-
-    Attributes
-    ----------
-    method : FitMethod
-    degree : int
-    predicted : float or None
-        Mean PSNR in dB between the lights; None where that is unknown.
-    in_folds : float or None
-        Mean PSNR in dB at lights left out with their neighbours; None where nothing can be left out.
-    error_g : ndarray
-        Mean squared error at each of them, NaN where it was not tried.
-    """
-
-    method: FitMethod
-    degree: int
-    predicted: float | None = None
-    in_folds: float | None = None
-    error_g: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
-
-    def __str__(self) -> str:
-        folds = "unknown" if self.in_folds is None else f"{self.in_folds:.2f} dB at lights left out with neighbours"
-        return f"{self.method.id} at degree {self.degree} ({folds})"
-
-    def to_config(self) -> dict[str, Any]:
-        """Return it as a JSON object."""
-        return {
-            "method": self.method.id,
-            "degree": self.degree,
-            "psnr_predicted": self.predicted,
-            "psnr_folds": self.in_folds,
-        }
-
-
-@dataclass(frozen=True)
-class Choice:
-    """The model taken, the next best, all that were tried, and why the prediction is unknown where it is.
-
-    `settled` is the method taken with what it has learnt, where it is known already; `at` says which lights the
-    prediction is for. `code_gain` are the decibels by which `spectrum` is better at left-out lights where code values
-    are fitted as they stand, if they are not.
-    """
-
-    chosen: Candidate
-    runner_up: Candidate | None
-    tried: tuple[Candidate, ...]
-    spread: float = 0.0
-    why_unknown: str | None = None
-    settled: FitMethod | None = None
-    at: str = _IN_GAPS
-    code_gain: float | None = None
-
-    @property
-    def note(self) -> str:
-        """What the user should know."""
-        after = f"; next {self.runner_up}" if self.runner_up else ""
-        if self.chosen.predicted is None:
-            expected = f"PSNR at {self.at} unknown: {self.why_unknown}"
-        else:
-            expected = f"{self.chosen.predicted:.2f} dB (+- {self.spread:.2f}) predicted at {self.at}"
-        took = f"{self.chosen.method.id} at degree {self.chosen.degree}"
-        return f"auto took {took} of {len(self.tried)} models; {expected}{after}{self._domain}"
-
-    @property
-    def _domain(self) -> str:
-        if self.code_gain is None or self.code_gain < _CLEAR:
-            return ""
-        return (
-            f"; code values as they stand (ingest --transfer linear) could be fitted {self.code_gain:.1f} dB better, "
-            "but for single lights only: the sum of lights adds radiance"
-        )
-
-    def to_config(self) -> dict[str, Any]:
-        """Return it as a JSON object."""
-        return {
-            "chosen": self.chosen.to_config(),
-            "runner_up": None if self.runner_up is None else self.runner_up.to_config(),
-            "tried": [candidate.to_config() for candidate in self.tried],
-            "spread": self.spread,
-            "why_unknown": self.why_unknown,
-            "code_gain": self.code_gain,
-        }
 
 
 def choose_model(
@@ -133,8 +46,8 @@ def choose_model(
 ) -> Choice:
     """Return the model that is best at lights left out with their neighbours, or a simpler one as good.
 
-    `spectrum` is what others must clearly be better than. What follows its samples so closely that leaving them out
-    tells nothing is not taken. Of degrees that cost no more than `within`, the least is.
+    `spectrum` is what others must clearly be better than, and what is taken, `spectrum-curve`. What follows its samples
+    so closely that leaving them out tells nothing is not taken. Of degrees that cost no more than `within`, the least.
 
     Parameters
     ----------
@@ -156,12 +69,9 @@ def choose_model(
     """
     trials = Trials.make(samples, weights, sampling)
     starts = [method for method in methods if isinstance(method, SpectrumFit)]
-    settled = (starts or [SpectrumFit()])[0].settle(trials.lighting, max(degrees), samples)
-    assert isinstance(settled, SpectrumFit)  # of its own class
-    model = settled.model(trials.lighting)
-    expected = expect_unseen(model, trials)
-    told = expected if unseen_t3 is None else expect_unseen(model, trials, unseen_t3)
-    base = _judge((starts or [settled])[0], max(degrees), _leave_out(model, trials))
+    kriged = _Kriged.make((starts or [SpectrumFit()])[0], samples, trials, max(degrees))
+    base, expected = kriged.judged, kriged.expect()
+    told = expected if unseen_t3 is None else kriged.expect(unseen_t3)
     others = [
         candidate
         for method in methods
@@ -173,30 +83,69 @@ def choose_model(
             method.plan(trials.lighting, min(degrees[1:2] or degrees))
     winner = _find_winner(base, others, within) if starts else _pick_simplest(others, within)
     if winner is None:
-        degree, cost = degrees[0], 0.0
-        if len(degrees) > 1:
-            degree, cost = least_degree(model, trials, expected.error, within)
-        chosen = Candidate(starts[0], degree, _foretell(told, -cost), base.in_folds, base.error_g)
-        choice = replace(_conclude(chosen, [chosen, *others], told), settled=settled)
+        degree, cost = kriged.choose_degree(degrees, within, expected)
+        chosen = replace(base, degree=degree, predicted=_foretell(told, -cost))
+        choice = replace(_conclude(chosen, [chosen, *others], told), settled=kriged.settled)
     else:
         gain = _mean_gain(base, winner)
         chosen = Candidate(winner.method, winner.degree, _foretell(told, gain), winner.in_folds, winner.error_g)
         others[others.index(winner)] = chosen
         choice = _conclude(chosen, [*([base] if starts else []), *others], told)
-    at = _IN_GAPS if unseen_t3 is None else _AT_GIVEN
-    return replace(choice, at=at, code_gain=_try_code_values(base, trials))
+    curve, chooses = CurvedSpectrumFit(), len(methods) > 1
+    if curve.takes(samples.source) and base.method.id != curve.id and (chooses or samples.source.transfer == "srgb"):
+        shown = _Kriged.make(curve, samples, trials, max(degrees))
+        # Both are measured in code values: a light's photographs are averaged in either way, so each has its own truth.
+        choice = replace(choice, code_gain=_mean_gain(choice.chosen, shown.judged))
+        if chooses and _find_winner(choice.chosen, [shown.judged], within) is not None:
+            choice = _take_curve(choice, shown, degrees, within, unseen_t3)
+    return replace(choice, at=IN_GAPS if unseen_t3 is None else AT_GIVEN)
 
 
-def _try_code_values(base: Candidate, trials: Trials) -> float | None:
-    """Return the decibels that `spectrum` gains at left-out lights from code values taken as linear."""
-    stack = trials.samples.stack
-    if stack.transfer == "linear":
-        return None
-    plain = Trials.make(Samples(replace(stack, transfer="linear")), trials.weights, trials.sampling)
-    settled = SpectrumFit().settle(plain.lighting, DEGREES[-1], plain.samples)
-    assert isinstance(settled, SpectrumFit)  # of its own class
-    # Both are measured in code values: a light's photographs are averaged in either way, so each has its own truth.
-    return _mean_gain(base, _judge(settled, DEGREES[-1], _leave_out(settled.model(plain.lighting), plain)))
+def _take_curve(
+    choice: Choice, shown: _Kriged, degrees: Sequence[int], within: float, unseen_t3: NDArray[np.float64] | None
+) -> Choice:
+    """Return the choice of values as displayed, or the one before where a series of their radiance costs too much."""
+    expected = shown.expect()
+    degree, cost = shown.choose_degree(degrees, within, expected)
+    if (choice.code_gain or 0.0) - cost < CLEAR:
+        return choice
+    told = expected if unseen_t3 is None else shown.expect(unseen_t3)
+    chosen = replace(shown.judged, degree=degree, predicted=_foretell(told, -cost))
+    taken = _conclude(chosen, [chosen, *choice.tried], told)
+    return replace(taken, settled=shown.settled, code_gain=choice.code_gain)
+
+
+@dataclass(frozen=True)
+class _Kriged:
+    """`spectrum`, or `spectrum-curve`, of the lights of a choice.
+
+    `judged` is it at its highest degree; of `trials` the samples are what it krigs.
+    """
+
+    settled: SpectrumFit
+    model: KrigingModel
+    trials: Trials
+    judged: Candidate
+
+    @classmethod
+    def make(cls, method: SpectrumFit, samples: Samples, trials: Trials, degree: int) -> _Kriged:
+        settled = method.settle(trials.lighting, degree, samples)
+        assert isinstance(settled, SpectrumFit)  # of its own class
+        model, trials = settled.model(trials.lighting), method.view(trials)
+        return cls(settled, model, trials, _judge(method, degree, _leave_out(model, trials)))
+
+    def expect(self, unseen_t3: NDArray[np.float64] | None = None) -> Expectation:
+        return expect_unseen(self.model, self.trials, unseen_t3)
+
+    def choose_degree(self, degrees: Sequence[int], within: float, expected: Expectation) -> tuple[int, float]:
+        """Return the degree asked for, or the least that costs no more than `within`, and what it costs."""
+        series = functools.partial(self.settled.relit, self.model, self.trials.samples)
+        if len(degrees) == 1:  # nothing is decided by it: what is likely counts, not the least that errors may be
+            error = expected.error if expected.psnr is None else 10.0 ** (-expected.psnr / 10.0)
+            return degrees[0], cost_of_series(self.model, self.trials, error, series)(degrees[0])
+        cost = cost_of_series(self.model, self.trials, expected.error, series)
+        degree = least_degree(cost, within)
+        return degree, cost(degree)
 
 
 def _leave_out(model: KrigingModel, trials: Trials) -> NDArray[np.float64]:
@@ -240,7 +189,7 @@ def _find_winner(base: Candidate, others: Sequence[Candidate], within: float) ->
         if len(gain_g) < _FEWEST or other.in_folds is None:
             continue
         error = float(gain_g.std(ddof=1)) / np.sqrt(len(gain_g))
-        if gain_g.mean() - _DOUBT * error >= _CLEAR:
+        if gain_g.mean() - _DOUBT * error >= CLEAR:
             clear.append((other, float(gain_g.mean())))
     if not clear:
         return None

@@ -12,6 +12,7 @@ from clrelight.errors import InputError
 from clrelight.fit.axial import AxialStep, learn_step
 from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.learning import learn_theta
+from clrelight.fit.leave_out_error import Trials
 from clrelight.fit.left_out import FEWEST, Moments
 from clrelight.fit.places import find_places, spread_points
 from clrelight.fit.plan import FitPlan, Lighting, is_sphere
@@ -114,6 +115,16 @@ class SpectrumFit(FitMethod):
             raise ValueError("parameters are not settled yet: settle the method, or give all of them")
         return KrigingModel.make(find_places(lighting), Theta(**values), self.step)
 
+    def view(self, trials: Trials) -> Trials:
+        """Return trials of the values that this krigs."""
+        return trials
+
+    def relit(
+        self, model: KrigingModel, samples: Samples, degree: int, targets_t3: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return a degree's series at directions, (n_target, P), made of samples of what this krigs."""
+        return np.asarray(evaluate_basis(targets_t3, degree) @ model.map_samples(degree) @ samples.radiance_ip)
+
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:
         """Return the matrices; any number of lights is legal."""
         with on_one_thread():
@@ -122,7 +133,7 @@ class SpectrumFit(FitMethod):
             turn_ri = _order_components(map_ki, degree, is_sphere(lighting.directions_i3))
             condition = float(np.linalg.cond(model.covariance_gg))
         energy_i = 4.0 * np.pi * lighting.solid_angles_i / lighting.solid_angles_i.sum()
-        notes = _describe(model, degree)
+        notes = describe(model, degree)
         return FitPlan(turn_ri, map_ki @ turn_ri.T, np.ones(len(turn_ri)), energy_i, condition, notes)
 
 
@@ -140,7 +151,8 @@ def _order_components(map_ki: NDArray[np.float64], degree: int, sphere: bool) ->
     return np.ascontiguousarray(turn_ir.T[::-1][: min(map_ki.shape)])
 
 
-def _describe(model: KrigingModel, degree: int) -> tuple[str, ...]:
+def describe(model: KrigingModel, degree: int) -> tuple[str, ...]:
+    """Return what a user should know of a model, and of this degree."""
     theta, count = model.theta, len(model.places)
     photographs = model.places.mean_gi.shape[1]
     notes = [

@@ -29,7 +29,8 @@ class FittedSource(Source):
         super().__init__(shape, prepared.device, workspace)
         self._report, self._bands = prepared.report, bands
         self.basis, self.lights_i3 = prepared.record.basis, prepared.record.fitted_lights
-        self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.arithmetic))
+        curve = prepared.method.curve_of(prepared.stack)
+        self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.arithmetic), curve)
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
         self.sample_type = np.dtype(prepared.stack.images_ihwc.dtype)
         self._mask_hw, self._n_light = prepared.stack.mask_hw, prepared.stack.n_light
