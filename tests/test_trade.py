@@ -5,6 +5,7 @@ import math
 import re
 import tomllib
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from clrelight.experiment.pareto import Limits, Model, Trial, near_pareto_front,
 from clrelight.experiment.toml import experiment_text
 from clrelight.fit import method_class
 from clrelight.holdout import split_chosen
+from clrelight.report import canvas
+from clrelight.report.trade import trade_chart
 from clrelight.results import ROW_DTYPE, TIME_FIELDS
 from clrelight.sampling import farthest_point_subset, make_pattern
 from clrelight.store import read_results, write_results
@@ -175,6 +178,17 @@ def test_going_on_measures_nothing_again(swept):
     page = (folder / "report" / "trade.md").read_text()
     steps = ("bisection steps 32 → 4", "newton to its end → newton 2 steps", "mixed precision → double")
     assert all(f"| {step} " in page for step in steps)
+
+
+def test_panels_of_the_chart_keep_clear_of_each_other():
+    settings = [trial(10.0 ** (n - 7), 10**n, 20.0 + n) for n in range(4, 11)]  # 1 ms to 1000 s, 10 kB to 10 GB
+    with canvas.house_style():
+        figure = trade_chart(settings, "any")
+        boxes = [axes.get_tightbbox(figure.canvas.get_renderer()) for axes in figure.axes]
+    assert len(boxes) == 3
+    assert [left.x1 < right.x0 for left, right in pairwise(boxes)] == [True, True]
+    assert boxes[0].x0 > 0
+    assert boxes[2].x1 < figure.bbox.width
 
 
 def test_without_a_setting_within_the_budget_rows_and_report_stay(swept, tmp_path):

@@ -81,7 +81,7 @@ class Bench:
 
     def check_earlier(self, results: Results, out: str | os.PathLike[str]) -> None:
         """Raise InputError if rows of this name were measured on other images: a report would mix them."""
-        for row in self._own_rows(results):
+        for row in self.own_rows(results):
             if f'"stack":"{self.survey.fingerprint}"'.encode() not in row["fit_config"]:
                 raise InputError(
                     f"{out} holds rows of another stack that is named {self.stack.name!r} too: choose another --out, "
@@ -90,14 +90,15 @@ class Bench:
 
     def check_device(self, results: Results, out: str | os.PathLike[str]) -> None:
         """Raise InputError if rows of this name were timed on another device: their seconds do not compare."""
-        for row in self._own_rows(results):
+        for row in self.own_rows(results):
             if row["device"] != fixed("device", self.device.info.label):
                 raise InputError(
                     f"{out} holds times of another device ({row['device'].decode()}): choose another --out, "
                     "or start anew with --force"
                 )
 
-    def _own_rows(self, results: Results) -> NDArray:
+    def own_rows(self, results: Results) -> NDArray:
+        """Return the rows of a stack of this name."""
         return results.table[results.table["scene"] == fixed("scene", self.stack.name)]
 
     def identity(self, method: FitMethod | str, degree: int | str, setting: CodecSetting) -> np.void:

@@ -22,7 +22,7 @@ from clrelight.results import NO_CODEC
 DEFAULT_SCENE = "ring"
 PAPER_METHODS = ("uls", "sloan", "cls", "ceb")
 PAPER_RATES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Bits per coefficient of the wavelet curve, figure 15."""
+"""Bits per coefficient of the wavelet curve (noise-resistant-fitting, fig. 15)."""
 PICTURE_RATES = (4.0, 1.0)
 """Of the wavelet rows, the rates whose pictures are kept: figures 4c, 8c, 12c; and where our wavelet's noise shows."""
 

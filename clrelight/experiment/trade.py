@@ -120,6 +120,7 @@ class _Sweep:
             check_precision(precision, device)
         self.benches: dict[tuple[int | None, str], Bench] = {}
         self.results = earlier_results(out, force)
+        self._check_size(out)
         self._bench(None).check_earlier(self.results, out)
         self._bench(None).check_device(self.results, out)
         self.rows = {row_key(row): row for row in self.results.table}
@@ -132,6 +133,17 @@ class _Sweep:
             "lights": len(self.fewer) * (_THINNED + 1),
             "codecs": ladder * (_CODED + 1),
         }
+
+    def _check_size(self, out: str | os.PathLike[str]) -> None:
+        """Raise InputError if rows of this name were measured on another number of pixels."""
+        height, width, _ = self.stack.image_shape
+        for row in self._bench(None).own_rows(self.results):
+            if (row["height"], row["width"]) != (height, width):
+                raise InputError(
+                    f"{out} holds rows of {row['width']}×{row['height']} pixels of {self.stack.name!r}, and these "
+                    f"are {width}×{height}: other --megapixels, or another stack of this name; choose another --out, "
+                    "or start anew with --force"
+                )
 
     def run(self) -> list[Trial]:
         """Take the steps in order: what each looks at are the trials before it, so that going on repeats them."""
