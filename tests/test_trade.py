@@ -17,7 +17,15 @@ from clrelight.errors import InputError
 from clrelight.experiment import load_experiment, make_settings
 from clrelight.experiment.axes import Axes
 from clrelight.experiment.grid import CodecSetting, Experiment
-from clrelight.experiment.pareto import Limits, Model, Trial, near_pareto_front, pareto_front
+from clrelight.experiment.pareto import (
+    Limits,
+    Model,
+    Trial,
+    best_of_degrees,
+    best_within,
+    near_pareto_front,
+    pareto_front,
+)
 from clrelight.experiment.toml import experiment_text
 from clrelight.fit import method_class
 from clrelight.holdout import split_chosen
@@ -77,6 +85,21 @@ def test_a_choice_is_within_the_limits_and_the_best(drawn, seconds, size, psnr):
         else:
             with pytest.raises(InputError, match="none of the"):
                 limits.choose(trials)
+
+
+@given(points)
+def test_the_best_of_degrees_and_within_sizes(drawn):
+    trials = [trial(1.0, size, float(psnr), degree=degree) for degree, size, psnr in drawn]
+    trials.append(trial(1.0, 1, math.nan))  # was refused
+    for count in (1, 2):
+        kept = best_of_degrees(trials, count)
+        assert [each.model.degree for each in kept] == sorted(each.model.degree for each in kept)
+        for degree in {point[0] for point in drawn}:
+            of_degree = sorted((float(point[2]) for point in drawn if point[0] == degree), reverse=True)
+            assert [each.psnr for each in kept if each.model.degree == degree] == of_degree[:count]
+    for size in range(7):
+        found = [float(point[2]) for point in drawn if point[1] <= size]
+        assert best_within(trials, size) == max(found, default=-math.inf)
 
 
 def test_the_nearest_is_named_and_what_was_refused_is_never_taken():
@@ -147,6 +170,23 @@ def test_every_axis_is_measured(swept):
     assert {r["codec"] for r in rows} == {"none", "half", "klt"}
     assert {r["n_holdout"] for r in rows} == {8}
     assert len({r["label"] for r in rows}) == len(rows)
+
+
+def test_no_coding_of_a_good_model_would_be_better_and_no_larger(swept, tmp_path):
+    """What was left out of each degree's best, measured here, gains no more than it was left out for."""
+    folder, told = swept
+    rows = told["trials"]
+    assert {(r["degree"], r["codec"]) for r in rows} >= {(1, "klt"), (2, "klt")}
+    usual = [r for r in rows if r["codec"] == "none" and r["n_light"] == 32 and "precision" not in r["fit_config"]]
+    best = max((r for r in usual if r["degree"] == 1), key=lambda r: r["psnr_pooled_holdout"])
+    words = ("--methods", best["method"], "--degrees", 1, "--codecs", "klt", "--rates", "1,0.2", "--holdout", 5)
+    for coded in succeed("bench", folder / "ring.h5", *words, "--out", tmp_path / "b.h5", "--json").json["rows"]:
+        within = [
+            r["psnr_pooled_holdout"]
+            for r in rows
+            if r["encoded_bytes"] and r["encoded_bytes"] <= coded["encoded_bytes"]
+        ]
+        assert max(within) >= coded["psnr_pooled_holdout"] - 0.1
 
 
 def test_the_answer_is_what_bench_and_fit_measure(swept, tmp_path):

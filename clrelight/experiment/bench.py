@@ -77,6 +77,7 @@ class Bench:
         self.survey = survey or survey_stack(stack)
         self._fit: tuple[tuple, CoefficientMap, FitMethod, float] | None = None
         self._planned: dict[tuple, float] = {}
+        self._fit_seconds: dict[tuple, float] = {}
         self._warm: list[dict[str, Any]] = []
 
     def check_earlier(self, results: Results, out: str | os.PathLike[str]) -> None:
@@ -202,9 +203,12 @@ class Bench:
             first_row = replace(self.fit_stack, images_ihwc=row_ihwc, mask_hw=None, surface=None)
             collect_fit(replace(prepared, stack=first_row, report=FitReport()))
             planned = self._planned[key] = sum(prepared.report.seconds.values())
-            coefficients, seconds = self._timed(lambda: collect_fit(prepared), _BUILDING)
+            # What was fitted before needs no repeats to be timed.
+            again = key in self._fit_seconds
+            coefficients, seconds = self._timed(lambda: collect_fit(prepared), 0.0 if again else _BUILDING)
+            seconds = self._fit_seconds.setdefault(key, planned + seconds)
             taken = prepared.choice.chosen.method if prepared.choice else prepared.method
-            self._fit = (key, coefficients, taken, planned + seconds)
+            self._fit = (key, coefficients, taken, seconds)
         return self._fit[1], self._fit[2], self._fit[3]
 
     def _prepare(self, method: FitMethod | str, degree: int | str) -> PreparedFit:

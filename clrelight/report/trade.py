@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from clrelight.experiment.axes import HALF
-from clrelight.experiment.pareto import Trial, pareto_front, recommend, search_label, storage_label
-from clrelight.experiment.trade import find_reference
+from clrelight.experiment.pareto import Trial, find_reference, pareto_front, recommend, search_label, storage_label
 from clrelight.fit.cls import ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED
 from clrelight.report import canvas
