@@ -41,7 +41,7 @@ from datasets_synth.ring import render_ring
 HEIGHT, WIDTH = 512, 1024
 DEGREES = (2, 30)
 THREADS = 2
-NORMALS = 64  # rows and columns of the irradiance map of the paper's section 3.1
+NORMALS = 64  # rows and columns of the irradiance map of irradiance-environment-maps, section 3.1
 PROBES = ("grace_cross.hdr", "grace_latlong.exr", "beach_probe.hdr", "galileo_cross.dds")
 FIT_DEGREES = (2, 4, 6, 8, 10, 12, 15, 20)
 WANTED_DB = 40.0

@@ -1,7 +1,8 @@
 """Tables and pictures of docs/shrm.md: costs, errors and views of reflection maps under real light.
 
 ``python -m benchmarks.reflection --markdown docs/shrm.md --pictures docs/images`` renews both; it takes some minutes,
-most of them for integration over angles. The probes are those of ``CLRELIGHT_DATA``.
+most of them for integration over angles. The probes are those of ``CLRELIGHT_DATA``;
+numbered tables those of frequency-space-environment-maps.
 """
 
 from __future__ import annotations

@@ -114,8 +114,9 @@ def _field_error(light: Light) -> float:
 def materials(data: Path) -> Table:
     """Return, under each light, what noise makes of a reflectance that is estimated, and how often materials are known.
 
-    Estimated: microfacets, 0.3, from the whole light field (eq. 37), and from three spheres' pictures with 1% noise;
-    recognised: each material of the library five times, of one picture with twice as much noise as radiance.
+    Estimated: microfacets, 0.3, from the whole light field (frequency-space-environment-maps, eq. 37), and from three
+    spheres' pictures with 1% noise; recognised: each material of the library five times, of one picture with twice
+    as much noise as radiance.
     """
     terms, known = make_terms(DEGREE, ORDER), library(data)
     table = make_library(known, DEGREE, ORDER)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 from clrelight.cli.progress import progress_bar
 from clrelight.codec.entropy.unit_streams import FLAGS, ONE, Coded, default_tables
 from clrelight.codec.formats.klt_encode import Encoder
+from clrelight.codec.streams import ArraySource
+from clrelight.codec.transforms.pixels import Pixels
 from clrelight.device import open_device
 from clrelight.store import open_fit
 
@@ -35,9 +38,8 @@ class Counting(Encoder):
 
     _counts = True
 
-    def encode_part(self, *arguments: object, **options: object) -> Coded:  # type: ignore[override]
-        """Code a part, and keep what was counted."""
-        self.coded = super().encode_part(*arguments, **options)  # type: ignore[arg-type]
+    def _encode(self, *arguments: Any) -> Coded:
+        self.coded = super()._encode(*arguments)
         return self.coded
 
 
@@ -55,7 +57,7 @@ def main() -> None:
         for number, path in enumerate(arguments.fits):
             with open_fit(path) as fitted:
                 coeffs_khwc = np.ascontiguousarray(fitted.to_float32().coeffs_khwc)
-            encoder = Counting(coeffs_khwc.shape, lambda first, end, c=coeffs_khwc: c[:, first:end], "linear", device)
+            encoder = Counting(Pixels(ArraySource(coeffs_khwc, device, fitted.basis)), "linear")
             for rate in RATES:
                 encoder.encode_within(int(rate * coeffs_khwc.size / 8))
                 coded = encoder.coded

@@ -33,7 +33,7 @@ ROW_DTYPE = np.dtype(
         (
             "coding_psnr_independent",
             "<f8",
-        ),  # dB below peak^2, of the coding noise alone: equation (11), before encoding
+        ),  # dB below peak^2, of coding noise alone (noise-resistant-fitting, eq. 11), before encoding
         ("coding_psnr_predicted", "<f8"),  # the same with the errors' moments between coefficients; NaN: no model
         ("coding_psnr", "<f8"),  # measured; inf where nothing is lost
         ("psnr_mean", "<f8"),  # dB, at the fitted lights; inf where identical

@@ -79,7 +79,7 @@ def _fit(device: Device, stack: LightStack, solver: str) -> CoefficientMap:
 
 
 def _search(device: Device, stack: LightStack, solver: str, samples: str) -> Iterator[Statement]:
-    """Coefficients are those of eq. 19 at the lambda found, and that lambda is the one sought."""
+    """Coefficients are noise-resistant-fitting, eq. 19, at the lambda found, and that lambda is the one sought."""
     fitted = _fit(device, stack, solver)
     found_kp = fitted.coeffs_khwc.reshape(fitted.n_coeff, -1).astype(np.float64)
     lambda_p = np.zeros(_WIDTH) if fitted.lambda_hwc is None else fitted.lambda_hwc.ravel().astype(np.float64)

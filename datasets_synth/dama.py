@@ -1,4 +1,4 @@
-"""The "dama" scene: a glossy sculpture under a light that stays, radiance by view at every vertex (figure 3c)."""
+"""The "dama" scene: a glossy sculpture, radiance by view at every vertex (noise-resistant-fitting, fig. 3c)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The "torus" scene: a diffuse torus in its own shadow, a hemispherical function at every vertex (figure 3b)."""
+"""The "torus" scene: a torus in its own shadow, a function at every vertex (noise-resistant-fitting, fig. 3b)."""
 
 from __future__ import annotations
 

@@ -129,6 +129,22 @@ def test_pack_writes_the_picture_of_its_file_beside_it(tmp_path):
     assert np.abs(read_image(picture) - expected).mean() < 12  # JPEG's
 
 
+def test_a_map_of_many_coefficients_is_shown_too(tmp_path, monkeypatch):
+    """`pack` and `preview` decode however long it takes; where nobody asked, a smaller picture stands for it."""
+    monkeypatch.setattr("clrelight.jobs.thumbnail._MOST_VALUES", 100)
+    out, picture = tmp_path / "v.h5", tmp_path / "v.png"
+    words = ("--method", "uls", "--degree", "1", "--preview", picture)
+    assert succeed("pack", photographs(tmp_path / "photos"), out, *words).code == 0
+    expected = thumbnail(out, is_patient=True)
+    assert expected.shape == (24, 32, 3)
+    np.testing.assert_array_equal(read_image(picture), expected)
+    succeed("preview", out, tmp_path / "again.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "again.png"), expected)
+    small = thumbnail(out)
+    assert max(small.shape[:2]) <= 4
+    assert np.abs(small.mean(axis=(0, 1)) - expected.mean(axis=(0, 1))).max() < 25
+
+
 def test_a_preview_that_cannot_be_is_refused_before_work(encoded, tmp_path):
     folder = photographs(tmp_path / "photos")
     before = contents(tmp_path), contents(folder), contents(encoded)

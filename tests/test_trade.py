@@ -5,6 +5,7 @@ import math
 import re
 import tomllib
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,10 +17,20 @@ from clrelight.errors import InputError
 from clrelight.experiment import load_experiment, make_settings
 from clrelight.experiment.axes import Axes
 from clrelight.experiment.grid import CodecSetting, Experiment
-from clrelight.experiment.pareto import Limits, Model, Trial, near_pareto_front, pareto_front
+from clrelight.experiment.pareto import (
+    Limits,
+    Model,
+    Trial,
+    best_of_degrees,
+    best_within,
+    near_pareto_front,
+    pareto_front,
+)
 from clrelight.experiment.toml import experiment_text
 from clrelight.fit import method_class
 from clrelight.holdout import split_chosen
+from clrelight.report import canvas
+from clrelight.report.trade import trade_chart
 from clrelight.results import ROW_DTYPE, TIME_FIELDS
 from clrelight.sampling import farthest_point_subset, make_pattern
 from clrelight.store import read_results, write_results
@@ -74,6 +85,21 @@ def test_a_choice_is_within_the_limits_and_the_best(drawn, seconds, size, psnr):
         else:
             with pytest.raises(InputError, match="none of the"):
                 limits.choose(trials)
+
+
+@given(points)
+def test_the_best_of_degrees_and_within_sizes(drawn):
+    trials = [trial(1.0, size, float(psnr), degree=degree) for degree, size, psnr in drawn]
+    trials.append(trial(1.0, 1, math.nan))  # was refused
+    for count in (1, 2):
+        kept = best_of_degrees(trials, count)
+        assert [each.model.degree for each in kept] == sorted(each.model.degree for each in kept)
+        for degree in {point[0] for point in drawn}:
+            of_degree = sorted((float(point[2]) for point in drawn if point[0] == degree), reverse=True)
+            assert [each.psnr for each in kept if each.model.degree == degree] == of_degree[:count]
+    for size in range(7):
+        found = [float(point[2]) for point in drawn if point[1] <= size]
+        assert best_within(trials, size) == max(found, default=-math.inf)
 
 
 def test_the_nearest_is_named_and_what_was_refused_is_never_taken():
@@ -146,6 +172,23 @@ def test_every_axis_is_measured(swept):
     assert len({r["label"] for r in rows}) == len(rows)
 
 
+def test_no_coding_of_a_good_model_would_be_better_and_no_larger(swept, tmp_path):
+    """What was left out of each degree's best, measured here, gains no more than it was left out for."""
+    folder, told = swept
+    rows = told["trials"]
+    assert {(r["degree"], r["codec"]) for r in rows} >= {(1, "klt"), (2, "klt")}
+    usual = [r for r in rows if r["codec"] == "none" and r["n_light"] == 32 and "precision" not in r["fit_config"]]
+    best = max((r for r in usual if r["degree"] == 1), key=lambda r: r["psnr_pooled_holdout"])
+    words = ("--methods", best["method"], "--degrees", 1, "--codecs", "klt", "--rates", "1,0.2", "--holdout", 5)
+    for coded in succeed("bench", folder / "ring.h5", *words, "--out", tmp_path / "b.h5", "--json").json["rows"]:
+        within = [
+            r["psnr_pooled_holdout"]
+            for r in rows
+            if r["encoded_bytes"] and r["encoded_bytes"] <= coded["encoded_bytes"]
+        ]
+        assert max(within) >= coded["psnr_pooled_holdout"] - 0.1
+
+
 def test_the_answer_is_what_bench_and_fit_measure(swept, tmp_path):
     folder, told = swept
     choice = told["choice"]
@@ -175,6 +218,17 @@ def test_going_on_measures_nothing_again(swept):
     page = (folder / "report" / "trade.md").read_text()
     steps = ("bisection steps 32 → 4", "newton to its end → newton 2 steps", "mixed precision → double")
     assert all(f"| {step} " in page for step in steps)
+
+
+def test_panels_of_the_chart_keep_clear_of_each_other():
+    settings = [trial(10.0 ** (n - 7), 10**n, 20.0 + n) for n in range(4, 11)]  # 1 ms to 1000 s, 10 kB to 10 GB
+    with canvas.house_style():
+        figure = trade_chart(settings, "any")
+        boxes = [axes.get_tightbbox(figure.canvas.get_renderer()) for axes in figure.axes]
+    assert len(boxes) == 3
+    assert [left.x1 < right.x0 for left, right in pairwise(boxes)] == [True, True]
+    assert boxes[0].x0 > 0
+    assert boxes[2].x1 < figure.bbox.width
 
 
 def test_without_a_setting_within_the_budget_rows_and_report_stay(swept, tmp_path):

@@ -12,7 +12,7 @@ from clrelight.experiment.axes import Axes
 from clrelight.experiment.excerpt import WINDOW, excerpt_of
 from clrelight.sampling import make_pattern
 from clrelight.store import write_stack
-from tests.commands import succeed
+from tests.commands import call, succeed
 from tests.test_trade import SMALL, trial
 
 LIGHTS = make_pattern("uniform", 24)
@@ -96,3 +96,8 @@ def test_what_is_reckoned_is_what_the_whole_has(tmp_path):
         assert row["psnr_pooled_holdout"] == pytest.approx(other["psnr_pooled_holdout"], abs=0.5)
         assert row["bytes"] == pytest.approx(other["bytes"], rel=0.02)
         assert row["bytes"] == round(row["encoded_bytes"] * 4)
+    ended = call(*words, "--out", tmp_path / "part.h5", "--megapixels", 0.1)
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert "holds rows of 256×192 pixels of 's', and these are 384×256: other --megapixels, or another" in ended.err
+    ended = call(*words, "--out", tmp_path / "part.h5")  # 0.1 is the default
+    assert "other --megapixels" in ended.err

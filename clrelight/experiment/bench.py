@@ -77,11 +77,12 @@ class Bench:
         self.survey = survey or survey_stack(stack)
         self._fit: tuple[tuple, CoefficientMap, FitMethod, float] | None = None
         self._planned: dict[tuple, float] = {}
+        self._fit_seconds: dict[tuple, float] = {}
         self._warm: list[dict[str, Any]] = []
 
     def check_earlier(self, results: Results, out: str | os.PathLike[str]) -> None:
         """Raise InputError if rows of this name were measured on other images: a report would mix them."""
-        for row in self._own_rows(results):
+        for row in self.own_rows(results):
             if f'"stack":"{self.survey.fingerprint}"'.encode() not in row["fit_config"]:
                 raise InputError(
                     f"{out} holds rows of another stack that is named {self.stack.name!r} too: choose another --out, "
@@ -90,14 +91,15 @@ class Bench:
 
     def check_device(self, results: Results, out: str | os.PathLike[str]) -> None:
         """Raise InputError if rows of this name were timed on another device: their seconds do not compare."""
-        for row in self._own_rows(results):
+        for row in self.own_rows(results):
             if row["device"] != fixed("device", self.device.info.label):
                 raise InputError(
                     f"{out} holds times of another device ({row['device'].decode()}): choose another --out, "
                     "or start anew with --force"
                 )
 
-    def _own_rows(self, results: Results) -> NDArray:
+    def own_rows(self, results: Results) -> NDArray:
+        """Return the rows of a stack of this name."""
         return results.table[results.table["scene"] == fixed("scene", self.stack.name)]
 
     def identity(self, method: FitMethod | str, degree: int | str, setting: CodecSetting) -> np.void:
@@ -204,9 +206,12 @@ class Bench:
             first_row = replace(self.fit_stack, images_ihwc=row_ihwc, mask_hw=None, surface=None)
             collect_fit(replace(prepared, stack=first_row, report=FitReport()))
             planned = self._planned[key] = sum(prepared.report.seconds.values())
-            coefficients, seconds = self._timed(lambda: collect_fit(prepared), _BUILDING)
+            # What was fitted before needs no repeats to be timed.
+            again = key in self._fit_seconds
+            coefficients, seconds = self._timed(lambda: collect_fit(prepared), 0.0 if again else _BUILDING)
+            seconds = self._fit_seconds.setdefault(key, planned + seconds)
             taken = prepared.choice.chosen.method if prepared.choice else prepared.method
-            self._fit = (key, coefficients, taken, planned + seconds)
+            self._fit = (key, coefficients, taken, seconds)
         return self._fit[1], self._fit[2], self._fit[3]
 
     def _prepare(self, method: FitMethod | str, degree: int | str) -> PreparedFit:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clrelight.dataset import LightStack
 from clrelight.errors import InputError
+from clrelight.memory import IMAGE_MEMORY
 from clrelight.tiles import Rectangle, read_tile
 
 WINDOW = 64
@@ -63,3 +64,9 @@ def _places(length: int, side: int, count: int) -> NDArray[np.intp]:
     """Return where windows begin: evenly, without overlap, the first and last as far from the edges as each other."""
     gap = (length - count * side) / (count + 1)
     return np.rint(gap + np.arange(count) * (side + gap)).astype(np.intp)
+
+
+def in_memory(stack: LightStack) -> LightStack:
+    """Return a stack with its images in memory where they are not too large, so that no time is one of reading."""
+    size = math.prod(stack.images_ihwc.shape) * stack.images_ihwc.dtype.itemsize
+    return replace(stack, images_ihwc=stack.read_rows(0, stack.image_shape[0])) if size <= IMAGE_MEMORY else stack

@@ -22,9 +22,13 @@ from clrelight.results import NO_CODEC
 DEFAULT_SCENE = "ring"
 PAPER_METHODS = ("uls", "sloan", "cls", "ceb")
 PAPER_RATES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Bits per coefficient of the wavelet curve, figure 15."""
+"""Bits per coefficient of the wavelet curve (noise-resistant-fitting, fig. 15)."""
 PICTURE_RATES = (4.0, 1.0)
 """Of the wavelet rows, the rates whose pictures are kept: figures 4c, 8c, 12c; and where our wavelet's noise shows."""
+
+
+_BITS = {NO_CODEC: 32.0, "half": 16.0, "s3tc": 224.0 / 48.0}
+"""Per coefficient, of what is asked for no rate."""
 
 
 TYPE_NAMES: dict[type, str] = {
@@ -59,6 +63,11 @@ class CodecSetting:
         """Bits per coefficient asked for, NaN where the codec is not asked for any."""
         asked = self.config.get("bits" if self.id == "uniform" else "rate")
         return math.nan if asked is None else float(asked)
+
+    @property
+    def expected_bits(self) -> float:
+        """About the bits of a coefficient that it will take; inf where they are not known beforehand."""
+        return _BITS.get(self.id, math.inf) if math.isnan(self.rate) else self.rate
 
     @property
     def is_pictured(self) -> bool:

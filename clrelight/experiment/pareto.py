@@ -10,13 +10,15 @@ import numpy as np
 
 from clrelight.errors import InputError
 from clrelight.experiment.grid import CodecSetting, Experiment
-from clrelight.fit import FitMethod
+from clrelight.fit import FitMethod, method_class
 from clrelight.fit.cls import ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED
 from clrelight.results import NO_CODEC
 
 WORSE = 0.3
 """Decibels at held-out lights that a setting may be below the best to be recommended for its size."""
+
+REFERENCE_DEGREE = 6
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,27 @@ def near_pareto_front(trials: Sequence[Trial], slack: float) -> list[Trial]:
         )
     ]
     return sorted(kept, key=lambda each: -each.psnr)
+
+
+def find_reference(trials: Sequence[Trial]) -> Trial:
+    """Return what steps are compared with: ``cls`` where it was tried, degree 6 or nearly, float32, all lights."""
+    plain = [t for t in trials if t.setting.codec is None and t.model.lights is None and t.model.precision == MIXED]
+    default = [t for t in plain if t.model.method == method_class("cls")()]
+    return min(default or plain, key=lambda t: abs(t.model.degree - REFERENCE_DEGREE))
+
+
+def best_within(trials: Sequence[Trial], size: float) -> float:
+    """Return the best PSNR of the trials that are no larger; -inf where there is none."""
+    return max((trial.psnr for trial in trials if trial.size <= size), default=-math.inf)
+
+
+def best_of_degrees(trials: Sequence[Trial], count: int) -> list[Trial]:
+    """Return the `count` best trials of each degree, low degrees first."""
+    kept: list[Trial] = []
+    for degree in sorted({trial.model.degree for trial in trials}):
+        of_degree = [trial for trial in trials if trial.model.degree == degree and trial.psnr > -math.inf]
+        kept += sorted(of_degree, key=lambda trial: -trial.psnr)[:count]
+    return kept
 
 
 def pareto_front(trials: Sequence[Trial], cost: str, value: str) -> list[Trial]:

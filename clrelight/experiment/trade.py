@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from clrelight.dataset import LightStack
@@ -13,9 +13,17 @@ from clrelight.durable import claiming, no_locks
 from clrelight.errors import InputError
 from clrelight.experiment.axes import HALF, LEAST_LIGHTS, Axes
 from clrelight.experiment.bench import Bench
-from clrelight.experiment.excerpt import excerpt_of
+from clrelight.experiment.excerpt import excerpt_of, in_memory
 from clrelight.experiment.grid import CodecSetting, Experiment, make_settings
-from clrelight.experiment.pareto import Model, Trial, near_pareto_front, storage_label
+from clrelight.experiment.pareto import (
+    Model,
+    Trial,
+    best_of_degrees,
+    best_within,
+    find_reference,
+    near_pareto_front,
+    storage_label,
+)
 from clrelight.experiment.row import row_key
 from clrelight.experiment.run import Progress, earlier_results
 from clrelight.experiment.scenes import survey_stack
@@ -24,11 +32,9 @@ from clrelight.fit.precision import MIXED, check_precision, differing_precisions
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.decomposition import decompose
 from clrelight.harmonics.index import coefficient_count
-from clrelight.memory import IMAGE_MEMORY
 from clrelight.store import write_results
 
 REPEATS = 3
-
 _MAX_CONDITION = 1e6
 """Of the basis matrix, up to which unbounded fits are tried."""
 _UNBOUNDED = ("uls", "sloan")
@@ -39,8 +45,9 @@ _FALLEN = 0.1
 _LOST = 3.0
 """Decibels by which something no larger is better where a codec's rate is not lowered further."""
 _THINNED, _CODED, _RECKONED = 4, 2, 1
-"""Of the models near the pareto_front, how many are fitted to fewer lights, coded, fitted in each precision."""
-REFERENCE_DEGREE = 6
+"""How many models near the pareto_front are fitted to fewer lights, of each degree coded, fitted in each precision."""
+_SPARED = 0.05
+"""Decibels that a codec is not tried for: the front of all settings lies no further from that of those measured."""
 
 
 def sweep_trade(
@@ -58,8 +65,8 @@ def sweep_trade(
 
     Methods climb in degree until the PSNR at held-out lights falls twice, each as float32 and as half. Then ``cls`` is
     tried with fewer steps, the best model in other precisions, the models that nothing smaller and faster clearly beats
-    with fewer lights, and the best of them all through the codecs, at falling rates until something no larger is far
-    better.
+    with fewer lights, and the best of each degree through the codecs, wherever nothing is known yet that is as good and
+    no larger.
 
     Parameters
     ----------
@@ -103,7 +110,7 @@ class _Sweep:
         force: bool,
     ) -> None:
         part, self.scale = excerpt_of(stack, axes.megapixels * 1e6)
-        self.stack, self.scene, self.out, self.axes, self.device = _in_memory(part), scene, out, axes, device
+        self.stack, self.scene, self.out, self.axes, self.device = in_memory(part), scene, out, axes, device
         self.report = progress or (lambda what, count, total: None)
         n_fit = len(axes.split(stack.directions_i3)[0])
         if n_fit < LEAST_LIGHTS:
@@ -120,6 +127,7 @@ class _Sweep:
             check_precision(precision, device)
         self.benches: dict[tuple[int | None, str], Bench] = {}
         self.results = earlier_results(out, force)
+        self._check_size(out)
         self._bench(None).check_earlier(self.results, out)
         self._bench(None).check_device(self.results, out)
         self.rows = {row_key(row): row for row in self.results.table}
@@ -130,8 +138,19 @@ class _Sweep:
             "solvers": 2 * len(axes.searches()) if "cls" in axes.methods else 0,
             "precision": 2 * (_RECKONED + 1),  # single and double, beside mixed
             "lights": len(self.fewer) * (_THINNED + 1),
-            "codecs": ladder * (_CODED + 1),
+            "codecs": ladder * (_CODED * len(axes.degrees) + 1),
         }
+
+    def _check_size(self, out: str | os.PathLike[str]) -> None:
+        """Raise InputError if rows of this name were measured on another number of pixels."""
+        height, width, _ = self.stack.image_shape
+        for row in self._bench(None).own_rows(self.results):
+            if (row["height"], row["width"]) != (height, width):
+                raise InputError(
+                    f"{out} holds rows of {row['width']}×{row['height']} pixels of {self.stack.name!r}, and these "
+                    f"are {width}×{height}: other --megapixels, or another stack of this name; choose another --out, "
+                    "or start anew with --force"
+                )
 
     def run(self) -> list[Trial]:
         """Take the steps in order: what each looks at are the trials before it, so that going on repeats them."""
@@ -238,15 +257,29 @@ class _Sweep:
                     models.remove(model)
 
     def _try_codecs(self) -> Iterator[tuple[Model, CodecSetting]]:
-        measured = [(trial.model, trial.setting) for trial in self.trials]
-        for model in self._extended(_CODED):
-            for ladder in self.axes.ladders():
-                for setting in ladder:
-                    if (model, setting) in measured:
-                        continue
-                    yield model, setting
+        reference, ladders = self._reference(), self.axes.ladders()
+        for ladder in ladders:
+            for setting in ladder:
+                if not self._is_measured(reference, setting):
+                    yield reference, setting
                     if self._is_lost(self.trials[-1]):
                         break
+        # What is coded is at most about as good as it was: degree by degree, small ones first, each as far as it may
+        # still be better than what is no larger.
+        settings = sorted((s for ladder in ladders for s in ladder), key=lambda s: s.expected_bits)
+        known = [s for s in settings if s.expected_bits < math.inf]
+        for best in best_of_degrees(self._usual(), _CODED):
+            for setting in known:
+                size = setting.expected_bits / 32.0 * best.size
+                if best_within(self.trials, size) < best.psnr - _SPARED and not self._is_measured(best.model, setting):
+                    yield best.model, setting
+        for model in self._extended(_CODED):
+            for setting in settings[len(known) :]:
+                if not self._is_measured(model, setting):
+                    yield model, setting
+
+    def _is_measured(self, model: Model, setting: CodecSetting) -> bool:
+        return any((trial.model, trial.setting) == (model, setting) for trial in self.trials)
 
     def _is_lost(self, trial: Trial) -> bool:
         return any(other.size <= trial.size and other.psnr >= trial.psnr + _LOST for other in self.trials)
@@ -256,23 +289,12 @@ class _Sweep:
 
         Each with its usual search, or searches that agree would take all the places.
         """
-        usual = [t for t in self._plain() if t.model.method == method_class(t.model.method.id)()]
-        models = [trial.model for trial in near_pareto_front(usual, _NEAR)[:count]]
+        models = [trial.model for trial in near_pareto_front(self._usual(), _NEAR)[:count]]
         reference = self._reference()
         return models if reference in models else [*models, reference]
 
+    def _usual(self) -> list[Trial]:
+        return [t for t in self._plain() if t.model.method == method_class(t.model.method.id)()]
+
     def _reference(self) -> Model:
         return find_reference(self.trials).model
-
-
-def _in_memory(stack: LightStack) -> LightStack:
-    size = math.prod(stack.images_ihwc.shape) * stack.images_ihwc.dtype.itemsize
-    # So that no time is one of reading.
-    return replace(stack, images_ihwc=stack.read_rows(0, stack.image_shape[0])) if size <= IMAGE_MEMORY else stack
-
-
-def find_reference(trials: Sequence[Trial]) -> Trial:
-    """Return what steps are compared with: ``cls`` where it was tried, degree 6 or nearly, float32, all lights."""
-    plain = [t for t in trials if t.setting.codec is None and t.model.lights is None and t.model.precision == MIXED]
-    default = [t for t in plain if t.model.method == method_class("cls")()]
-    return min(default or plain, key=lambda t: abs(t.model.degree - REFERENCE_DEGREE))

@@ -18,7 +18,7 @@ from clrelight.jobs.inputs import path_text
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.pictures import check_display
 from clrelight.jobs.report import Report, report_for
-from clrelight.jobs.thumbnail import thumbnail, thumbnail_of_encoded, thumbnail_of_fit
+from clrelight.jobs.thumbnail import has_levels, thumbnail, thumbnail_of_encoded, thumbnail_of_fit
 from clrelight.store import file_schema, read_encoded, write_encoded
 
 _HDF5 = (".h5", ".hdf5")
@@ -60,7 +60,7 @@ def preview(
         raise InputError(f"a copy that holds a picture is for encodings, {source} is a {kind}: give OUT.png")
     with claimed([out], [source], kept):
         since = time.perf_counter()
-        picture_hwc = thumbnail(source, size)
+        picture_hwc = thumbnail(source, size, is_patient=True)
         since = kept.add("draw", since)
         if picture_hwc is None:
             raise InputError(f"{source} holds no picture, or one that takes long; relight shows it")
@@ -98,10 +98,13 @@ def draw_preview(
     if min(encoded.shape[1:3]) == 1:
         raise InputError("a list of vertices has no preview; clrelight render shows it")
     record = FitRecord.of(fit) if isinstance(fit, CoefficientMap) else fit
-    picture_hwc = thumbnail_of_encoded(replace(encoded, record=record), encoded.codec, encoded.shape, device=device)
+    # What was just coded takes less to decode; a fit that is at hand takes less still.
+    is_patient = has_levels(encoded.codec) or not isinstance(fit, CoefficientMap)
+    picture_hwc = thumbnail_of_encoded(
+        replace(encoded, record=record), encoded.codec, encoded.shape, device=device, is_patient=is_patient
+    )
     if picture_hwc is None:
-        if not isinstance(fit, CoefficientMap):
-            raise InputError(f"a map of this size by {encoded.codec} has no preview; clrelight relight shows it")
+        assert isinstance(fit, CoefficientMap)
         report.note(f"the preview shows the fit before it was coded: {encoded.codec} has no lower resolution to decode")
         picture_hwc = thumbnail_of_fit(fit)
     report.add("preview", since)

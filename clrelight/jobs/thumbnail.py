@@ -34,7 +34,7 @@ _LEVELS = {"klt": 5, "wavelet": 5}
 """Codecs that give lower resolutions, and how many."""
 
 
-def thumbnail(path: str | os.PathLike[str], side: int = 256) -> NDArray[np.uint8] | None:
+def thumbnail(path: str | os.PathLike[str], side: int = 256, *, is_patient: bool = False) -> NDArray[np.uint8] | None:
     """Return a picture of a file for display.
 
     A stack is shown by its photograph nearest to `LIGHT`, a fit or an encoding under `LIGHT`, results by their first
@@ -46,6 +46,8 @@ def thumbnail(path: str | os.PathLike[str], side: int = 256) -> NDArray[np.uint8
         A file of ours on this machine, or of another viewer's, as of `foreign.describe_foreign`.
     side : int
         Pixels of the longer side, at most.
+    is_patient : bool
+        Whether an encoding is decoded however long that takes.
 
     Returns
     -------
@@ -67,7 +69,7 @@ def thumbnail(path: str | os.PathLike[str], side: int = 256) -> NDArray[np.uint8
             with open_fit(path) as fitted:
                 return thumbnail_of_fit(fitted, side) if min(fitted.image_shape[:2]) > 1 else None
         case "encoded":
-            return thumbnail_of_encoded(Path(os.fsdecode(path)), *_codec_and_shape(path), side)
+            return thumbnail_of_encoded(Path(os.fsdecode(path)), *_codec_and_shape(path), side, is_patient=is_patient)
         case "light":
             return _shown(_scaled(_of_light(read_light(path), min(side, 128))))
         case "shrm":
@@ -123,14 +125,18 @@ def thumbnail_of_encoded(
     shape: tuple[int, int, int, int],
     side: int = 256,
     device: Device | None = None,
+    is_patient: bool = False,
 ) -> NDArray[np.uint8] | None:
-    """Return a picture of an encoding, by its codec and of its shape, under `LIGHT`; None where that takes long."""
+    """Return a picture of an encoding, by its codec and of its shape, under `LIGHT`; None where that takes long.
+
+    Where the level that is as large as `side` takes long, a smaller one is shown, unless `is_patient`.
+    """
     n_coeff, height, width, channel = shape
     if min(height, width) == 1:
         return None
-    halvings = max(0, math.floor(math.log2(max(height, width) / side)))
-    for level in {min(halvings, _LEVELS.get(codec, 0)): None, 0: None}:
-        if n_coeff * height * width * channel >> (2 * level) > _MOST_VALUES:
+    halvings, last = max(0, math.floor(math.log2(max(height, width) / side))), _LEVELS.get(codec, 0)
+    for level in {**dict.fromkeys(range(min(halvings, last), last + 1)), 0: None}:
+        if not is_patient and n_coeff * height * width * channel >> (2 * level) > _MOST_VALUES:
             continue
         try:
             relit = relight(source, LIGHT, level=level, device=device, report=Report())
@@ -140,6 +146,11 @@ def thumbnail_of_encoded(
             continue  # of before there were levels
         return _shown(_shrunk(relit, side))
     return None
+
+
+def has_levels(codec: str) -> bool:
+    """Return whether a codec gives lower resolutions, which take a part of the time."""
+    return codec in _LEVELS
 
 
 def _of_light(light: Light, side: int) -> NDArray:

@@ -1,4 +1,7 @@
-"""The parts of a report, and ``report.md``, which says what was measured and how each part is read."""
+"""The parts of a report, and ``report.md``, which says what was measured and how each part is read.
+
+Figures and equations are those of noise-resistant-fitting.
+"""
 
 from __future__ import annotations
 

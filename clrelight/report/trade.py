@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from clrelight.experiment.axes import HALF
-from clrelight.experiment.pareto import Trial, pareto_front, recommend, search_label, storage_label
-from clrelight.experiment.trade import find_reference
+from clrelight.experiment.pareto import Trial, find_reference, pareto_front, recommend, search_label, storage_label
 from clrelight.fit.cls import ConstrainedLeastSquares
 from clrelight.fit.precision import MIXED
 from clrelight.report import canvas
@@ -180,7 +179,7 @@ def trade_chart(trials: Sequence[Trial], name: str, taken: Trial | None = None) 
     best = max(trial.psnr for trial in usable)
     panels = (("seconds", "psnr"), ("size", "psnr"), ("seconds", "size"))
     for index, (cost, value) in enumerate(panels):
-        axes = figure.add_axes((0.06 + index * 0.32, 0.25, 0.265, 0.64))
+        axes = figure.add_axes((_LEFTS[index], 0.25, 0.24, 0.64))
         points = [(_shown(t, cost), _shown(t, value)) for t in usable]
         for trial, (x, y) in zip(usable, points, strict=True):
             colour = colours[trial.model.method.id]
@@ -197,8 +196,8 @@ def trade_chart(trials: Sequence[Trial], name: str, taken: Trial | None = None) 
             axes.set_ylim(max(best - _SHOWN_DB, min(y for _, y in points) - 0.5), best + 0.5)
         else:
             axes.set_yscale("log")
-            _mark_decades(axes.yaxis)
-        _mark_decades(axes.xaxis)
+            _mark_decades(axes.yaxis, value)
+        _mark_decades(axes.xaxis, cost)
         axes.set_xlabel(_TITLES[cost])
         axes.set_ylabel(_TITLES[value])
         axes.grid(True)
@@ -224,15 +223,26 @@ def trade_chart(trials: Sequence[Trial], name: str, taken: Trial | None = None) 
     return figure
 
 
-def _mark_decades(axis: Any) -> None:
-    """Label powers of ten with plain numbers, for the panels are too narrow for more."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
+def _mark_decades(axis: Any, what: str) -> None:
+    """Label few powers of ten with plain numbers, sizes with their units: the panels are too narrow for more."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+    axis.set_major_locator(LogLocator(numticks=5))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: _size(value) if what == "size" else f"{value:,.10g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
-_TITLES = {"seconds": "fit, encode and decode (s)", "size": "kB", "psnr": "PSNR (dB)"}
+def _size(kilobytes: float) -> str:
+    """Return a size in six characters or fewer."""
+    for unit, each in (("GB", 1e6), ("MB", 1e3), ("kB", 1.0)):
+        if kilobytes >= each:
+            return f"{kilobytes / each:.3g} {unit}"
+    return f"{kilobytes * 1000:.3g} B"
+
+
+_LEFTS = 0.055, 0.375, 0.725
+"""Of the panels; the third one's ticks are the widest."""
+_TITLES = {"seconds": "fit, encode and decode (s)", "size": "bytes", "psnr": "PSNR (dB)"}
 
 
 def _shown(trial: Trial, axis: str) -> float:

@@ -1,4 +1,7 @@
-"""How many coefficients and samples are needed: energy up to orders, bounds, widths and costs (sections 5 and 6)."""
+"""How many coefficients and samples are needed: energy up to orders, bounds, widths and costs.
+
+Sections and figures are those of frequency-space-environment-maps (5 and 6).
+"""
 
 from __future__ import annotations
 

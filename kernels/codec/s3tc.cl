@@ -1,4 +1,4 @@
-/* S3TC-like coding of float texels (Lam, Leung and Wong, section III-B-2): each block of 4 x 4 texels of three
+/* S3TC-like coding of float texels (noise-resistant-fitting, section III-B-2): each block of 4 x 4 texels of three
  * components x_t becomes two endpoints a, b in float32 and sixteen 2-bit levels q_t in 0..3,
  *
  *   x_t ~ a + q_t (b - a)/3,

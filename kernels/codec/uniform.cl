@@ -1,4 +1,4 @@
-/* Uniform quantisation with 2^BITS levels for each map (Lam, Leung and Wong, section III-B-3).
+/* Uniform quantisation with 2^BITS levels for each map (noise-resistant-fitting, section III-B-3).
  *
  *   q_kp = clamp(round((x_kp s_k - low_k) / step_k), 0, 2^BITS - 1)        x'_kp = (low_k + q_kp step_k) / s_k
  *

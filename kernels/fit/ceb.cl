@@ -1,5 +1,5 @@
 /* Constrained eigenbasis: keep the leading eigenvectors while the squared norm stays within a bound.
- * Noise-resistant fitting, eq. 31-35, but stopping before the sum crosses E, so that the constraint holds (the paper's
+ * Noise-resistant-fitting, eq. 31-35, but stopping before the sum crosses E, so that the constraint holds (the paper's
  * pseudocode keeps the term that crosses; CROSSING does as printed).
  *
  *   z_rq        (R, Q) REAL     in: W' beta; out: z_r / sigma_r for the kept r, else 0

@@ -1,5 +1,5 @@
 /* Constrained least squares: the least lambda >= 0 that keeps the squared norm of the coefficients within a bound.
- * Noise-resistant fitting, eq. 19-25, with b' = sigma z so that nothing is squared twice:
+ * Noise-resistant-fitting, eq. 19-25, with b' = sigma z so that nothing is squared twice:
  *
  *   t_r(lambda) = sigma_r z_r / (sigma_r^2 + lambda),      f(lambda) = sum_r t_r^2 <= E
  *

@@ -1,5 +1,5 @@
 /* Constrained least squares with several constraints at once: the bound on the energy of noise-resistant fitting
- * (eq. 17), and bounds on values at stated directions.
+ * (noise-resistant-fitting, eq. 17), and bounds on values at stated directions.
  *
  *   z_rq         (R, Q) Z        in: W' beta; out: the coefficients t in the eigenbasis
  *   lambda_q     (Q) float       out: lambda, `least` where the energy is below its bound

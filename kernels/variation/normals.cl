@@ -1,4 +1,4 @@
-/* Scaled normals by iteratively reweighted least squares, rho n from rho n . l = b (illumination variation, eq. 1-2).
+/* Scaled normals by iteratively reweighted least squares, rho n from rho n . l = b (illumination-variation, eq. 1-2).
  *
  *   scaled_dq      (3, Q) float       out: rho n of the channels' mean; Q a multiple of VECTOR
  *   albedo_cq      (C, Q) float       out: radiance under a light along n
