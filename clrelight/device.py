@@ -7,6 +7,7 @@ import threading
 import warnings
 import weakref
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -254,15 +255,19 @@ class Device:
 
     def _build(self, source: str, options: list[str], name: str) -> Any:
         """Return a program of the bitcode that the cache has of it, or gets now; else of its source."""
-        program = None
-        if self._cache.bitcode(name) is None:
-            with self._cache.compiling(source, name) as more:
-                program = self._cl.Program(self._context, source).build([*options, *more], cache_dir=False)
-        bitcode = self._cache.bitcode(name)
-        if bitcode is not None:
-            program = self._cl.Program(self._context, self._context.devices, [bitcode])
-            program.build(options, cache_dir=False)
-        return program
+        kept = self._cache.bitcode(name)
+        if kept is not None:
+            with suppress(self._cl.Error):  # the driver may have changed since
+                return self._build_bitcode(kept, options)
+            self._cache.forget(name)
+        with self._cache.compiling(source, name) as more:
+            program = self._cl.Program(self._context, source).build([*options, *more], cache_dir=False)
+        made = self._cache.bitcode(name)
+        return program if made is None else self._build_bitcode(made, options)
+
+    def _build_bitcode(self, bitcode: bytes, options: list[str]) -> Any:
+        program = self._cl.Program(self._context, self._context.devices, [bitcode])
+        return program.build(options, cache_dir=False)
 
 
 def _finish_queue(queue: Any, process: int) -> None:

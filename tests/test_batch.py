@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import shutil
 from dataclasses import replace
 
@@ -584,3 +585,11 @@ def test_workers_share_the_processors():
     share = worker_environment(2, {"OMP_NUM_THREADS": "7"})
     assert share["POCL_MAX_PTHREAD_COUNT"] == str(max(1, usable_cores() // 2))
     assert "OMP_NUM_THREADS" not in share
+
+
+def test_the_help_names_every_job_and_which_have_other_endings():
+    said = " ".join(call("batch", "--help").out.split()).replace("- ", "-")
+    jobs = re.search(r"--job TEXT (.*?)\. ", said)[1].replace(" or ", ", ").split(", ")
+    assert jobs == list(VERBS)
+    endings = re.search(r"such as \.exr \((.*?)\)", said)[1].split(", ")
+    assert sorted(endings) == sorted(name for name, verb in VERBS.items() if verb.endings)

@@ -101,6 +101,7 @@ FITS = [
     ("stack.h5 @o.h5 --device 99", "no OpenCL device matches '99'"),
     ("stack.h5", "Missing argument 'OUT'; it is clrelight fit [OPTIONS] STACK OUT (see clrelight fit --help)"),
     ("stack.h5 @o.h5 --method csl", "(did you mean 'cls'?)"),
+    ("stack.h5 @o.h5 --method auot", "known are auto, "),
     ("stack.h5 @o.h5 --depth 3", "No such option '--depth'"),
 ]
 ENCODES = [

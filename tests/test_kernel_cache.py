@@ -1,6 +1,5 @@
 """Compiled kernels between runs, damaged in every way, with real processes."""
 
-import hashlib
 import json
 import os
 import random
@@ -16,7 +15,7 @@ from clrelight.codec import codec_class, encode
 from clrelight.device import make_device, open_device
 from clrelight.errors import DeviceError
 from clrelight.kernel_source import kernel_folder, read_kernel_source
-from clrelight.opencl import folder, kernel_cache
+from clrelight.opencl import archives, folder, kernel_cache
 
 JOB = """
 import json
@@ -113,8 +112,46 @@ def test_damage_is_told_and_mended(run):
         assert sorted(run()) == told
         for path in kept:
             content = path.read_bytes()
-            assert hashlib.sha256(content[32:]).digest() == content[:32]
+            assert archives.holds_whole(path, content)
     assert run() == []
+
+
+def test_an_archive_of_another_program_or_driver_is_not_taken(tmp_path, monkeypatch):
+    """Its kernels would be wrong, or not be there."""
+    monkeypatch.setenv(folder.CACHE_VARIABLE, str(tmp_path))
+    folder.cache_folder.cache_clear()
+    monkeypatch.setattr(kernel_cache, "_run_folder", tmp_path / "run" / "1")
+    (tmp_path / "run" / "1" / "AB" / "C").mkdir(parents=True)
+    (tmp_path / "run" / "1" / "AB" / "C" / "program.bc").write_bytes(b"x")
+    said = []
+    monkeypatch.setattr(kernel_cache, "_say_once", said.append)
+    cache, other = kernel_cache.KernelCache("a driver"), kernel_cache.KernelCache("another")
+    cache._programs["p"] = {"AB/C"}
+    cache.seal({"p"})
+    monkeypatch.setattr(kernel_cache, "_run_folder", tmp_path / "run" / "2")
+    other._folder.mkdir()
+    for taken in (cache._path("q"), other._path("p")):
+        taken.write_bytes(cache._path("p").read_bytes())
+    assert [each._unpack(name) for each, name in ((cache, "q"), (other, "p"))] == [set(), set()]
+    assert len(said) == 2
+    assert not (tmp_path / "run" / "2").exists()
+    assert cache._unpack("p") == {"AB/C"}
+    folder.cache_folder.cache_clear()
+
+
+@pytest.mark.parametrize("bitcode", [b"", b"of no driver" * 99])
+def test_bitcode_that_the_driver_does_not_take_is_made_anew(monkeypatch, bitcode):
+    opened = open_device()
+    if not opened._cache._by_bitcode:
+        pytest.skip("this driver's programs are built of their source")
+    device = make_device(f"{opened.info.index}@{opened.info.lanes}", style="cpu")
+    kept, forget, forgotten = device._cache.bitcode, device._cache.forget, []
+    monkeypatch.setattr(device._cache, "bitcode", lambda name: kept(name) if name in forgotten else bitcode)
+    monkeypatch.setattr(device._cache, "forget", lambda name: (forgotten.append(name), forget(name)))
+    values = np.linspace(-1.0, 1.0, 48, dtype=np.float32).reshape(4, 2, 2, 3)
+    found = encode(values, codec_class("half")(), device).to_bytes()
+    assert forgotten
+    assert found == encode(values, codec_class("half")(), opened).to_bytes()
 
 
 def test_a_whole_disk_of_damage_in_what_the_driver_left(run):
@@ -153,7 +190,7 @@ def test_a_full_disk_costs_the_archive(run, monkeypatch, tmp_path):
         raise OSError(28, "No space left on device")
 
     said = []
-    monkeypatch.setattr(kernel_cache, "write_whole", full)
+    monkeypatch.setattr(archives, "write_whole", full)
     monkeypatch.setattr(kernel_cache, "_say_once", said.append)
     cache.seal({"p"})
     assert len(said) == 1

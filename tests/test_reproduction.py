@@ -12,7 +12,7 @@ from clrelight.reproduction.page import page, write_page, write_pictures
 from clrelight.reproduction.registry import PAPERS, choose
 from clrelight.reproduction.rows import AGREES, DIFFERS, FAILS, NEEDS_DATA, OUT, Between, Found, Holds, Near, Row, Work
 from clrelight.reproduction.run import judge, reproduce
-from tests.commands import call, succeed
+from tests.commands import ROOT, call, succeed
 
 NAMED = {  # what is printed and can be recomputed
     "fitting": ["table I", "table II", "table III", "figure 2", *(f"figure {n}" for n in range(4, 16))],
@@ -30,6 +30,14 @@ def test_every_printed_item_has_a_row_or_a_reason(paper):
         found = choose(paper, [item])[0]
         rows = [row for work in found.works for row in work.rows if registry._means(item, row.item)]
         assert rows or found.out, item  # a picture alone is no verdict
+
+
+def test_the_page_has_every_row():
+    """It takes minutes to make, so that a new row is easily left out of it."""
+    written = (ROOT / "docs" / "reproduction.md").read_text("utf-8").splitlines()
+    rows = [row for paper in PAPERS.values() for work in paper.works for row in work.rows]
+    missing = [row for row in rows if not any(line.startswith(f"| {row.item} | {row.what} |") for line in written)]
+    assert missing == []
 
 
 def test_what_is_declared_out_says_so():

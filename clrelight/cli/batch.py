@@ -26,11 +26,17 @@ _SHOWN = 40
 @click.command()
 @click.argument("what", metavar="LIST.toml|FOLDER", type=click.Path())
 @click.argument("out", metavar="OUTFOLDER", type=click.Path())
-@click.option("--job", help="pack, ingest, fit, encode, decode, unpack, relight, export, normals, bench or psnr.")
+@click.option(
+    "--job",
+    help="pack, ingest, fit, encode, decode, unpack, relight, export, normals, bench, psnr, find-lights, import, "
+    "transfer, to-sh or preview.",
+)
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="An option of the job; may be repeated.")
 @click.option("--match", multiple=True, metavar="PATTERN", help="Only stacks with such names, such as coin*.")
 @click.option(
-    "--ending", metavar=".EXT", help="Of the files that are written, such as .exr (normals, relight, export)."
+    "--ending",
+    metavar=".EXT",
+    help="Of the files that are written, such as .exr (normals, relight, export, preview).",
 )
 @click.option("--engine", default="local", show_default=True, help="local, dask, or a scheduler, tcp://HOST:PORT.")
 @click.option("--jobs", type=whole_number(1, 1024), metavar="N", help="Stacks at a time; local: 1, with all cores.")
@@ -70,10 +76,10 @@ def batch(
 ) -> None:
     """Do one job to many stacks; the same command goes on where it stopped.
 
-    A folder holds stacks: files, or for pack and ingest folders of photographs. A list in TOML names them, and has
-    options for all or some. Results have the stacks' names. What is done already, by the same code, with the same
-    options, from the same files, is kept; what failed is tried again. journal.jsonl, summary.csv and summary.json in
-    OUTFOLDER tell of every stack.
+    A folder holds stacks, or what else the job takes: files, or for pack, ingest and find-lights folders of
+    photographs. A list in TOML names them, and has options for all or some. Results have the stacks' names. What is
+    done already, by the same code, with the same options, from the same files, is kept; what failed is tried again.
+    journal.jsonl, summary.csv and summary.json in OUTFOLDER tell of every stack.
 
     \b
     Example:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from clrelight.bases import SH, basis_of
 from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import Device, open_device
-from clrelight.errors import InputError
+from clrelight.errors import InputError, unknown
 from clrelight.fit.plan import FitPlan, make_lighting
 from clrelight.fit.precision import MIXED, SINGLE, check_precision
-from clrelight.fit.registry import FitMethod, method_class
+from clrelight.fit.registry import FitMethod, method_class, method_ids
 from clrelight.fit.samples import Samples
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, WITHIN, Choice, choose_model
 from clrelight.harmonics.basis import MAX_DEGREE
@@ -177,6 +177,8 @@ def _check_model(
             raise InputError(f"auto chooses the options too; {', '.join(options)} needs a method by name")
         return [method_class(name)() for name in METHODS], degrees
     if isinstance(method, str):
+        if method not in method_ids():
+            raise unknown("method", method, [AUTO, *method_ids()])
         method = method_class(method).from_config(options)
     elif options:
         raise InputError(f"options belong to a method given by its id; this {method.id} has its own: {method}")

@@ -2,7 +2,8 @@
 
 PoCL maps whatever its cache holds into the process: damaged bytes crash it, a build that failed midway poisons it, and
 two processes race in it. So each process gives it an empty folder of its own. What a program left there once its
-kernels ran is sealed into one archive with a checksum, and unpacked, after a check, before it is built again.
+kernels ran is sealed into one archive with a checksum, and unpacked, after a check, before it is built again. That is a
+checksum of the archive's name too: what lies under another program's, or another driver's, is not taken.
 
 To know its own file again PoCL preprocesses a program's source each time, in 30 ms. Of the PoCL that we test a program
 is built of the bitcode in its archive instead, in 3: for that its kernels have names that no other program's have,
@@ -13,20 +14,19 @@ from __future__ import annotations
 
 import atexit
 import hashlib
-import io
 import os
 import re
 import shutil
 import tempfile
 import threading
 import time
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from clrelight.errors import DeviceError
-from clrelight.opencl.folder import cache_folder, log, write_whole
+from clrelight.opencl.archives import holds_whole, two_folders, unpack_archive, write_archive
+from clrelight.opencl.folder import cache_folder, log
 
 POCL_VARIABLE = "POCL_CACHE_DIR"
 PYOPENCL_VARIABLE = "PYOPENCL_NO_CACHE"
@@ -36,6 +36,7 @@ MOST_BYTES = 256 << 20
 _FILE_BYTES, _ROOM_BYTES = 1 << 20, 32 << 20
 """Of what LLVM writes for the programs of a command: a large file, and all of them, about."""
 _DIGEST = hashlib.sha256
+_VERSION = 2
 _STALE_SECONDS = 7 * 86400.0
 _KERNEL = re.compile(r"\b(?:__)?kernel\s(?:[^;{]*?\s)?void\s+(\w+)\s*\(")
 _BITCODE = "program.bc"
@@ -150,7 +151,8 @@ class KernelCache:
     def __init__(self, identity: str, *, by_bitcode: bool = False) -> None:
         place = cache_folder()
         keeps = place is not None and _run_folder is not None
-        self._folder = place / "kernels" / _DIGEST(identity.encode()).hexdigest()[:32] if place and keeps else None
+        named = _DIGEST(f"{_VERSION}\0{identity}".encode()).hexdigest()[:32]
+        self._folder = place / "kernels" / named if place and keeps else None
         self._by_bitcode = by_bitcode and self._folder is not None
         # Shared by all devices of one driver in this process: what is unpacked again may be mapped already.
         self._programs = _unpacked.setdefault(str(self._folder), {})
@@ -190,6 +192,14 @@ class KernelCache:
         found = [path for folder in self._programs[name] if (path := _run_folder / folder / _BITCODE).is_file()]
         return found[0].read_bytes() if len(found) == 1 else None
 
+    def forget(self, name: str) -> None:
+        """Remove, inside `building`, all of a program that the driver does not take, lest it finds that again."""
+        if _run_folder is not None:
+            for folder in [*(_run_folder / folder for folder in self._programs[name]), *self._own_folders(name)]:
+                shutil.rmtree(folder, ignore_errors=True)
+            self._programs[name] = set()
+            _held.pop(self._path(name), None)
+
     def own_name(self, kernel: str, name: str) -> str:
         """Return what a kernel is called in a program."""
         return f"{kernel}_{name[:_TAG]}" if self._by_bitcode else kernel
@@ -201,7 +211,7 @@ class KernelCache:
         with _building:
             for name in names:
                 folders = [_run_folder / folder for folder in self._programs.get(name, ())]
-                folders += _run_folder.glob(f"*_{name[:_TAG]}")
+                folders += self._own_folders(name)
                 files = sorted(
                     path.relative_to(_run_folder).as_posix()
                     for folder in folders
@@ -211,6 +221,10 @@ class KernelCache:
                 if files and files != _held.get(self._path(name)):
                     self._write(name, files)
 
+    def _own_folders(self, name: str) -> list[Path]:
+        """Return where PoCL keeps what it compiles of a program's bitcode: folders of the kernels' names."""
+        return [] if _run_folder is None else list(_run_folder.glob(f"*_{name[:_TAG]}"))
+
     def _path(self, name: str) -> Path:
         assert self._folder is not None
         return self._folder / f"{name}.kernels"
@@ -218,14 +232,8 @@ class KernelCache:
     def _write(self, name: str, files: list[str]) -> None:
         assert _run_folder is not None
         path = self._path(name)
-        packed = io.BytesIO()
         try:
-            with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-                for file in files:
-                    # Without times, so that equal contents are equal bytes.
-                    archive.writestr(zipfile.ZipInfo(file), (_run_folder / file).read_bytes())
-            content = packed.getvalue()
-            write_whole(path, _DIGEST(content).digest() + content)
+            write_archive(path, _run_folder, files)
             _held[path] = files
             self._prune()
         except OSError as error:
@@ -241,24 +249,18 @@ class KernelCache:
             if not isinstance(error, FileNotFoundError):
                 _say_once(f"{path}: {error.strerror or error}: kernels are compiled anew")
             return set()
-        size = _DIGEST().digest_size
-        if _DIGEST(content[size:]).digest() != content[:size]:
+        if not holds_whole(path, content):
             _say_once(f"{path}: damaged: its kernels are compiled anew")
             return set()
-        folders: set[str] = set()
         try:
-            with zipfile.ZipFile(io.BytesIO(content[size:])) as archive:
-                archive.extractall(_run_folder)
-                folders = {folder for file in archive.namelist() if (folder := _two(file)).find("/") == 2}
-            _held[path] = sorted(archive.namelist())
-            os.utime(path)
+            files = unpack_archive(content, _run_folder)
         except OSError as error:
-            # Half of it may be there, which the driver must not find.
-            for file in {_two(file) for file in archive.namelist()}:
-                shutil.rmtree(_run_folder / file, ignore_errors=True)
             _say_once(f"{_run_folder}: {error.strerror or error}: kernels are compiled anew")
             return set()
-        return folders
+        with suppress(OSError):  # another process may prune it now
+            os.utime(path)
+        _held[path] = sorted(files)
+        return {folder for file in files if (folder := two_folders(file)).find("/") == 2}
 
     def _prune(self) -> None:
         assert self._folder is not None
@@ -285,10 +287,6 @@ def _program_folders() -> set[str]:
     """PoCL keeps a program in AB/CDEF..., of bitcode in the kernels' names; its temporary files lie in the cache."""
     assert _run_folder is not None
     return {path.relative_to(_run_folder).as_posix() for path in _run_folder.glob("??/*") if path.is_dir()}
-
-
-def _two(file: str) -> str:
-    return "/".join(file.split("/")[:2])
 
 
 def _say_once(line: str) -> None:

@@ -19,7 +19,7 @@ def closed_image(image: bytes) -> bytes:
     if image[:8] != _SIGNATURE or image[8] not in (2, 3):
         return image
     head = image[:_FLAGS] + b"\0" + image[_FLAGS + 1 : _SUMMED]
-    return head + struct.pack("<I", lookup3(head)) + image[_SUMMED + 4 :]
+    return b"".join([head, struct.pack("<I", lookup3(head)), memoryview(image)[_SUMMED + 4 :]])  # one copy, no more
 
 
 def lookup3(content: bytes) -> int:

@@ -2,10 +2,10 @@
 
 import pytest
 
-from clrelight.opencl.devices import STYLES
 from clrelight.sampling import make_pattern
 from tests.extremes.judge import IMAGE, cap, judge, stack_of
 from tests.extremes.test_conditions import METHODS, SETS
+from tests.styles import both_styles
 
 DOUBLE = 2e-7
 """Of the brightest sample: what rounding the coefficients to float32 may make."""
@@ -21,15 +21,8 @@ CASES = {
 }
 
 
-BETWEEN = ("degree 8", "cap of 60", "cap of 10", "nearly in line")
-"""Of the kernels for GPUs, which are built for each number of components, those beyond these on either side will do."""
-
-
-@pytest.mark.parametrize(
-    ("device", "case"),
-    [(style, case) for style in STYLES for case in CASES if style == "cpu" or case not in BETWEEN],
-    indirect=["device"],
-)
+@both_styles
+@pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("precision", "limit"), [("single", IMAGE), ("double", DOUBLE)])
 def test_images_and_bounds(device, precision, limit, method, case):

@@ -92,7 +92,7 @@ def _check_lit(is_lit: bool | None) -> None:
     if is_lit is False:
         raise InputError(
             "the photographs do not differ as those of one matte object under lamps do, which are nearly sums of three "
-            "pictures: they look like noise, or show different things"
+            "pictures: they look like noise, or show different things, or one that is flat"
         )
 
 
