@@ -94,6 +94,20 @@ def test_only_integers_are_on_the_curve(device):
     assert prepare_fit(floats, "auto", "auto", device=device).method.id == "spectrum"
 
 
+@pytest.mark.parametrize(("transfer", "within"), [("srgb", 1.24), ("linear", 1.66)])
+def test_what_is_far_over_the_peak_is_not_cut(device, transfer, within):
+    """Radiance beyond the curve would be lost without a word."""
+    stack = make_stack(make_pattern("uniform", 24), transfer, np.uint16, 4095, noise=0.01)
+    images_ihwc = stack.images_ihwc.copy()
+    images_ihwc[3, 1, 4] = 4095 * within
+    held = replace(stack, images_ihwc=images_ihwc)
+    assert prepare_fit(held, "spectrum-curve", 4, options=GIVEN, device=device).method.id == "spectrum-curve"
+    images_ihwc[3, 1, 4] = 4095 * (within + 0.1)
+    with pytest.raises(InputError, match=r"spectrum-curve fits code values up to .* under a peak of 4095, one is"):
+        prepare_fit(held, "spectrum-curve", 4, options=GIVEN, device=device)
+    assert prepare_fit(held, "auto", "auto", device=device).choice.code_gain is None
+
+
 @pytest.mark.parametrize("transfer", ["srgb", "linear"])
 def test_auto_takes_it_where_it_is_clearly_better(device, transfer):
     stack, unseen = (make_stack(make_pattern("uniform", n), transfer, noise=0.01) for n in (24, 97))
