@@ -11,6 +11,7 @@
 __kernel void decode_rq(__global REAL *restrict z_rq, const int size_r, const int size_q)
 {
     const int q = get_global_id(0) * LANES;
+    if (q >= size_q) return; /* GPUs start an item a column */
     for (int r = 0; r < size_r; r++) {
         __global REAL *row = z_rq + (long)r * size_q + q;
         const lanes z = LOAD_LANES(row);
