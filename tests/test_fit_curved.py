@@ -50,7 +50,7 @@ def mean_psnr(coefficients, tested):
 @pytest.mark.parametrize("shape", [(1, 16), (3, 48), (5, 1072)])
 def test_values_on_the_curve_become_radiance(device, shape):
     v = np.linspace(-0.5, 2.0, shape[0] * shape[1]).reshape(shape).astype(np.float32)
-    z = device.upload(v.copy())
+    z = device.hold(v.copy())
     launch_columns(device, "fit/decode_curve.cl", "decode_rq", z, *shape, defines={})
     exact = to_linear(np.minimum(v.astype(np.float64), 1.25))
     assert np.abs(device.download(z) - exact).max() < 3e-6
@@ -92,6 +92,20 @@ def test_only_integers_are_on_the_curve(device):
     ):
         prepare_fit(floats, "spectrum-curve", 4, device=device)
     assert prepare_fit(floats, "auto", "auto", device=device).method.id == "spectrum"
+
+
+@pytest.mark.parametrize(("transfer", "within"), [("srgb", 1.24), ("linear", 1.66)])
+def test_what_is_far_over_the_peak_is_not_cut(device, transfer, within):
+    """Radiance beyond the curve would be lost without a word."""
+    stack = make_stack(make_pattern("uniform", 24), transfer, np.uint16, 4095, noise=0.01)
+    images_ihwc = stack.images_ihwc.copy()
+    images_ihwc[3, 1, 4] = 4095 * within
+    held = replace(stack, images_ihwc=images_ihwc)
+    assert prepare_fit(held, "spectrum-curve", 4, options=GIVEN, device=device).method.id == "spectrum-curve"
+    images_ihwc[3, 1, 4] = 4095 * (within + 0.1)
+    with pytest.raises(InputError, match=r"spectrum-curve fits code values up to .* under a peak of 4095, one is"):
+        prepare_fit(held, "spectrum-curve", 4, options=GIVEN, device=device)
+    assert prepare_fit(held, "auto", 2, device=device).choice.code_gain is None
 
 
 @pytest.mark.parametrize("transfer", ["srgb", "linear"])

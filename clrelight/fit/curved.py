@@ -43,7 +43,8 @@ _POINTS_A_COEFFICIENT, _POINTS = 2, 60
 class CurvedSpectrumFit(SpectrumFit):
     """``c = S decode(A' Y_t' (Y A Y' + N)^-1 code)``: kriging of values on the sRGB curve, radiance of what they say.
 
-    Of integer images only. Attributes are those of `SpectrumFit`, learnt from values as displayed.
+    Of integer images only, none of which is brighter than `_BRIGHTEST`. Attributes are those of `SpectrumFit`, learnt
+    from values as displayed.
     """
 
     id = "spectrum-curve"
@@ -59,9 +60,16 @@ class CurvedSpectrumFit(SpectrumFit):
         """Return how kernels read values as displayed, in units of the peak."""
         return SampleCurve(stack.peak, "linear" if stack.transfer == "srgb" else ENCODED)
 
-    def takes(self, stack: LightStack) -> bool:
-        """Return whether a stack's values can be fitted as displayed."""
-        return bool(stack.images_ihwc.dtype.kind == "u")
+    def refusal(self, samples: Samples) -> str | None:
+        """Return why values cannot be fitted as displayed, None where they can."""
+        if (dtype := samples.source.images_ihwc.dtype).kind != "u":
+            return f"{self.id} fits integer code values; these images are {dtype}: take spectrum"
+        stack = samples.stack
+        most = stack.peak * (_BRIGHTEST if stack.transfer == "srgb" else srgb_to_linear(np.float64(_BRIGHTEST)))
+        if (brightest := stack.images_ihwc.max()) > most:
+            told = f"under a peak of {stack.peak:g}, one is {brightest}"
+            return f"{self.id} fits code values up to {most:.0f} {told}: take spectrum"
+        return None
 
     def view(self, trials: Trials) -> Trials:
         """See `SpectrumFit`."""
@@ -77,10 +85,9 @@ class CurvedSpectrumFit(SpectrumFit):
         return linear_to_srgb(np.maximum(evaluate_basis(targets_t3, degree) @ radiance_kp, 0.0))
 
     def settle(self, lighting: Lighting, degree: int, samples: Samples) -> FitMethod:
-        """Return the method with every parameter found; InputError of images that are not integers."""
-        if not self.takes(samples.source):
-            dtype = samples.source.images_ihwc.dtype
-            raise InputError(f"{self.id} fits integer code values; these images are {dtype}: take spectrum")
+        """Return the method with every parameter found; InputError of images that are not integers, or too bright."""
+        if (refusal := self.refusal(samples)) is not None:
+            raise InputError(refusal)
         return super().settle(lighting, degree, show_samples(samples))
 
     def plan(self, lighting: Lighting, degree: int) -> FitPlan:

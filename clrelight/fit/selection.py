@@ -92,7 +92,8 @@ def choose_model(
         others[others.index(winner)] = chosen
         choice = _conclude(chosen, [*([base] if starts else []), *others], told)
     curve, chooses = CurvedSpectrumFit(), len(methods) > 1
-    if curve.takes(samples.source) and base.method.id != curve.id and (chooses or samples.source.transfer == "srgb"):
+    asked = base.method.id != curve.id and (chooses or samples.source.transfer == "srgb")
+    if asked and curve.refusal(samples) is None:
         shown = _Kriged.make(curve, samples, trials, max(degrees))
         # Both are measured in code values: a light's photographs are averaged in either way, so each has its own truth.
         choice = replace(choice, code_gain=_mean_gain(choice.chosen, shown.judged))

@@ -126,9 +126,8 @@ def _whiten(
 
 def _each_channel(rows_jd: NDArray[np.float64], matrix_nn: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return rows whose part of each channel is multiplied by a matrix."""
-    n_component = len(matrix_nn)
-    parts_jcn = rows_jd.reshape(len(rows_jd), rows_jd.shape[1] // n_component, n_component)  # of no rows, too
-    return (parts_jcn @ matrix_nn).reshape(rows_jd.shape)
+    # As one product: of an array of three dimensions NumPy makes as many small ones as it has rows.
+    return (rows_jd.reshape(-1, len(matrix_nn)) @ matrix_nn).reshape(rows_jd.shape)
 
 
 def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.float64]:
