@@ -35,7 +35,7 @@ class Part:
     descriptor: int
     is_locked: bool = True
 
-    def write(self, content: bytes) -> None:
+    def write(self, content: bytes | memoryview) -> None:
         """Write every byte, for a single call of the system may take fewer; InputError if it refuses."""
         rest = memoryview(content)
         with naming(self.target):

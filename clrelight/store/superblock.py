@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _FLAGS, _SUMMED = 11, 44
@@ -11,15 +12,17 @@ _MIX = ((0, 2, 4), (1, 0, 6), (2, 1, 8), (0, 2, 16), (1, 0, 19), (2, 1, 4))
 _FINAL = ((2, 1, 14), (0, 2, 11), (1, 0, 25), (2, 1, 16), (0, 2, 4), (1, 0, 14), (2, 1, 24))
 
 
-def closed_image(image: bytes) -> bytes:
-    """Return the image of an open file with no flag that somebody writes it, and the superblock's checksum right.
+def closed(image: bytes) -> Iterator[bytes | memoryview]:
+    """Yield the parts of an open file's image without the flag that somebody writes it, its superblock's checksum right.
 
     HDF5 1.14 clears the flag itself, but leaves the checksum of before (``H5Fget_file_image``): nobody opens that.
+    Nothing is copied but the superblock.
     """
-    if image[:8] != _SIGNATURE or image[8] not in (2, 3):
-        return image
-    head = image[:_FLAGS] + b"\0" + image[_FLAGS + 1 : _SUMMED]
-    return b"".join([head, struct.pack("<I", lookup3(head)), memoryview(image)[_SUMMED + 4 :]])  # one copy, no more
+    known = image[:8] == _SIGNATURE and image[8] in (2, 3)
+    if known:
+        head = image[:_FLAGS] + b"\0" + image[_FLAGS + 1 : _SUMMED]
+        yield head + struct.pack("<I", lookup3(head))
+    yield memoryview(image)[_SUMMED + 4 if known else 0 :]
 
 
 def lookup3(content: bytes) -> int:

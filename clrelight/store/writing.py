@@ -22,7 +22,7 @@ from clrelight.store.creating import create_compact, create_in_memory, create_on
 from clrelight.store.nexus import describe
 from clrelight.store.schemas import SCALE_DTYPE, SCALED_AXES, SCHEMA_ATTRIBUTE, Schema
 from clrelight.store.seal import MOST_IN_TEXT, SEAL_ATTRIBUTE, TABLE, seal_of, sums_text, type_text
-from clrelight.store.superblock import closed_image
+from clrelight.store.superblock import closed
 from clrelight.tiles import Rectangle, check_shape
 
 IN_MEMORY_BYTES = 64 << 20
@@ -238,8 +238,9 @@ def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int, schema: 
         yield draft
         draft.finish()
         file.flush()
-        image = closed_image(file.id.get_file_image())
-    part.write(image)
+        image = file.id.get_file_image()
+    for piece in closed(image):
+        part.write(piece)
 
 
 @contextmanager

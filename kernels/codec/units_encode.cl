@@ -155,7 +155,7 @@ INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global
     return gain;
 }
 
-/* Which cells are worth their bits; indices of others become 0 unless there are none that anybody asks for. */
+/* Which cells are worth their bits. */
 INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const float *value, __global int *index,
                         const int plane, const int rows, const int columns, const int pitch, const size_t plane_size, float *error)
 {
@@ -186,7 +186,7 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
                 work->cell[cells++] = (uchar)(row * CELL + column);
             else {
                 *error += sum_of(squares);
-                for (int y = top; index && y < bottom; ++y)
+                for (int y = top; y < bottom; ++y)
                     clear_row(index + (size_t)y * pitch + left, columns - left);
             }
         }
@@ -210,8 +210,7 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
     clear_sizes(work, band, rows);
     float error = 0.0f;
     const int hinted = band_flag(plane, sum_hints(work, rows, columns));
-    __global int *asked = unit[LEVEL] > 1 ? index : 0; /* by finer levels: indices of cells that hold none */
-    const int cells = choose_cells(e, work, value, asked, plane, rows, columns, pitch, plane_size, &error), any = cells > 0;
+    const int cells = choose_cells(e, work, value, index, plane, rows, columns, pitch, plane_size, &error), any = cells > 0;
     float taken = flag_bits(work, hinted, any);
     encode_flag(e, work, hinted, any, seen);
     if (any) {
