@@ -13,7 +13,7 @@ _FINAL = ((2, 1, 14), (0, 2, 11), (1, 0, 25), (2, 1, 16), (0, 2, 4), (1, 0, 14),
 
 
 def closed(image: bytes) -> Iterator[bytes | memoryview]:
-    """Yield the parts of an open file's image without the flag that somebody writes it, its superblock's checksum right.
+    """Yield the parts of an open file's image, with no flag that somebody writes it and the checksum of that.
 
     HDF5 1.14 clears the flag itself, but leaves the checksum of before (``H5Fget_file_image``): nobody opens that.
     Nothing is copied but the superblock.
