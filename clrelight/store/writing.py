@@ -232,8 +232,7 @@ def drafted_bytes(schema: Schema, fill: Callable[[Draft], None]) -> int:
 @contextmanager
 def _built_in_memory(path: str | os.PathLike, part: Part, n_bytes: int, schema: Schema) -> Iterator[Draft]:
     # HDF5 takes two files of one name for the same, also in memory: a name that nobody has. It is not stored.
-    name, block = uuid.uuid4().hex, max(1 << 16, n_bytes // 8)
-    with create_in_memory(name, block) as file:
+    with create_in_memory(uuid.uuid4().hex, max(1 << 16, n_bytes // 8)) as file:
         draft = Draft(file, schema)
         yield draft
         draft.finish()
