@@ -79,7 +79,7 @@ FITS = [
     ("stack.h5 @o.h5 --degree 100 --memory 1M", "more than the memory budget 1000000"),
     ("stack.h5 @o.h5 --method uls", "49 coefficients but there are 36 lights: degree 5 is the largest that fits"),
     ("stack.h5 @o.h5 --method sloan --degree 6", "degree 5 is the largest that fits"),
-    ("stack.h5 @o.h5 --method best", "unknown method 'best'; known are project, uls, sloan, cls"),
+    ("stack.h5 @o.h5 --method best", "unknown method 'best'; known are auto, project, uls, sloan, cls"),
     ("stack.h5 @o.h5 --method uls --degree 3 --energy 2", "method uls has no option 'energy'; it has: none"),
     ("stack.h5 @o.h5 --method ceb --iterations 8", "method ceb has no option 'iterations'; it has: energy"),
     ("stack.h5 @o.h5 --method auto --energy 1", "auto chooses the options too"),

@@ -208,15 +208,21 @@ def test_axes_are_those_of_small_differences(transfer):
     assert colour.colour_axes("radiance", transfer) is None
 
 
+def seen(coeffs):
+    """In CIELAB, under every seventh of the directions."""
+    return lab(np.clip(show(coeffs)[::7], 0, 1))
+
+
 def test_colours_are_kept_at_the_cost_of_lightness(device):
     rng = np.random.default_rng(2)
     tint = np.array([0.5, 0.2, 0.15]) + 0.05 * rng.standard_normal((24, 32, 3)).repeat(2, 0).repeat(2, 1)
     coeffs = (shaded_sphere(64)[:, :48] / 0.3 * tint[None]).astype(np.float32)
     chroma, whole = {"radiance": 0.0, "perceptual": 0.0}, {"radiance": 0.0, "perceptual": 0.0}
+    exact = seen(coeffs)
     for metric, budget in itertools.product(chroma, (700, 800, 900)):  # of a few bytes: one may be had by luck
         codec = codec_class("klt").from_config({"byte_budget": budget, "transfer": "srgb", "metric": metric})
         payload = encode(coeffs, codec, device).to_bytes()
-        error = lab(np.clip(show(decode(payload, device)), 0, 1)) - lab(np.clip(show(coeffs), 0, 1))
+        error = seen(decode(payload, device)) - exact
         chroma[metric] += np.mean(error[..., 1:] ** 2)
         whole[metric] += np.mean(np.sum(error**2, -1))
     assert chroma["perceptual"] < 0.9 * chroma["radiance"]
