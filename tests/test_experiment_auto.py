@@ -15,7 +15,7 @@ from datasets_synth.ring import render_ring
 from tests.commands import call, contents, succeed
 from tests.stacks import make_stack
 
-RING = {"size": 12, "lights": 60}
+RING = {"size": 12, "lights": 30}
 
 
 def auto_grid(**changes):
