@@ -92,7 +92,7 @@ class Verb:
         module, _, name = self.home.partition(":")
         return getattr(importlib.import_module(module), name)
 
-    @functools.cache  # noqa: B019, there are as many as stand below
+    @functools.cache  # noqa: B019, there are as many as `verbs` lists
     def options(self) -> list[str]:
         """Return the names of all options."""
         return sorted(parameters_of(self.function()) | self.more())

@@ -73,7 +73,7 @@ class Expectation:
     error: float
 
 
-def expect_unseen(model: KrigingModel, trials: Trials, unseen_t3: NDArray[np.float64] | None = None) -> Expectation:
+def expect_unseen(left_out: LeftOut, trials: Trials, unseen_t3: NDArray[np.float64] | None = None) -> Expectation:
     """Return what a model will reach in the gaps between lights, or under unseen lights whose directions are given.
 
     Around a direction, ``log error = log e_i + gamma (log v - log v_i)``, averaged over the lights i nearby: errors
@@ -83,7 +83,6 @@ def expect_unseen(model: KrigingModel, trials: Trials, unseen_t3: NDArray[np.flo
     the gaps, and half of what carrying them along the variance of a smooth function would change.
     """
     directions_g3 = trials.places.directions_g3
-    left_out = _LeftOut.make(model, trials)
     count = len(directions_g3)
     if count < FEWEST_JUDGES:
         typical = float(np.exp(np.mean(np.log(left_out.error_g))))
@@ -122,14 +121,25 @@ def expect_unseen(model: KrigingModel, trials: Trials, unseen_t3: NDArray[np.flo
 
 def expect_at(model: KrigingModel, trials: Trials, targets_t3: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the PSNR in dB that is expected under each of these directions, whatever it may be off by."""
-    left_out = _LeftOut.make(model, trials)
+    left_out = LeftOut.make(model, trials)
     blocks = np.array_split(targets_t3, -(-len(targets_t3) // _BLOCK))
     return np.concatenate([left_out.carry(block_t3)[0] for block_t3 in blocks])
 
 
 @dataclass(frozen=True)
-class _LeftOut:
-    """Squared errors at lights that are left out, with those near them and in zones that are wider."""
+class LeftOut:
+    """Squared errors at lights that are left out, with those near them and in zones that are wider.
+
+    Attributes
+    ----------
+    model : KrigingModel
+        Without a step.
+    near, wide : list of ndarray
+        The lights that are left out for each, itself first.
+    error_g, wide_error_g : ndarray, shape (n_place,), float64
+    noise : float
+        Squared error that no model is below.
+    """
 
     model: KrigingModel
     near: list[NDArray[np.intp]]
@@ -139,7 +149,8 @@ class _LeftOut:
     noise: float
 
     @classmethod
-    def make(cls, model: KrigingModel, trials: Trials) -> _LeftOut:
+    def make(cls, model: KrigingModel, trials: Trials) -> LeftOut:
+        """Return those of a model of the trials' lights."""
         plain = model.plain
         near, wide = (find_zones(trials.places.directions_g3, part * trials.gap) for part in (_NEAR, _WIDE))
         errors = (

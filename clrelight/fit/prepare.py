@@ -16,9 +16,10 @@ from clrelight.dataset import FitRecord, LightStack
 from clrelight.device import Device, open_device
 from clrelight.errors import InputError, unknown
 from clrelight.fit.plan import FitPlan, make_lighting
-from clrelight.fit.precision import MIXED, SINGLE, check_precision
+from clrelight.fit.precision import MIXED, SINGLE, check_precision, compute_dtype
 from clrelight.fit.registry import FitMethod, method_class, method_ids
 from clrelight.fit.samples import Samples
+from clrelight.fit.scaling import TileScaling
 from clrelight.fit.selection import AUTO, DEGREES, METHODS, WITHIN, Choice, choose_model
 from clrelight.harmonics.basis import MAX_DEGREE
 from clrelight.threads import on_one_thread
@@ -67,6 +68,11 @@ class PreparedFit:
     def arithmetic(self) -> str:
         """The precision that the device computes all columns in; `precision` is what was asked for."""
         return self.method.arithmetic(self.precision, self.device)
+
+    def scaling(self) -> TileScaling:
+        """Return what brings samples into the range of the arithmetic, read as the method reads them."""
+        curve = self.method.curve_of(self.stack)
+        return TileScaling(self.stack, self.plan, compute_dtype(self.arithmetic), curve)
 
     @property
     def record(self) -> FitRecord:

@@ -15,7 +15,7 @@ from clrelight.dataset import CoefficientMap
 from clrelight.errors import InputError
 from clrelight.fit.precision import DOUBLE, compute_dtype
 from clrelight.fit.prepare import PreparedFit
-from clrelight.fit.scaling import ScaledTile, TileScaling
+from clrelight.fit.scaling import ScaledTile
 from clrelight.fit.tile import FittedTile, TileFit
 from clrelight.harmonics.index import coefficient_count
 from clrelight.memory import DEFAULT_MEMORY
@@ -126,8 +126,7 @@ def fit_tiles(
         If a row does not fit the budget, or samples are negative or not finite.
     """
     stack, report = prepared.stack, prepared.report
-    curve = prepared.method.curve_of(stack)
-    scaling = TileScaling(stack, prepared.plan, compute_dtype(prepared.arithmetic), curve)
+    scaling = prepared.scaling()
     height, width, channel = stack.image_shape
     step = rows_per_tile(prepared, memory_bytes, held=held, row_step=row_step, beside=beside)
     tiles = row_tiles(rows or (0, height), step)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clrelight.errors import InputError
 from clrelight.fit.choice import AT_GIVEN, CLEAR, IN_GAPS, Candidate, Choice
 from clrelight.fit.curved import CurvedSpectrumFit
-from clrelight.fit.expectation import Expectation, cost_of_series, expect_unseen, least_degree
+from clrelight.fit.expectation import Expectation, LeftOut, cost_of_series, expect_unseen, least_degree
 from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.leave_out_error import LEAST_ERROR, Trials, krige_left_out, try_method
 from clrelight.fit.registry import FitMethod
@@ -136,7 +136,11 @@ class _Kriged:
         return cls(settled, model, trials, _judge(method, degree, _leave_out(model, trials)))
 
     def expect(self, unseen_t3: NDArray[np.float64] | None = None) -> Expectation:
-        return expect_unseen(self.model, self.trials, unseen_t3)
+        return expect_unseen(self._left_out, self.trials, unseen_t3)
+
+    @functools.cached_property
+    def _left_out(self) -> LeftOut:
+        return LeftOut.make(self.model, self.trials)
 
     def choose_degree(self, degrees: Sequence[int], within: float, expected: Expectation) -> tuple[int, float]:
         """Return the degree asked for, or the least that costs no more than `within`, and what it costs."""

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from clrelight.codec.finite import check_coefficients
 from clrelight.codec.streams import Linear, Source, parts_of
 from clrelight.codec.workspace import PARTS, Workspace
-from clrelight.fit.precision import DOUBLE, compute_dtype
+from clrelight.fit.precision import DOUBLE
 from clrelight.fit.prepare import PreparedFit
-from clrelight.fit.scaling import TileScaling
 from clrelight.fit.tile import TileFit
 from clrelight.harmonics.index import coefficient_count
 from clrelight.jobs.bands import Bands, bands_of
@@ -29,8 +28,7 @@ class FittedSource(Source):
         super().__init__(shape, prepared.device, workspace)
         self._report, self._bands = prepared.report, bands
         self.basis, self.lights_i3 = prepared.record.basis, prepared.record.fitted_lights
-        curve = prepared.method.curve_of(prepared.stack)
-        self._scaling = TileScaling(prepared.stack, prepared.plan, compute_dtype(prepared.arithmetic), curve)
+        self._scaling = prepared.scaling()
         self._fit = TileFit(prepared, self._scaling.curve, [Buffer(), Buffer()])
         self.sample_type = np.dtype(prepared.stack.images_ihwc.dtype)
         self._mask_hw, self._n_light = prepared.stack.mask_hw, prepared.stack.n_light

@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+from clrelight.store.places import MAGIC
+
 _FLAGS, _SUMMED = 11, 44
 _MASK = 0xFFFFFFFF
 _MIX = ((0, 2, 4), (1, 0, 6), (2, 1, 8), (0, 2, 16), (1, 0, 19), (2, 1, 4))
@@ -18,7 +19,7 @@ def closed(image: bytes) -> Iterator[bytes | memoryview]:
     HDF5 1.14 clears the flag itself, but leaves the checksum of before (``H5Fget_file_image``): nobody opens that.
     Nothing is copied but the superblock.
     """
-    known = image[:8] == _SIGNATURE and image[8] in (2, 3)
+    known = image[:8] == MAGIC and image[8] in (2, 3)
     if known:
         head = image[:_FLAGS] + b"\0" + image[_FLAGS + 1 : _SUMMED]
         yield head + struct.pack("<I", lookup3(head))

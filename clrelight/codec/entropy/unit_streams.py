@@ -112,7 +112,7 @@ def encode_streams(
     values : DeviceArray, shape (n_plane, height, pitch), float32
         In place as `list_subbands` says.
     index : DeviceArray, same shape, int32
-        Where the chosen indices go, on level 1 only those of cells that hold any; it may be the memory of `values`.
+        Where the chosen indices go; it may be the memory of `values`.
     tables : Tables
         What streams start from.
     multiplier : float

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -41,8 +41,7 @@ class LastHere:
 
     def again(self, chosen: Sequence[int], multiplier: float) -> list[bytes]:
         """See `Last`."""
-        layout = self.part.layout.of_streams(chosen)
-        return self.encoder.encode_part(replace(self.part, layout=layout), self.step, multiplier, keep=True).streams
+        return self.encoder.encode_part(self.part.of_streams(chosen), self.step, multiplier, keep=True).streams
 
 
 @dataclass
@@ -113,5 +112,4 @@ class CodedPart:
         if self.chosen not in (None, chosen):  # whose indices are of another multiplier
             self.encoder.encode_part(self.part, self.step, self.multiplier, index=self.index)
         self.chosen = chosen
-        few = replace(self.part, layout=self.part.layout.of_streams(chosen))
-        return self.encoder.encode_part(few, self.step, multiplier, index=self.index).streams
+        return self.encoder.encode_part(self.part.of_streams(chosen), self.step, multiplier, index=self.index).streams

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,10 @@ class Part:
         """Return what of a window's values is a tile of an image of some sides."""
         layout = lay_out(tile.units, sides, window, values.shape[2], together, [(0, values.shape[0])])
         return cls(values, layout, *window.shape)
+
+    def of_streams(self, chosen: Sequence[int]) -> Part:
+        """Return the same of some streams, by their numbers."""
+        return replace(self, layout=self.layout.of_streams(chosen))
 
 
 @dataclass(frozen=True)
