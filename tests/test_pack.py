@@ -277,7 +277,7 @@ def test_windows_lie_apart_in_the_image(shape, most):
     assert sum(w.shape[0] * w.shape[1] for w in windows) == seen.sum()
 
 
-def test_a_large_image_is_the_same_each_time_and_in_chunks(tmp_path, device):
+def test_a_large_image_is_the_same_in_memory_and_in_chunks(tmp_path, device):
     """Of several tiles, at the usual memory: photographs are read ahead while the device makes planes of others."""
     directions = make_pattern("uniform", 8)
     images = np.tile(codes(300, 390, 8), (1, 2, 3, 1))
@@ -286,12 +286,11 @@ def test_a_large_image_is_the_same_each_time_and_in_chunks(tmp_path, device):
     write_stack(tmp_path / "s.h5", stack)
     with open_stack(tmp_path / "s.h5") as stored:
         kept = [
-            cr.pack(each, tmp_path / f"{n}.h5", method="spline", degree=4, rate=0.3, measure="none")
-            for n, each in enumerate([stack, stored, stack])
+            cr.pack(each, tmp_path / f"{n}.h5", method="spline", degree=4, rate=0.1, measure="none")
+            for n, each in enumerate([stack, stored])
         ]
     assert "fit" not in kept[0].seconds
-    first = payload(tmp_path / "0.h5")
-    assert [payload(tmp_path / f"{n}.h5") == first for n in (1, 2)] == [True] * 2
+    assert payload(tmp_path / "0.h5") == payload(tmp_path / "1.h5")
 
 
 @pytest.mark.parametrize("name", ["IMG_03.png", "dome.lp", "mask.png"])
