@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,12 +74,12 @@ def radial_functions(radius: float, sigma: float, inner: float, outer: float) ->
     """
     lowest, highest = max(0.0, inner - _REACH * sigma), outer + _REACH * sigma
     counts = [int(np.clip(5.0 * span / sigma, 48, 240)) for span in (radius - lowest, highest - radius)]
-    node_s, weight_s = np.polynomial.legendre.leggauss(counts[0])
+    node_s, weight_s = _gauss(counts[0])
     root_s = 0.5 * (node_s + 1.0) * np.sqrt(radius - lowest)
     inside_s = radius - root_s**2
     inside_weight_s = weight_s * np.sqrt(radius - lowest) * root_s
     z_s = np.sqrt(np.maximum(1.0 - (inside_s / radius) ** 2, 0.0))
-    node_s, weight_s = np.polynomial.legendre.leggauss(counts[1])
+    node_s, weight_s = _gauss(counts[1])
     outside_s = radius + 0.5 * (node_s + 1.0) * (highest - radius)
     grid_d = np.arange(max(inner, 0.0), outer + 0.3 * sigma, 0.3 * sigma)
     inside_ds = _rings(grid_d, inside_s, inside_weight_s, sigma)
@@ -87,6 +88,13 @@ def radial_functions(radius: float, sigma: float, inner: float, outer: float) ->
     inner_df = inside_ds @ np.stack([np.ones_like(z_s), z_s, z_s**2], axis=1)
     outer_df = outside_ds @ np.stack([np.ones_like(beyond_s), beyond_s], axis=1)
     return CubicSpline(grid_d, np.concatenate([inner_df, outer_df], axis=1))
+
+
+@cache
+def _gauss(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return nodes and weights, kept: a descent asks for the same again and again."""
+    node_s, weight_s = np.polynomial.legendre.leggauss(count)
+    return node_s, weight_s
 
 
 def _rings(grid_d: NDArray, ring_s: NDArray, weight_s: NDArray, sigma: float) -> NDArray[np.float64]:
