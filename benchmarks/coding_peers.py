@@ -1,6 +1,6 @@
 """Bytes, seconds and decibel of klt beside other ways to keep the same photographs, in one run.
 
-    CLRELIGHT_DATA=data python -m benchmarks.coding_peers [--quick] [--stack GLOB] [--markdown docs/peers.md]
+    CLRELIGHT_DATA=data python -m benchmarks.coding_peers [--stack GLOB] [--way GLOB | --markdown docs/peers.md]
 
 klt at three rates sets qualities; each peer's own setting is searched for the same, and bytes are compared. JPEG 2000,
 HTJ2K, JPEG XL and SPERR code klt's principal planes and the raw maps, RTI tools have planes in JPEG, HEVC, AV1 and
@@ -39,18 +39,26 @@ BEGIN, END = "<!-- peers -->", "<!-- /peers -->"
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--stack", "patterns", multiple=True, metavar="GLOB", help="Such as ring or 'Real/*'; repeatable.")
+@click.option("--way", "ways", multiple=True, metavar="GLOB", help="Such as 'JPEG*principal*'; repeatable.")
 @click.option("--quick", is_flag=True, help="Tiny parts of the stacks: shows that it works.")
 @click.option("--device", "device_name", help="Index, gpu, cpu, pocl or a part of a name.")
 @click.option("--json", "json_path", type=click.Path(dir_okay=False, path_type=Path), help="Keep all figures.")
 @click.option("--markdown", type=click.Path(dir_okay=False, path_type=Path), help=f"Fill what stands between {BEGIN}s.")
 def main(
-    patterns: tuple[str, ...], quick: bool, device_name: str | None, json_path: Path | None, markdown: Path | None
+    patterns: tuple[str, ...],
+    ways: tuple[str, ...],
+    quick: bool,
+    device_name: str | None,
+    json_path: Path | None,
+    markdown: Path | None,
 ) -> None:
     """Measure klt and its peers on all stacks."""
     try:
-        chosen = [each for each in requests() if not patterns or any(fnmatch(each.name, p) for p in patterns)]
+        chosen = [each for each in requests() if _fits(each.name, patterns)]
         if not chosen:
             raise InputError(f"no stack's name fits {', '.join(patterns)}; there are {', '.join(_names())}")
+        if markdown is not None and ways:
+            raise InputError("--markdown replaces rows of all ways: it takes no --way")
         if markdown is not None:
             check_markdown(markdown, BEGIN, END)
         device = open_device(device_name)
@@ -64,7 +72,7 @@ def main(
             measurement.left_out[request.name] = str(error)
             click.echo(f"{request.name} is left out: {error}", err=True)
             continue
-        measure_stack(stack, device, measurement, _tell)
+        measure_stack(stack, device, measurement, _tell, wanted=lambda way: _fits(way, ways))
         del stack
         facts = describe_environment(device)
         if json_path is not None:
@@ -79,6 +87,10 @@ def main(
     print_facts({**facts, **{f"left out: {name}": why for name, why in measurement.left_out.items()}})
     if markdown is not None:
         replace_block(markdown, to_page(measurement, facts, RATES), BEGIN, END)
+
+
+def _fits(name: str, patterns: tuple[str, ...]) -> bool:
+    return not patterns or any(fnmatch(name, pattern) for pattern in patterns)
 
 
 def _names() -> list[str]:

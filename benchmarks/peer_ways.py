@@ -112,8 +112,9 @@ def measure_stack(
     measurement: Measurement,
     tell: Callable[[Row], None],
     rates: tuple[float, ...] = RATES,
+    wanted: Callable[[str], bool] = lambda way: True,
 ) -> None:
-    """Add the rows of a stack, klt's first at each rate; `tell` gets each as it comes."""
+    """Add the rows of a stack, klt's first at each rate, of ways that are wanted; `tell` gets each as it comes."""
     curve = KltCurve(stack, device)
     curve.build_kernels()
 
@@ -125,9 +126,9 @@ def measure_stack(
         point = curve.at(rate)
         size = float(point.byte_count)
         add(Row(stack.name, KLT, rate, CODING, point.psnr[CODING], True, size, size, point))
-    for row in _plane_rows(stack, curve, rates, measurement):
+    for row in _plane_rows(stack, curve, rates, measurement, wanted):
         add(row)
-    for way, equal, find in _other_ways(stack, measurement):
+    for way, equal, find in _other_ways(stack, measurement, wanted):
         for rate in rates:
             add(_row(stack.name, way, rate, equal, find(curve.at(rate).psnr[equal], equal), curve, rates))
 
@@ -143,7 +144,11 @@ def _row(stack: str, way: str, rate: float, equal: str, found: Match, curve: Klt
 
 
 def _plane_rows(
-    stack: FittedStack, curve: KltCurve, rates: tuple[float, ...], measurement: Measurement
+    stack: FittedStack,
+    curve: KltCurve,
+    rates: tuple[float, ...],
+    measurement: Measurement,
+    wanted: Callable[[str], bool],
 ) -> Iterator[Row]:
     try:
         coders = plane_coders()
@@ -161,23 +166,28 @@ def _plane_rows(
             continue
         for coder in coders:
             way = f"{coder.name}, principal planes"
+            if not wanted(way):
+                continue
             yield _row(stack.name, way, rate, CODING, find(PlanePeer(coder, planes), rate), curve, rates)
-    planes = raw_planes(stack)
     for coder in (coder for coder in coders if coder.name in _RAW):
         way = f"{coder.name}, raw planes"
+        if not wanted(way):
+            continue
+        planes = raw_planes(stack)
         peer = PlanePeer(coder, planes)
         for rate in rates:
             yield _row(stack.name, way, rate, CODING, find(peer, rate), curve, rates)
 
 
 def _other_ways(
-    stack: FittedStack, measurement: Measurement
+    stack: FittedStack, measurement: Measurement, wanted: Callable[[str], bool]
 ) -> Iterator[tuple[str, str, Callable[[float, str], Match]]]:
     """Yield ways that take photographs, which PSNR is equal, and what finds their bytes."""
-    try:
-        yield RTI, HELD_OUT, _rti(stack)
-    except InputError as error:
-        measurement.left_out[RTI] = str(error)
+    if wanted(RTI):
+        try:
+            yield RTI, HELD_OUT, _rti(stack)
+        except InputError as error:
+            measurement.left_out[RTI] = str(error)
     photographs = PhotographPeer(stack)
     makers: dict[str, tuple[Callable[[], Callable[[float], Point]], tuple[float, float, float, bool]]] = {
         f"{name} video": (
@@ -188,6 +198,9 @@ def _other_ways(
     }
     makers["SPERR volume"] = (functools.partial(volume_peer, photographs), (5.0, 35.0, 70.0, False))
     for name, (make, (low, usual, high, whole)) in makers.items():
+        ways = {name: SEEN, f"{name}, between lights": HELD_OUT}
+        if not any(map(wanted, ways)):
+            continue
         try:
             evaluate = make()
         except ImportError as error:
@@ -203,8 +216,7 @@ def _other_ways(
             low, usual, high, whole = places
             return match(evaluate, equal, psnr, usual, (low, high), 8.0, whole=whole, most=6)
 
-        yield name, SEEN, find
-        yield f"{name}, between lights", HELD_OUT, find
+        yield from ((way, equal, find) for way, equal in ways.items() if wanted(way))
 
 
 def _rti(stack: FittedStack) -> Callable[[float, str], Match]:

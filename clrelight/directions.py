@@ -15,11 +15,6 @@ _HORIZON_DEGREES = 0.15
 _SAME_DIRECTION = 1e-9
 _ASKEW = np.array([0.48, 0.6, 0.64])
 """An axis along which lights in a ring or a plane differ: those that are alike are then neighbours."""
-_OCTAHEDRON = (1 << 19) - 1
-"""Steps from the middle of the octahedron's map to its corners."""
-MOST_PACKED = 4096
-"""Lights whose directions an encoded file packs."""
-_PACKED_BYTES = 5
 
 
 def unit_directions(
@@ -135,39 +130,3 @@ def _off_unit(vectors: NDArray[np.float64]) -> NDArray[np.bool_]:
 def vector_text(values: NDArray[np.float64]) -> str:
     """Return numbers as messages show them."""
     return " ".join(f"{v:g}" for v in values)
-
-
-def kept_directions(directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return directions as an encoded file gives them back: of up to 4096 lights, rounded."""
-    return directions_i3 if len(directions_i3) > MOST_PACKED else unpack_directions(pack_directions(directions_i3))
-
-
-def pack_directions(directions_i3: NDArray[np.float64]) -> bytes:
-    """Return unit vectors in 5 bytes each, within 5e-6 radian; the axes are exact, and none falls below the horizon.
-
-    Coordinates on the octahedron that is unfolded to a square (Meyer et al. 2010), in 20 bits each, x in the higher.
-    """
-    flat_i2 = directions_i3[:, :2] / np.abs(directions_i3).sum(axis=1, keepdims=True)
-    below = directions_i3[:, 2] < 0
-    flat_i2[below] = (1.0 - np.abs(flat_i2[below][:, ::-1])) * np.where(flat_i2[below] < 0, -1.0, 1.0)
-    step_i2 = np.rint(flat_i2 * _OCTAHEDRON).astype(np.int64)
-    over = ~below & (np.abs(step_i2).sum(axis=1) > _OCTAHEDRON)  # rounded across the horizon
-    step_i2[over, 0] -= np.sign(step_i2[over, 0])
-    x_i, y_i = (step_i2 + _OCTAHEDRON + 1).T
-    return (x_i << 20 | y_i).astype("<u8").view(np.uint8).reshape(-1, 8)[:, :_PACKED_BYTES].tobytes()
-
-
-def unpack_directions(packed: bytes) -> NDArray[np.float64]:
-    """Return what `pack_directions` was given, (n_light, 3); InputError where the bytes are not of whole lights."""
-    if len(packed) % _PACKED_BYTES:
-        raise InputError(f"directions take {_PACKED_BYTES} bytes each, got {len(packed)} bytes")
-    wide = np.zeros((len(packed) // _PACKED_BYTES, 8), np.uint8)
-    wide[:, :_PACKED_BYTES] = np.frombuffer(packed, np.uint8).reshape(-1, _PACKED_BYTES)
-    code_i = wide.reshape(-1).view("<u8").astype(np.int64)
-    step_i2 = np.stack([code_i >> 20, code_i & (1 << 20) - 1], axis=1) - (_OCTAHEDRON + 1)
-    above_i = _OCTAHEDRON - np.abs(step_i2).sum(axis=1)
-    flat_i2 = np.where(
-        (above_i < 0)[:, None], (_OCTAHEDRON - np.abs(step_i2[:, ::-1])) * np.where(step_i2 < 0, -1, 1), step_i2
-    )
-    vector_i3 = np.column_stack([flat_i2, above_i]).astype(np.float64)
-    return vector_i3 / np.linalg.norm(vector_i3, axis=1, keepdims=True)

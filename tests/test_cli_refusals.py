@@ -68,7 +68,7 @@ FITS = [
     ("spoilt.h5 @o.h5", "spoilt.h5"),
     ("folder @o.h5", "folder is no regular file, but a folder"),
     ("fit.h5 @o.h5", "it is a fit/1 file, expected stack/1"),
-    ("enc.h5 @o.h5", "it is an encoded/2 file, expected stack/1"),
+    ("enc.h5 @o.h5", "it is an encoded/4 file, expected stack/1"),
     ("stack.h5 @no/o.h5", "there is no folder"),
     ("stack.h5 folder", "it is there and is no regular file"),
     ("stack.h5 stack.h5", "that is the input"),
@@ -162,7 +162,7 @@ RELIGHTS = [
     ("infinite.h5 @o.png --light 0,0,1", "coefficient 1 at row 2, column 3, channel 0 is inf"),
 ]
 OTHERS = [
-    ("decode fit.h5 @o.h5", "it is a fit/1 file, expected encoded/2"),
+    ("decode fit.h5 @o.h5", "it is a fit/1 file, expected encoded/4"),
     ("decode enc.h5 enc.h5", "that is the input"),
     ("decode nowhere.h5 @o.h5", "there is no file nowhere.h5"),
     ("psnr stack.h5 stack.h5", "it is a stack/1 file, expected fit/1"),

@@ -143,7 +143,7 @@ def test_every_codec_there_and_back(ring, fitted, tmp_path, codec):
     assert decoded["encoded_bytes"] == told["encoded_bytes"]
     for name in ("method", "degree", "peak", "transfer", "name", "config"):
         assert attributes(back)[name] == attributes(fitted)[name]
-    np.testing.assert_allclose(arrays(back)["directions"], arrays(fitted)["directions"], atol=5e-6)
+    np.testing.assert_allclose(arrays(back)["directions"], arrays(fitted)["directions"], atol=8e-5)
     # What the encoder says it lost is what the decoded file has lost.
     seen = np.arange(64) % 5 != 4
     for lights, name in ((seen, "fitted"), (~seen, "holdout")):

@@ -155,12 +155,20 @@ def test_what_is_not_installed_is_left_out_by_name(stack, device, monkeypatch):
         assert "not installed" in measurement.left_out[name]
 
 
+def test_only_the_ways_that_are_wanted_are_measured(stack, device):
+    pytest.importorskip("PIL", reason="the JPEG planes of RTI tools")
+    measurement = Measurement()
+    measure_stack(stack, device, measurement, lambda row: None, (0.1,), wanted=lambda way: way == "RTI planes, JPEG")
+    assert [row.way for row in measurement.rows] == [KLT, "RTI planes, JPEG"]
+    assert measurement.left_out.keys() <= {"JPEG 2000, HTJ2K, JPEG XL, SPERR"}
+
+
 def test_the_page_is_filled_and_says_where_klt_does_not_lead(tmp_path, stack, monkeypatch):
     def row(way, rate, byte_count, seconds, reached=True):
         point = Point(byte_count, {CODING: 30.0, SEEN: 29.0, HELD_OUT: 28.0}, seconds, seconds, "a setting")
         return Row("patch", way, rate, CODING if way == KLT else SEEN, 29.0, reached, byte_count, 1000.0, point)
 
-    def measure(stack, device, measurement, tell, rates=(0.02, 0.1)):
+    def measure(stack, device, measurement, tell, rates=(0.02, 0.1), wanted=None):
         for rate in rates:
             measurement.rows += [row(KLT, rate, 1000, 1.0), row("a", rate, 500, 2.0), row("b", rate, 3000, 0.5, False)]
 
@@ -187,6 +195,7 @@ def test_the_page_is_filled_and_says_where_klt_does_not_lead(tmp_path, stack, mo
     ("words", "message"),
     [
         (["--stack", "nothing"], "no stack's name fits nothing; there are"),
+        (["--stack", "ring", "--markdown", "docs/peers.md", "--way", "JPEG*"], "--markdown replaces rows of all ways"),
         (["--stack", "ring", "--markdown", "absent.md"], "absent.md: no such file"),
         (["--stack", "ring", "--device", "no such"], "no such"),
     ],

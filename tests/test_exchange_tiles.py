@@ -193,7 +193,7 @@ def test_deep_zoom_pictures_go_down_to_a_pixel(tmp_path):
         (("view.png", "x", "--format", "relight"), "view.png"),
         (("fit.h5", "x.lp", "--names", "a b%d.png"), "have no blanks"),
         (("fit.h5", "x.lp", "--names", "a.png"), "number field"),
-        (("sky.h5", "x.lp"), "expected fit/1 or encoded/2"),
+        (("sky.h5", "x.lp"), "expected fit/1 or encoded/4"),
     ],
 )
 def test_refusals(tmp_path, monkeypatch, words, line):

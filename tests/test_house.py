@@ -18,7 +18,17 @@ FLOORS = [
     {"harmonics", "bases", "durable", "remote", "threads"},
     {"opencl", "device", "kernel_source", "matmul", "matmul_gpu"},
     {
-        *("dataset", "directions", "holdout", "lights", "light_columns", "light_files", "masks", "negatives"),
+        *(
+            "dataset",
+            "directions",
+            "holdout",
+            "lights",
+            "light_codes",
+            "light_columns",
+            "light_files",
+            "masks",
+            "negatives",
+        ),
         *(
             "plan_lights",
             "sampling",

@@ -360,7 +360,7 @@ def test_too_few_bytes_are_refused_before_a_photograph_is_read(folder, stack, tm
     assert ended.code == 2
     said = re.search(r"takes at least (\d+) bytes, got 800\n$", ended.err)
     assert said, ended.err
-    assert 850 < int(said[1]) < 1200
+    assert 800 < int(said[1]) < 1200
     assert os.listdir(tmp_path) == []
 
 

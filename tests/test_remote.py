@@ -216,7 +216,7 @@ def test_a_file_that_changes_is_refused(served, change, salvage):
         served.content = served.content[:-1]
         handler.answer()
 
-    served.fault = fail_from(2, change_tag if change == "tag" else cut_file)
+    served.fault = fail_from(1, change_tag if change == "tag" else cut_file)
     with pytest.raises(RemoteError, match=r"view\.h5 changed while it was read: begin again"):
         cr.relight(f"{served.url}/view.h5", LIGHT, salvage=salvage)
 

@@ -5,6 +5,7 @@ import json
 import re
 import runpy
 import shlex
+import struct
 import sys
 import tomllib
 import types
@@ -22,6 +23,7 @@ import pytest
 import clrelight as cr
 from clrelight.cli.app import cli
 from clrelight.images import write_image
+from clrelight.light_codes import unpack_directions
 from clrelight.sampling import make_pattern
 from clrelight.transfer.brdfs import Ggx
 from clrelight.transfer.functions import FixedLight
@@ -198,7 +200,7 @@ def names_of(page, place):
         images = np.zeros((20, 8, 8, 3), np.uint8)
         directions = make_pattern("uniform", 20)
         return {
-            **{"h5py": h5py, "zlib": zlib, "json": json, "images": images, "directions": directions},
+            **{"h5py": h5py, "zlib": zlib, "json": json, "struct": struct, "images": images, "directions": directions},
             "file": encoded_file(place),
         }
     if page == "scenes.md":
@@ -227,7 +229,10 @@ def test_python_of_the_pages_runs(page, tmp_path, monkeypatch):
         assert not names["batch"].failed
         assert list((tmp_path / "packed").glob("one*"))
     if page.name == "files.md":
-        assert len(names["codes"]) == 20
+        held_i3 = unpack_directions(names["lights"])
+        place_i2 = held_i3[:, :2] / np.abs(held_i3).sum(axis=1, keepdims=True) * 2**15
+        np.testing.assert_allclose(names["places"], place_i2, atol=1e-6)
+        assert len(place_i2) == 20
 
 
 def test_toml_of_the_pages_parses():

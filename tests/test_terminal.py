@@ -242,7 +242,7 @@ def test_what_cannot_be_drawn_is_a_note(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("CLRELIGHT_DEVICE", "no such device")
     text = shown(monkeypatch, "info", tmp_path / "e.h5", TERM="xterm-kitty")
     assert "\x1b" not in text
-    assert "encoded/2" in text
+    assert "encoded/4" in text
     assert capsys.readouterr().err.startswith("note: no thumbnail: ")
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from clrelight.codec.bodies import Body
 from clrelight.dataset import FitRecord
 from clrelight.described import Described
-from clrelight.directions import kept_directions
 from clrelight.errors import PayloadError
 from clrelight.harmonics.index import degree_of
+from clrelight.light_codes import kept_directions
 
 MAGIC = b"CLRE"
 WRAPPER_VERSION = 1

@@ -1,4 +1,4 @@
-"""``encoded/2``, ``encoded/3`` of other bases than harmonics, and ``encoded/1`` of before: a codec's bytes as a fit."""
+"""``encoded/4``, and ``encoded/1`` to ``encoded/3`` of before: a codec's bytes as a fit."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.bases import SH
 from clrelight.codec.bodies import Body
 from clrelight.codec.encoded import MAX_HEADER_BYTES, Encoded, header_size
 from clrelight.codec.workspace import Shape
 from clrelight.dataset import CoefficientMap, FitRecord
-from clrelight.directions import MOST_PACKED, pack_directions, unpack_directions
 from clrelight.errors import InputError, StoreFormatError
+from clrelight.light_codes import MOST_PACKED, pack_directions, unpack_directions, unpack_directions_of_5
 from clrelight.store.attributes import MAX_TEXT_BYTES
 from clrelight.store.fits import check_version, read_record
 from clrelight.store.nexus import view_picture
 from clrelight.store.opening import Opened, opening, parse_config, refusing
 from clrelight.store.places import Place
-from clrelight.store.schemas import ENCODED, ENCODED_1, ENCODED_OF_BASIS
+from clrelight.store.schemas import ENCODED, ENCODED_1, ENCODED_2
 from clrelight.store.scratch import ScratchBody, ScratchWorkspace
 from clrelight.store.stored import StoredArray
+from clrelight.store.usual import USUAL
 from clrelight.store.writing import (
     CHUNK_BYTES,
     COMPACT_BYTES,
@@ -88,8 +88,7 @@ def write_encoded(
     record = FitRecord.of(source) if source is not None else encoded.record
     if record is None:
         raise InputError("these encoded bytes come without the record of their fit: say which fit was encoded")
-    schema = ENCODED if record.basis == SH else ENCODED_OF_BASIS
-    with drafting(path, schema, encoded.encoded_bytes + CHUNK_BYTES) as draft:
+    with drafting(path, ENCODED, encoded.encoded_bytes + CHUNK_BYTES) as draft:
         _fill(draft, encoded, record.without_surface())
         if picture_hwc is not None:
             view_picture(draft.file, picture_hwc, record.name)
@@ -119,7 +118,7 @@ def _pack_record(encoded: Encoded, record: FitRecord) -> bytes:
         "info": {key: _plain(float(value)) for key, value in sorted(encoded.info.items())},
     }
     text = json.dumps(json.loads(config_text(facts)), separators=(",", ":"), sort_keys=True)
-    packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS, 9)
+    packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS, 9, zlib.Z_DEFAULT_STRATEGY, USUAL)
     return packer.compress(text.encode()) + packer.flush()
 
 
@@ -249,14 +248,16 @@ def encoded_of(opened: Opened, header: bytes, body: Body, *, summed: bool = True
     else:
         record = _record_of_1(opened, held, encoded)
         config, info = parse_config(held["config"], "config"), opened.floats("payload")
-    check_version(opened, record, ENCODED)
+    if opened.schema is not ENCODED:
+        check_version(opened, record, ENCODED_2)
     record.to_map(np.broadcast_to(np.float32(0), encoded.shape))  # checks the record, takes no memory
     return replace(encoded, config=config, info=info, record=record), record
 
 
 def _parse_record(blob: bytes, opened: Opened) -> tuple[dict[str, Any], NDArray[np.float64]]:
     """Return the facts of a record, each of its type, and the directions."""
-    unpacker = zlib.decompressobj(-zlib.MAX_WBITS)
+    is_new = opened.schema is ENCODED
+    unpacker = zlib.decompressobj(-zlib.MAX_WBITS, USUAL if is_new else b"")
     text = unpacker.decompress(blob, _MAX_RECORD_BYTES)
     if not unpacker.eof:
         raise StoreFormatError(f"attribute record is cut short, or inflates to more than {_MAX_RECORD_BYTES} bytes")
@@ -266,7 +267,7 @@ def _parse_record(blob: bytes, opened: Opened) -> tuple[dict[str, Any], NDArray[
             raise StoreFormatError(f"attribute record must have {name}, got {facts.get(name)!r:.80}")
     if "directions" in opened.arrays:
         return facts, opened.arrays["directions"][...]
-    return facts, unpack_directions(unpacker.unused_data)
+    return facts, (unpack_directions if is_new else unpack_directions_of_5)(unpacker.unused_data)
 
 
 def _record_of_1(opened: Opened, held: Mapping[str, Any], encoded: Encoded) -> FitRecord:

@@ -24,8 +24,8 @@ from clrelight.store.stored import StoredArray
 from clrelight.store.walk import walk
 
 _UNSEAL = (
-    f"so it is damaged, or another program changed it; to trust it as it is, delete its attribute {SEAL_ATTRIBUTE} and "
-    f"its group {TABLE.partition('/')[0]}, where it has one"
+    "so it is damaged, or another program changed it; to trust it as it is, delete {its} attribute "
+    f"{SEAL_ATTRIBUTE} and its group {TABLE.partition('/')[0]}, where it has one"
 )
 
 _MADE_BY = {
@@ -65,11 +65,15 @@ class Opened:
         self.schema = self._check_schema(kinds)
         self.sealed = self.has(SEAL_ATTRIBUTE) and not trusting
         datasets = walk(file, place.size, self._names(trusting))
+        holder = self._root
+        if self.schema.sealed in datasets:
+            holder = datasets[self.schema.sealed].id
+            self.sealed = not trusting and h5py.h5a.exists(holder, SEAL_ATTRIBUTE.encode())
         table = datasets.pop(TABLE, None)
-        self._seal, self._sums = parse_sums(self._text(SEAL_ATTRIBUTE)) if self.sealed else ("", None)
+        self._seal, self._sums = parse_sums(_text(holder, SEAL_ATTRIBUTE)) if self.sealed else ("", None)
         if self.sealed != (table is not None or self._sums is not None):
             lost = TABLE if self.sealed else SEAL_ATTRIBUTE
-            raise StoreFormatError(f"it has lost its checksums ({lost}), {_UNSEAL}")
+            raise StoreFormatError(f"it has lost its checksums ({lost}), {self._unseal}")
         self.arrays: dict[str, StoredArray] = {}
         if not self.sealed:
             self.arrays = {name: StoredArray(dataset, path) for name, dataset in datasets.items()}
@@ -83,6 +87,10 @@ class Opened:
         """Return the names in the root to look at; another program's dataset may have the name of one of our scales."""
         names = {name.partition("/")[0] for name in (*self.schema.fields, *([] if trusting else [TABLE]))}
         return names.union(self.schema.scales) if self.sealed else names
+
+    @property
+    def _unseal(self) -> str:
+        return _UNSEAL.format(its="its" if self.schema.sealed == "/" else f"its {self.schema.sealed}'s")
 
     def _sums_of(self, dataset: h5py.Dataset | None) -> NDArray[np.uint64]:
         if dataset is None:
@@ -98,7 +106,7 @@ class Opened:
         counts = [Blocks.of(datasets[name]).count for name in sorted(datasets)]
         ends = list(itertools.accumulate(counts, initial=0))
         if ends[-1] != table_b.size:
-            raise StoreFormatError(f"it has {table_b.size} checksums, its arrays {ends[-1]} blocks, {_UNSEAL}")
+            raise StoreFormatError(f"it has {table_b.size} checksums, its arrays {ends[-1]} blocks, {self._unseal}")
         for name, (start, end) in zip(sorted(datasets), itertools.pairwise(ends), strict=True):
             self.arrays[name] = StoredArray(datasets[name], self.path, table_b[start:end])
         found = {
@@ -107,7 +115,7 @@ class Opened:
             if name in datasets
         }
         if seal_of(self.schema.name, self.attributes(), found, table_b) != self._seal:
-            raise StoreFormatError(f"its attributes, shapes or checksums are not as they were written, {_UNSEAL}")
+            raise StoreFormatError(f"its attributes, shapes or checksums are not as they were written, {self._unseal}")
 
     def _array_attributes(self, name: str) -> dict[str, Any]:
         field = self.schema.field_of(name)
@@ -128,9 +136,6 @@ class Opened:
     def has(self, name: str) -> bool:
         """Return whether the root has an attribute."""
         return h5py.h5a.exists(self._root, name.encode())
-
-    def _text(self, name: str) -> str:
-        return read_scalar(h5py.h5a.open(self._root, name.encode()), name, str)
 
     def attributes(self) -> dict[str, Any]:
         """Return every root attribute of the schema."""
@@ -161,7 +166,7 @@ class Opened:
                 f"directions) becomes one by two lines of Python: f = h5py.File({self.path!r}, 'a'); "
                 f"f.attrs['{SCHEMA_ATTRIBUTE}'] = '{STACK.name}'"
             )
-        text = self._text(SCHEMA_ATTRIBUTE)
+        text = _text(self._root, SCHEMA_ATTRIBUTE)
         match = re.fullmatch(r"([a-z]{1,32})/([1-9][0-9]{0,8})", text)
         wanted = " or ".join(SCHEMAS[kind].name for kind in kinds or SCHEMAS)
         if match is None or match[1] not in SCHEMAS:
@@ -257,6 +262,10 @@ def parse_config(text: str, name: str) -> dict[str, Any]:
     if not isinstance(config, dict):
         raise StoreFormatError(f"attribute {name} must be a JSON object, got {text[:80]!r}")
     return config
+
+
+def _text(holder: h5py.h5g.GroupID | h5py.h5d.DatasetID, name: str) -> str:
+    return str(read_scalar(h5py.h5a.open(holder, name.encode()), name, str))
 
 
 def _refuse_constant(text: str) -> None:

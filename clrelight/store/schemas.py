@@ -50,6 +50,8 @@ class Schema:
         Whether axes get dimension scales, which take 5 kB.
     has_table : bool
         Whether checksums of blocks lie in a table also where they are few, which takes 0.4 kB.
+    sealed : str
+        What bears the seal: the root, or a dataset, in whose header HDF5 leaves room for it.
     """
 
     kind: str
@@ -58,6 +60,7 @@ class Schema:
     attributes: Mapping[str, type] = field(default_factory=dict)
     is_scaled: bool = True
     has_table: bool = True
+    sealed: str = "/"
 
     @property
     def name(self) -> str:
@@ -67,6 +70,8 @@ class Schema:
     @property
     def scales(self) -> tuple[str, ...]:
         """Names of the dimension scales such a file may have."""
+        if not self.is_scaled:
+            return ()
         used = {axis for each in self.fields.values() for axis in each.axes}
         return tuple(axis for axis in SCALED_AXES if axis in used)
 
@@ -147,7 +152,7 @@ ENCODED_1 = Schema(
     },
     is_scaled=False,
 )
-ENCODED = Schema(
+ENCODED_2 = Schema(
     "encoded",
     2,
     {
@@ -158,8 +163,10 @@ ENCODED = Schema(
     is_scaled=False,
     has_table=False,
 )
-ENCODED_OF_BASIS = replace(ENCODED, version=3)
-"""Encodings of such fits."""
+ENCODED_3 = replace(ENCODED_2, version=3)
+"""Encodings of such fits, of before."""
+ENCODED = replace(ENCODED_2, version=4, sealed="payload")
+"""Encodings of fits of any basis."""
 RESULTS = Schema(
     "results",
     1,
@@ -186,5 +193,5 @@ SHRM = Schema(
 
 SCHEMAS = {schema.kind: schema for schema in (STACK, FIT, TILES, ENCODED, RESULTS, LIGHT, SHRM)}
 
-OTHERS = {schema.name: schema for schema in (ENCODED_1, FIT_OF_BASIS, ENCODED_OF_BASIS)}
+OTHERS = {schema.name: schema for schema in (ENCODED_1, ENCODED_2, ENCODED_3, FIT_OF_BASIS)}
 """Kinds of files in other versions that are read: older ones, and those of other bases."""

@@ -169,7 +169,7 @@ class Draft:
             self.dataset(TABLE, table_b, chunks=(min(len(table_b), _TABLE_CHUNK),))
         else:
             seal += sums_text(table_b)
-        self.attributes({SEAL_ATTRIBUTE: seal})
+        self.attributes({SEAL_ATTRIBUTE: seal}, of=self._schema.sealed)
 
     def _create(
         self,
