@@ -208,7 +208,7 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
         _longest(plan),
     )
     defines = {"REAL_BITS": 8 * real.itemsize, "Z_BITS": 8 * z_rq.dtype.itemsize, "ROOM": private_room(rank)}
-    counts = _FAST_STEPS, active, max(1, math.isqrt(plan.different)), scratch
+    counts = _FAST_STEPS, active, _joining(plan.different), scratch
     step = max(items, _MOST_WORK // (rank * rank * active * LANES))
     for first in range(0, groups, step):
         if first:
@@ -221,6 +221,11 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
             defines=defines,
         )
     return Shrunk(lambda_q, unmet_q=unmet_q)
+
+
+def _joining(different: int) -> int:
+    """Return how many rows join at a time: few that hardly differ, or most of them leave again (measured)."""
+    return max(1, min(math.isqrt(different), max(2, different // 6)))
 
 
 def _count_different(values_jr: NDArray[np.float64]) -> int:
