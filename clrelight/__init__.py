@@ -54,6 +54,7 @@ if TYPE_CHECKING:  # what type checkers see; at run time __getattr__ imports the
     from clrelight.jobs.to_sh import to_sh as to_sh
     from clrelight.jobs.unpack import unpack as unpack
     from clrelight.jobs.update import update_fit as update_fit
+    from clrelight.jobs.variation.basis import basis_images as basis_images
     from clrelight.jobs.variation.components import inverse_lighting as inverse_lighting
     from clrelight.jobs.variation.components import principal_components as principal_components
     from clrelight.jobs.variation.find_lights import find_lights as find_lights
@@ -142,6 +143,7 @@ _MODULES = {
     "jobs.surface.transfer": "transfer",
     "jobs.unpack": "unpack",
     "jobs.update": "update_fit",
+    "jobs.variation.basis": "basis_images",
     "jobs.variation.components": "inverse_lighting principal_components",
     "lighting.environment": "Environment read_environment",
     "lighting.expressions": "parse_expression",

@@ -16,6 +16,7 @@ from clrelight.relight import relight
 from tests.commands import attributes, call, succeed
 from tests.reference import bases as reference
 from tests.reference.basis import real_harmonics
+from tests.reference.cpca import decode_cpca
 from tests.reference.klt4 import decode_klt4
 from tests.stacks import columns_of, make_stack, samples_of
 
@@ -116,6 +117,22 @@ def test_klt_decodes_by_its_page(device, stack, name, transfer):
     relit = np.einsum("ik,khwc->ihwc", reference.FUNCTIONS[name](stack.directions_i3[:5], 3), found)
     if encoded.body[12] % 16 == 0:  # behind the curve, code values are what is evaluated
         np.testing.assert_allclose(images, relit, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", HEMISPHERICAL)
+def test_cpca_codes_any_basis(device, stack, tmp_path, name):
+    """Decoded by the page of the format, said by its file to be of that basis, relit by that basis."""
+    fitted = cr.fit(stack, "uls", 3, basis=name)
+    cr.encode(fitted, "cpca", out=tmp_path / "e.h5", clusters=2, components=48, bits=12)
+    held = cr.decode(tmp_path / "e.h5")
+    assert (held.basis, held.degree) == (name, 3)
+    encoded = cr.encode(fitted, "cpca", clusters=2, components=48, bits=12)
+    expected = decode_cpca(encoded.body, encoded.shape)
+    np.testing.assert_allclose(held.coeffs_khwc, expected, rtol=0, atol=2e-5 * np.abs(expected).max())
+    nodes, weights = reference.hemisphere_quadrature(6)
+    shown_np = reference.FUNCTIONS[name](nodes, 3) @ columns_of(fitted)
+    relit_np = relight(cr.decode(tmp_path / "e.h5"), nodes).reshape(len(nodes), -1)
+    assert weights @ ((relit_np - shown_np) ** 2).mean(axis=1) < 1e-5 * (weights @ (shown_np**2).mean(axis=1))
 
 
 def test_klt_of_harmonics_says_no_basis(device, stack):

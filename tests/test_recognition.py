@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import clrelight as cr
-from clrelight.images import write_image
+from clrelight.images import read_image, write_image
 from clrelight.sampling import make_pattern
 from clrelight.threads import on_one_thread
 from clrelight.variation.comparing import Products, compare_spaces, lee_directions
@@ -158,10 +158,12 @@ def test_command_over_a_gallery(tmp_path, heads):
     assert "carl" in succeed(*words, "--pixels", "all").out
     before = contents(tmp_path)
     write_image(tmp_path / "small.exr", np.ones((5, 5, 3), np.float32))
+    write_image(tmp_path / "black.exr", np.zeros_like(read_image(photographs[0])))
     (tmp_path / "bare" / "nobody").mkdir(parents=True)
     before = contents(tmp_path)
     for others, message in (
         ([tmp_path / "people", tmp_path / "small.exr"], "is 5×5, unlike"),
+        ([tmp_path / "people", tmp_path / "black.exr"], "is black where the subjects are"),
         ([tmp_path / "none", photographs[0]], "there is no folder"),
         ([tmp_path / "people" / "anna", photographs[0]], "expected two or more"),
         ([tmp_path / "people", photographs[0], "--spaces", "7d"], "spaces are 3d"),

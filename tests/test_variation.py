@@ -159,6 +159,10 @@ def test_flat_views_are_reduced_refused_or_damped():
         find_light(picture_pc, normals_p3, ridge=-1.0)
     with pytest.raises(InputError, match="as many normals"):
         find_light(picture_pc, normals_p3[1:])
+    with pytest.raises(InputError, match="the picture is black wherever there are normals"):
+        find_light(0.0 * picture_pc, normals_p3)
+    with pytest.raises(InputError, match="the albedo is 0 everywhere"):
+        find_light(picture_pc, normals_p3, 0.0 * picture_pc)
 
 
 def test_nine_pictures_from_few():

@@ -29,6 +29,7 @@ def variation() -> None:
     Example:
       clrelight variation pca stack.h5
       clrelight variation inverse photo.exr normals.exr light.h5
+      clrelight variation basis stack.h5 nine.h5
     """
 
 
@@ -160,6 +161,46 @@ def inverse(image: str, normals: str, out: str, as_json: bool, **asked: Any) -> 
         "degree": facts["degree"],
         "condition": ", ".join(f"{each:.3g}" for each in facts["condition"]) + " up to degree 0, 1, ...",
         "not explained": f"{facts['residual']:.2%} of the picture",
+    }
+    print_report(report, as_json, lines)
+
+
+@variation.command()
+@click.argument("source", metavar="STACK", type=click.Path())
+@click.argument("out", metavar="BASIS.h5", type=click.Path())
+@click.option(
+    "--by",
+    type=click.Choice(["lights", "normals"]),
+    default="lights",
+    show_default=True,
+    help="Least squares over nine photographs and more, or harmonics of the normals that three tell.",
+)
+@click.option("--degree", type=whole_number(0, 2), help="Of light: 1, 4 or 9 pictures; default: what the lights tell.")
+@click.option("--pictures", type=click.Path(), metavar="FOLDER", help="Also pictures of them; grey is 0.")
+@memory_option("256MiB", "samples of a stack on their way")
+@device_option
+@json_option
+def basis(source: str, out: str, as_json: bool, **asked: Any) -> None:
+    """Write the nine pictures that all pictures of a matte view are sums of, from a few photographs.
+
+    They are a fit of degree 2, for `relight` under any light.
+
+    \b
+    Example:
+      clrelight variation basis stack.h5 nine.h5 --pictures nine/
+      clrelight variation basis four.h5 nine.h5 --by normals
+    """
+    from clrelight.jobs.variation.basis import basis_images
+
+    report = make_report(as_json)
+    with progress_bar("reading") as bar:
+        basis_images(source, out=out, progress=bar, report=report, **asked)
+    facts = report.facts
+    told = ", ".join(f"{each:.3g}" for each in facts["condition"])
+    lines = {
+        "basis": f"{out}, {facts['count']} pictures of degree {facts['degree']} by {facts['by']}",
+        "condition": f"{told} of the lights" if asked["by"] == "normals" else f"{told} up to degree 0, 1, ...",
+        **({"pictures": f"{facts['folder']}, {len(facts['files'])} files"} if "folder" in facts else {}),
     }
     print_report(report, as_json, lines)
 

@@ -207,16 +207,8 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
         _value_rounding(plan),
         _longest(plan),
     )
-    defines = {
-        "REAL_BITS": 8 * real.itemsize,
-        "Z_BITS": 8 * z_rq.dtype.itemsize,
-        "ROOM": private_room(rank),
-        "WIDTH_A": active,
-        "FAST_STEPS": _FAST_STEPS,
-        "JOINING": max(1, math.isqrt(plan.different)),
-        "WIDTH_R": wide_r,
-        "WIDTH_J": wide_j,
-    }
+    defines = {"REAL_BITS": 8 * real.itemsize, "Z_BITS": 8 * z_rq.dtype.itemsize, "ROOM": private_room(rank)}
+    counts = _FAST_STEPS, active, _joining(plan.different), scratch
     step = max(items, _MOST_WORK // (rank * rank * active * LANES))
     for first in range(0, groups, step):
         if first:
@@ -225,10 +217,15 @@ def shrink_within(device: Device, plan: BoundedPlan, columns: Columns) -> Shrunk
         device.launch(
             *("fit/constrained.cl", "fit_bounded_rq", (min(items, end - first),)),
             *(z_rq, lambda_q, unmet_q, columns.energy_q, *arrays, room),
-            *(*numbers, first, end, len(plan.low_j), *z_rq.shape),
+            *(*numbers, *counts, first, end, len(plan.low_j), *z_rq.shape),
             defines=defines,
         )
     return Shrunk(lambda_q, unmet_q=unmet_q)
+
+
+def _joining(different: int) -> int:
+    """Return how many rows join at a time: few that hardly differ, or most of them leave again (measured)."""
+    return max(1, min(math.isqrt(different), max(2, different // 6)))
 
 
 def _count_different(values_jr: NDArray[np.float64]) -> int:

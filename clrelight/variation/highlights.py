@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from clrelight.variation.circles import Circle
-from clrelight.variation.lobes import LobeFit
+from clrelight.variation.lobes import LobeFit, Shown
 from clrelight.variation.spheres import SphereView
 
 _RIM = 0.985
@@ -25,9 +25,6 @@ _MANY = 5
 """Photographs whose median shows what does not move with the lamp."""
 _OUTSTANDING = 1.5
 """Noise has hollows as deep as its bumps are high; beside a median, lamps have none. How much higher bumps must be."""
-
-
-Shown = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True)
@@ -120,8 +117,8 @@ def _settled(seen: list[tuple[Highlight, Shown] | None], fit: LobeFit, most: flo
     """Return highlights whose middles are those of lobes, where these look like them."""
     lobe = fit.choose([each[1] for each in seen if each is not None], most)
     settled: list[Highlight | None] = []
-    for each in seen:
-        better = None if each is None else fit.fit(*each[1], most, lobe)
+    found = fit.fit([None if each is None else each[1] for each in seen], most, lobe)
+    for each, better in zip(seen, found, strict=True):
         if each is None or better is None:
             settled.append(None if each is None else each[0])
             continue

@@ -69,7 +69,8 @@ def find_light(
     Raises
     ------
     InputError
-        If an array does not fit, or the equations' condition is above `MOST_CONDITION` and there is no ridge.
+        If an array does not fit, picture or albedo are black, or the equations' condition is above `MOST_CONDITION` and
+        there is no ridge.
     """
     albedo = np.ones((len(radiance_pc), 1)) if albedo_pc is None else np.asarray(albedo_pc)
     if normals_p3.shape != (len(radiance_pc), 3) or len(albedo) != len(radiance_pc):
@@ -79,7 +80,11 @@ def find_light(
     if not ridge >= 0.0:
         raise InputError(f"ridge must be at least 0, got {ridge:g}")
     wanted = 2 if degree is None else degree
+    if not np.any(albedo):
+        raise InputError("the albedo is 0 everywhere: such a surface shows no light")
     moments, right_kc, energy = _moments(radiance_pc, normals_p3, albedo, wanted)
+    if not energy > 0.0:
+        raise InputError("the picture is black wherever there are normals: it tells no light")
     seen_k = half_cosine_factors(wanted) != 0.0
     condition_l = _conditions(moments[0], seen_k, wanted)
     if degree is None:
@@ -100,7 +105,7 @@ def find_light(
         coeffs_kc[kept_k, channel] = found_k
         left += float(found_k @ energy_kk @ found_k - 2.0 * found_k @ right_kc[kept_k, channel])
     unseen = tuple(sorted({int(l) for l in degrees_of_coefficients(wanted)[~seen_k[:count]]}))
-    residual = float(np.sqrt(max(left, 0.0) / energy)) if energy > 0.0 else 0.0
+    residual = float(np.sqrt(max(left, 0.0) / energy))
     return InverseLight(coeffs_kc, condition_l[: wanted + 1], unseen, residual)
 
 
@@ -170,6 +175,16 @@ def basis_pictures(
     InputError
         If the lights' condition for a degree that is asked for is above `MOST_CONDITION`.
     """
+    chosen, condition_l = told_degree(directions_i3, degree)
+    kept_ik = evaluate_basis(directions_i3, chosen)
+    return BasisPictures(np.linalg.lstsq(kept_ik, samples_ip, rcond=None)[0], chosen, condition_l)
+
+
+def told_degree(directions_i3: NDArray[np.float64], degree: int | None = None) -> tuple[int, NDArray[np.float64]]:
+    """Return the degree of the pictures that lights tell apart, and their condition up to each degree.
+
+    Parameters and errors as of `basis_pictures`.
+    """
     most = 2 if degree is None else degree
     basis_ik = evaluate_basis(directions_i3, most)
     # As matte surfaces see lamps: pictures of degree 2 count for less (eq. 28), as all of higher ones do.
@@ -183,8 +198,7 @@ def basis_pictures(
             f"{len(directions_i3)} lights do not tell {coefficient_count(degree)} pictures apart: the condition is "
             f"{condition_l[degree]:.3g}, at most {MOST_CONDITION:g}; degree {chosen} can be had"
         )
-    kept_ik = basis_ik[:, : coefficient_count(chosen)]
-    return BasisPictures(np.linalg.lstsq(kept_ik, samples_ip, rcond=None)[0], chosen, condition_l)
+    return chosen, condition_l
 
 
 def _condition(basis_ik: NDArray[np.float64]) -> float:

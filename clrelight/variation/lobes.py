@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from scipy import ndimage
 
 from clrelight.variation.circles import Circle
 from clrelight.variation.descent import Descended, descend
+from clrelight.variation.error_law import ErrorLaw
 from clrelight.variation.spheres import SphereView
 
 _TAILS = (2.0, 8.0)
@@ -20,6 +22,10 @@ _LEAST_EXPLAINED = 0.97
 """Share of a highlight's energy that a lobe has to explain; a lamp of another form keeps the mean of its pixels."""
 _CLIPPED = 0.995
 _LEAST_PIXELS = 12
+_LEAST_LOBES, _MOST_MOVED = 5, 0.5
+"""Lobes that tell how far samples are off; pixels that weights may move a lobe by."""
+Shown = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.bool_]]
+"""What moved, the samples, and the pixels of a highlight, each (height, width)."""
 BOX = 1.0 / 12.0
 """Variance of a pixel's square, in pixels."""
 
@@ -62,6 +68,18 @@ class _Window:
     fine: int
     margin: int
     kept_p: NDArray[np.intp]
+    bright_p: NDArray[np.float64]
+    weight_p: NDArray[np.float64]
+
+
+_Fit = tuple[FoundLobe, _Window, Descended[NDArray[np.float64]]]
+
+
+def _off(found: Descended[NDArray[np.float64]]) -> float:
+    """Return the standard deviation of a lobe's place, by what is left."""
+    variance = found.energy / max(len(found.left_n) - 7, 1)
+    spread_33 = np.linalg.pinv(found.slopes_nk.T @ found.slopes_nk) * variance
+    return float(np.sqrt(max(spread_33[0, 0] + spread_33[1, 1], 0.0) / 2.0))
 
 
 class LobeFit:
@@ -92,30 +110,40 @@ class LobeFit:
         self.circle, self.sphere, self.factor, self.corner_xy = circle, sphere, factor, corner_xy
         self.lens = float(np.sqrt(max(sigma * sigma - BOX, 0.01)))
 
-    def choose(
-        self, windows: list[tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.bool_]]], most: float
-    ) -> Lobe:
+    def choose(self, windows: list[Shown], most: float) -> Lobe:
         """Return the form that leaves least of some highlights, each (moved, samples, blob)."""
         step = max(1, -(-len(windows) // _LOOKED_AT))
         left = {}
         for lobe in (Lobe(tail, by_light) for tail in _TAILS for by_light in (False, True)):
-            found = [self.fit(*each, most, lobe) for each in windows[::step]]
-            told = [1.0 if each is None else each.left for each in found]
+            found = [self._begin(*each, most, lobe) for each in windows[::step]]
+            told = [1.0 if each is None else each[0].left for each in found]
             left[lobe] = float(np.mean(np.log(np.maximum(told, 1e-6))))
         return min(left, key=lambda each: left[each])
 
-    def fit(
+    def fit(self, windows: Sequence[Shown | None], most: float, lobe: Lobe) -> list[FoundLobe | None]:
+        """Return the lobe of each highlight, (moved, samples, blob); None where it is none.
+
+        Their heights and grounds, planes, follow middles and widths by least squares; clipped pixels do not count. How
+        far samples are off at their brightness, as steps of codes, JPEG's errors and the law's own make them be, is
+        told by all highlights together, and weights the samples of each.
+        """
+        begun = [None if each is None else self._begin(*each, most, lobe) for each in windows]
+        kept = [each for each in begun if each is not None]
+        if len(kept) < _LEAST_LOBES:
+            return [None if each is None else each[0] for each in begun]
+        bright_n = np.concatenate([window.bright_p for _, window, _ in kept])
+        errors = ErrorLaw.of(bright_n, np.concatenate([found.left_n for _, _, found in kept]))
+        return [None if each is None else self._go_on(each, errors, lobe) for each in begun]
+
+    def _begin(
         self,
         moved_hw: NDArray[np.floating],
         samples_hw: NDArray[np.floating],
         blob_hw: NDArray[np.bool_],
         most: float,
         lobe: Lobe,
-    ) -> FoundLobe | None:
-        """Return the lobe of one highlight whose pixels are known; None where it is none.
-
-        Its height and the ground, a plane, follow its middle and width by least squares. Clipped pixels do not count.
-        """
+    ) -> _Fit | None:
+        """Return the lobe of one highlight whose pixels are known, all samples alike; None where it is none."""
         rows_p, columns_p = np.nonzero(blob_hw)
         weight_p = np.maximum(moved_hw[rows_p, columns_p], 1e-12)
         x, y = float(np.average(columns_p, weights=weight_p)), float(np.average(rows_p, weights=weight_p))
@@ -124,15 +152,28 @@ class LobeFit:
         if window is None:
             return None
         width = np.hypot(size / self.circle.radius, 1e-3) * 0.5 * (2.0 if lobe.by_light else 1.0)
-        values_3 = np.array([x, y, np.log(width)])
-        found = descend(
+        found = self._descend(np.array([x, y, np.log(width)]), window, lobe)
+        told = self._told(found, window, (x, y, size))
+        return None if told is None else (told, window, found)
+
+    def _go_on(self, begun: _Fit, errors: ErrorLaw, lobe: Lobe) -> FoundLobe:
+        """Return the lobe by weighted samples; as it was where that leads elsewhere."""
+        told, window, before = begun
+        weighted = replace(window, weight_p=1.0 / np.sqrt(errors.variance(window.bright_p)))
+        found = self._descend(before.values_k, weighted, lobe)
+        x, y = (float(each) for each in found.values_k[:2])
+        if found.state[0] <= 0.0 or np.hypot(x - told.x, y - told.y) > _MOST_MOVED:
+            return told
+        return replace(told, x=x, y=y, off=_off(found))
+
+    def _descend(self, values_3: NDArray[np.float64], window: _Window, lobe: Lobe) -> Descended[NDArray[np.float64]]:
+        return descend(
             values_3,
             lambda tried_3: self._left(tried_3, window, lobe),
             lambda at_3, k, solved_4: self._slope(at_3, k, window, lobe, solved_4),
             steps=_ROUNDS,
             settled_k=_NEAR_ENOUGH,
         )
-        return self._told(found, window, (x, y, size))
 
     def _told(
         self,
@@ -149,10 +190,7 @@ class LobeFit:
         is_alike = excess <= (1.0 - _LEAST_EXPLAINED) * energy
         if not is_alike or found.state[0] <= 0.0 or moved > 0.5 * start[2] + 0.7:
             return None
-        variance = found.energy / max(len(varied) - 7, 1)
-        spread_33 = np.linalg.pinv(found.slopes_nk.T @ found.slopes_nk) * variance
-        off = float(np.sqrt(max(spread_33[0, 0] + spread_33[1, 1], 0.0) / 2.0))
-        return FoundLobe(x, y, off, found.energy / energy)
+        return FoundLobe(x, y, _off(found), found.energy / energy)
 
     def _window(
         self,
@@ -185,15 +223,21 @@ class LobeFit:
             fine,
             int(np.ceil(3.0 * self.lens)) if fine > 1 else 0,
             kept_p,
+            np.maximum(samples_hw[rows, columns].ravel()[kept_p].astype(np.float64), 0.0),
+            np.ones(len(kept_p)),
         )
 
     def _left(
         self, values_3: NDArray[np.float64], window: _Window, lobe: Lobe
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return what is left, and the height with the ground's three."""
+        columns_p4, samples_p = self._columns(values_3, window, lobe), window.samples_p * window.weight_p
+        solved_4 = np.asarray(np.linalg.lstsq(columns_p4, samples_p, rcond=None)[0], np.float64)
+        return samples_p - columns_p4 @ solved_4, solved_4
+
+    def _columns(self, values_3: NDArray[np.float64], window: _Window, lobe: Lobe) -> NDArray[np.float64]:
         columns_p4 = np.concatenate([self._shape(values_3, window, lobe)[:, None], window.ground_p3], axis=1)
-        solved_4 = np.linalg.lstsq(columns_p4, window.samples_p, rcond=None)[0]
-        return window.samples_p - columns_p4 @ solved_4, solved_4
+        return columns_p4 * window.weight_p[:, None]
 
     def _slope(
         self, values_3: NDArray[np.float64], k: int, window: _Window, lobe: Lobe, solved_4: NDArray[np.float64]
@@ -202,8 +246,8 @@ class LobeFit:
         step_3 = np.zeros(3)
         step_3[k] = _STEP
         more_p, less_p = (self._shape(values_3 + sign * step_3, window, lobe) for sign in (1.0, -1.0))
-        slope_p = -solved_4[0] * (more_p - less_p) / (2.0 * _STEP)
-        columns_p4 = np.concatenate([self._shape(values_3, window, lobe)[:, None], window.ground_p3], axis=1)
+        slope_p = -solved_4[0] * (more_p - less_p) / (2.0 * _STEP) * window.weight_p
+        columns_p4 = self._columns(values_3, window, lobe)
         return slope_p - columns_p4 @ np.linalg.lstsq(columns_p4, slope_p, rcond=None)[0]
 
     def _shape(self, values_3: NDArray[np.float64], window: _Window, lobe: Lobe) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@
  *   rows_js         (J, S) REAL      values at the directions of the eigenbasis, zeros beyond R
  *   across_st         (S, T) float     the same, zeros beyond R and J
  *   low_t, high_t  (T) REAL      in units of radiance; +-1e30 for none, and beyond J
- *   scratch_wn   (work-items, SCRATCH) REAL
+ *   scratch_wn   (work-items, size_n) REAL
  *   least        REAL            what lambda is at least: it takes the least energy of what is equally near
  *   least_energy REAL            of any t that meets the bounds, in units of radiance^2
  *   doubt        float           error of a value that is summed in float, in sqrt(E)
@@ -18,6 +18,9 @@
  *
  *   Z_BITS       32 or 64, the type of z
  *   ROOM         components that there is memory for, at least R
+ *   fast_steps   steps in which everything moves at once, before lambda is bracketed; some 5 are usual at degree 6
+ *   wide_a       rows that there is memory for, a multiple of 8
+ *   joining      rows that join at a time
  *
  * A work-item takes 8 columns at a time, for which lambda is found roughly as if there were no bounds on values (fit/cls.cl).
  * From there each goes through fit/active_set.clh. In double what is found is the least to some 1e-9 of it; bounds are
@@ -77,19 +80,47 @@ __kernel void fit_bounded_rq(__global Z *restrict z_rq, __global float *restrict
                              __global const REAL *restrict low_t, __global const REAL *restrict high_t,
                              __global REAL *restrict scratch_wn, const REAL least, const REAL least_energy,
                              const float doubt, const float longest,
+                             const int fast_steps, const int wide_a, const int joining, const int size_n,
                              const int first, const int end, const int size_j, const int size_r, const int size_q)
 {
-    __global REAL *scratch = scratch_wn + (long)get_global_id(0) * SCRATCH;
-    __global REAL *column = scratch + COLUMN_PLACE, *small = scratch + SMALL_PLACE;
-    column_state c = {scratch + GRAM_PLACE, scratch + FACTOR_PLACE, scratch + PANEL_PLACE,
-                      scratch + BACK_PLACE, column, column + WIDTH_R, column + 2 * WIDTH_R, column + 3 * WIDTH_R, column + 5 * WIDTH_R,
-                      (__global float *)(column + 4 * WIDTH_R), (__global float *)(column + 6 * WIDTH_R),
-                      (__global float *)(column + 6 * WIDTH_R + WIDTH_J),
-                      (__global float *)(column + 6 * WIDTH_R + 2 * WIDTH_J),
-                      small, small + WIDTH_A, small + 2 * WIDTH_A, small + 3 * WIDTH_A, small + 4 * WIDTH_A,
-                      small + 5 * WIDTH_A, small + 6 * WIDTH_A, small + 7 * WIDTH_A,
-                      rows_js, across_st, low_t, high_t, 1.0f, 1.0f, doubt, longest, 1e30f, 0, size_j, size_r};
-    for (int n = 0; n < COLUMN_SIZE + 8 * WIDTH_A; n++) column[n] = 0.0f;
+    const int wide_r = (size_r + 7) / 8 * 8, wide_j = (size_j + 15) / 16 * 16;
+    __global REAL *place = scratch_wn + (long)get_global_id(0) * size_n;
+    for (int n = 0; n < size_n; n++) place[n] = 0.0f;
+#define TAKE(size) ((place += (size)) - (size))
+    column_state c;
+    c.gram = TAKE(wide_a * wide_a);
+    c.factor = TAKE(wide_a * wide_a);
+    c.panels = TAKE(wide_a * wide_r);
+    c.back = TAKE(16 * wide_a);
+    c.t = TAKE(wide_r);
+    c.b = TAKE(wide_r);
+    c.inverse = TAKE(wide_r);
+    c.scaled = TAKE(wide_r);
+    c.seen = TAKE(wide_r);
+    c.single = (__global float *)TAKE(wide_r);
+    c.miss = (__global float *)TAKE(wide_j);
+    c.low = (__global float *)TAKE(wide_j);
+    c.high = (__global float *)TAKE(wide_j);
+    c.mu = TAKE(wide_a);
+    c.next = TAKE(wide_a);
+    c.limit = TAKE(wide_a);
+    c.bound = TAKE(wide_a);
+    c.slope = TAKE(wide_a);
+    c.pivot = TAKE(wide_a);
+    c.sign = TAKE(wide_a);
+    c.place = TAKE(wide_a);
+    c.rows_js = rows_js;
+    c.across_st = across_st;
+    c.low_t = low_t;
+    c.high_t = high_t;
+    c.doubt = doubt;
+    c.longest = longest;
+    c.size_r = size_r;
+    c.wide_r = wide_r;
+    c.wide_j = wide_j;
+    c.wide_a = wide_a;
+    c.joining = joining;
+    c.fast_steps = fast_steps;
     for (int group = first + get_global_id(0); group < end; group += get_global_size(0)) {
         const int q = group * LANES;
         lanes b[ROOM];

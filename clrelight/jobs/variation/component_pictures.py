@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import LightStack
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
@@ -81,8 +81,7 @@ def _of_basis(
         if found.variance_r[r] > 0.0
     }
     for k in range(min(9, basis_pk.shape[1])):
-        l = int(np.sqrt(k))
-        pictures[f"harmonic_{l}_{k - l * (l + 1)}"] = place(basis_pk[:, k])
+        pictures[_harmonic(k)] = place(basis_pk[:, k])
     return pictures
 
 
@@ -109,6 +108,22 @@ def pictures_of_stack(
     if stack.mask_hw is not None:
         pictures_rhw[:, ~stack.mask_hw[::step, ::step]] = np.nan
     return {f"component_{r + 1}": picture_hw for r, picture_hw in enumerate(pictures_rhw)}
+
+
+def pictures_of_map(held: CoefficientMap) -> Signed:
+    """Return the coefficients of up to degree 2 as pictures: what is seen under each harmonic as light, in grey."""
+    height, width, channel = held.image_shape
+    step = max(1, -(-max(height, width) // SIDE))
+    rows_khwc = np.empty((held.n_coeff, 1, width, channel), np.float32)
+    shown_khw = np.zeros((min(9, held.n_coeff), -(-height // step), -(-width // step)))
+    for n, row in enumerate(range(0, height, step)):
+        shown_khw[:, n] = held.read_rows(row, row + 1, rows_khwc)[: len(shown_khw), 0, ::step].mean(axis=2)
+    return {_harmonic(k): picture_hw for k, picture_hw in enumerate(shown_khw)}
+
+
+def _harmonic(k: int) -> str:
+    l = int(np.sqrt(k))
+    return f"harmonic_{l}_{k - l * (l + 1)}"
 
 
 def _grey(stack: LightStack, rows: int) -> Iterator[tuple[int, NDArray[np.float32]]]:

@@ -112,7 +112,7 @@ def normals(
     Raises
     ------
     InputError
-        If the lights do not determine normals, samples are no radiance, or a file cannot be written.
+        If the lights do not determine normals, samples are no radiance or tell nothing, or a file cannot be written.
     """
     kept, budget = report_for(report), count_bytes(memory)
     beside = {"albedo": albedo, "confidence": confidence, "height": height, "ply": ply}
@@ -125,6 +125,10 @@ def normals(
     ):
         with stage(progress, "finding normals") as tell:
             found = asked.find(stack, opened, budget, tell, kept)
+        if not (found.confidence_hw > 0.0).any():
+            raise InputError(
+                "no pixel tells a normal: wherever the mask has pixels, all is black, clipped, or as no lamp"
+            )
         _tell(found, stack, asked, kept)
         if out is None:
             return found

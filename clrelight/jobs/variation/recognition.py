@@ -94,7 +94,7 @@ def recognise(
     Raises
     ------
     InputError
-        If a subject or a photograph cannot be read, sizes differ, or the subjects share hardly a pixel.
+        If a subject or a photograph cannot be read, or is black, sizes differ, or the subjects share hardly a pixel.
     """
     kept, since = report_for(report), time.perf_counter()
     names = tuple(spaces)
@@ -157,6 +157,8 @@ def _photograph(
         raise InputError(
             f"{os.fsdecode(path)} is {values_hwc.shape[1]}×{values_hwc.shape[0]}, unlike the subjects of {folder}"
         )
+    if not small_hwc[inside_hw].any():
+        raise InputError(f"{os.fsdecode(path)} is black where the subjects are: it shows nobody")
     return small_hwc[inside_hw]
 
 
