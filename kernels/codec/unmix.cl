@@ -7,10 +7,10 @@
  *   packed_o      operator (K C, J + 1) in blocks of rows, for each block J + 1 runs of its rows' values
  *   heights_b     (B) int              rows of each block, 1 to 8; of a multiple of 3 where there are 3 channels
  *
- * Global size (ceil(width / TILE), rows): a work-item makes TILE pixels of a row, of planes that it copies to a local
- * tile. Planes are read once and coefficients written once: these are 5 to 20 times as many bytes, and what would go
- * through memory between a product and its interleaving costs as much as the product. What passes float32 becomes its
- * largest number; there are no infinities, and no NaN. Error as of matmul.cl.
+ * Global size (ceil((width + 15) / TILE), rows): a work-item makes TILE pixels of a row or fewer, of planes that it
+ * copies to a local tile. Planes are read once and coefficients written once: these are 5 to 20 times as many bytes,
+ * and what would go through memory between a product and its interleaving costs as much as the product. What passes
+ * float32 becomes its largest number; there are no infinities, and no NaN. Error as of matmul.cl.
  */
 #define SAMPLE_T float
 #define SAMPLE_HALF 0
@@ -32,8 +32,8 @@ typedef float8 group_t;
 typedef float8_at group_at;
 #endif
 
-/* What is written and not read passes by the caches, which would read its memory first: an eighth to a sixth of the
- * time where a vector is a line of them, nothing where it is half of one. */
+/* What is written and not read passes by the caches, which would read its memory first: a fifth of the time
+ * where a vector is a line of them, nothing where it is half of one. */
 #if GROUP == 16 && defined(__SSE2__) && HAS_BUILTIN(__builtin_nontemporal_store) && HAS_BUILTIN(__builtin_ia32_sfence)
 #define BEYOND(to) (int)(((size_t)(to) / sizeof(float)) % GROUP)
 #define STREAM(pointer, value) __builtin_nontemporal_store(value, (__global group_t *)(pointer))
@@ -43,6 +43,9 @@ typedef float8_at group_at;
 #define STREAM(pointer, value) (*(__global group_at *)(pointer) = (value))
 #define END_STREAMS
 #endif
+
+/* The first of pixels of three values that begins at a boundary: 3 x 5 = -1 mod 16. */
+#define FIRST_OF_3(to) (5 * BEYOND(to) % GROUP)
 
 INLINE group_t bounded_group(__local const float *from)
 {
@@ -84,8 +87,7 @@ INLINE void put_each(__global float *to, __local const float *from, const int fi
 /* The same of three channels or one, in groups, which are streamed from where they begin at a line of the caches. */
 INLINE void stream_row(__global float *to, __local const float *from, const int count, const int channels)
 {
-    const int beyond = BEYOND(to);
-    const int first = LESSER((channels == 3 ? 5 * beyond : GROUP - beyond) % GROUP, count); /* 3 x 5 = -1 mod 16 */
+    const int first = LESSER(channels == 3 ? FIRST_OF_3(to) : (GROUP - BEYOND(to)) % GROUP, count);
     int x = first;
     put_each(to, from, 0, first, channels);
     if (channels == 3)
@@ -130,7 +132,14 @@ __kernel void unmix_planes(__global float *restrict coeffs_khwc, __global const 
 {
     __local vecr tile[CHUNK * TILE_VECTORS];
     __local vecr sums[8 * TILE_VECTORS];
-    const int first = get_global_id(0) * TILE, y = get_global_id(1), count = LESSER(TILE, width - first);
+    const int y = get_global_id(1);
+    /* A tile's group begins where a line does, in all maps whose values are a multiple of a line. */
+    __global const float *begins = coeffs_khwc + ((size_t)(row + y) * size_w + column) * size_c;
+    const int lead = size_c == 3 ? (GROUP - FIRST_OF_3(begins)) % GROUP : 0;
+    const int begin = get_global_id(0) * TILE - lead, first = begin < 0 ? 0 : begin;
+    const int count = LESSER(begin + TILE, width) - first;
+    if (count <= 0)
+        return;
     const size_t plane = (size_t)size_y * size_x, map = (size_t)size_h * size_w * size_c;
     __global const float *planes = planes_jyx + (size_t)(top + y) * size_x + left + first;
     __global float *to = coeffs_khwc + ((size_t)(row + y) * size_w + column + first) * size_c;
