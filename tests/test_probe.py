@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from clrelight import truth
 from clrelight.device import open_device
 from clrelight.errors import DeviceError
 from clrelight.opencl import child, drivers, folder, probe, records
@@ -53,6 +54,15 @@ def compiled(fresh):
 
 def judge(native=8, style="cpu", again=False):
     return probe.judge_device("A driver", "its build", 0, native, style, again=again)
+
+
+def test_the_rate_of_a_cpu_is_of_work_not_of_waiting(monkeypatch):
+    passed = iter(range(10**9))
+    monkeypatch.setattr(truth.time, "perf_counter", lambda: 1e6 * next(passed))  # other processes have the machine
+    device = open_device()
+    if not device.shares_memory:
+        pytest.skip("of CPUs")
+    assert truth.measure_rate(device) > 0.01
 
 
 @every_width

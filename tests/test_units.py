@@ -18,7 +18,7 @@ from clrelight.codec.entropy.units import (
     low_side,
     place_units,
 )
-from clrelight.codec.formats import klt_decode, klt_regions
+from clrelight.codec.formats import klt_decode, klt_regions, klt_rows, klt_units
 from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_decode import UnitView
 from clrelight.codec.formats.klt_encode import Encoder
@@ -232,7 +232,7 @@ def test_a_level_is_the_low_subband(device, large, level):
 
 
 @pytest.mark.parametrize("level", [0, 1, 3, 5])
-def test_rows_come_as_the_sums_that_they_are(device, large, level):
+def test_rows_come_as_the_sums_that_they_are(device, large, monkeypatch, level):
     """Row of precincts by row, with what transforms look at beyond, and no unit decoded twice."""
     coeffs, body, parsed = large
     read = []
@@ -247,6 +247,7 @@ def test_rows_come_as_the_sums_that_they_are(device, large, level):
 
     light, region = np.array([[0.36, 0.48, 0.8]]), Region(7 >> level, 300 >> level, 1099 >> level, 1210 >> level, level)
     view = UnitView(Counted(), parsed, coeffs.shape)
+    monkeypatch.setattr(klt_rows, "_SMALL_BYTES", 0)
     bands = list(view.relight_rows(light, region, device))
     assert len(read) == len(set(read)) > 8
     assert [rows.start for rows, _ in bands] == [0, *(rows.stop for rows, _ in bands[:-1])]
@@ -254,6 +255,24 @@ def test_rows_come_as_the_sums_that_they_are(device, large, level):
     found = np.concatenate([band for _, band in bands], axis=1)
     expected = np.einsum("ik,khwc->ihwc", evaluate_basis(light, 1), view.coefficients(region, device))
     np.testing.assert_allclose(found, expected, atol=1e-5)
+    monkeypatch.setattr(klt_rows, "_SMALL_BYTES", 1 << 30)
+    read.clear()
+    ((_, together),) = view.relight_rows(light, region, device)
+    assert len(read) == len(set(read)) > 8
+    np.testing.assert_array_equal(together, found)
+
+
+def test_tables_of_a_body_are_decoded_once(large, monkeypatch):
+    coeffs, body, _ = large
+    again = parse_body(body, coeffs.shape)
+    monkeypatch.setattr(klt_units, "make_operator", None)
+    assert parse_body(bytes(bytearray(body)), coeffs.shape).operator_kcj is again.operator_kcj
+    with pytest.raises(ValueError, match="read-only"):
+        again.operator_kcj[0] = 0.0
+    other = bytearray(body)
+    other[40] ^= 1
+    with pytest.raises((PayloadError, TypeError)):  # which are not those
+        parse_body(bytes(other), coeffs.shape)
 
 
 def test_an_image_needs_no_planes(device, large):
@@ -335,6 +354,8 @@ def test_rows_of_precincts_are_decoded_together_where_sizes_are_few(count, most)
         covered = klt_regions._cover([reader._units[t] for t in group], *shape[1:3]).shape
         assert -(-covered[0] // 512) <= most
         assert covered[0] <= 512 or count * covered[0] * covered[1] // 4 <= klt_regions._KNOWN_BYTES
+    few = reader._groups(reader._needed(Region(0, 1100, 9000, 1300)))  # as wide as what is looked at
+    assert len(few) < len(groups) or count != 40
 
 
 @both_styles

@@ -150,6 +150,10 @@ class UnitReader:
         """Whether units are streams of their own, none of which may be damaged."""
         return not self._stored.together and self._salvage is None
 
+    def holds(self, region: Region, n_values: int) -> bool:
+        """Return whether so many values of a region are one part."""
+        return self._halves(region, n_values) is None
+
     def rows_of(self, region: Region) -> dict[int, list[int]]:
         """Return the units that a region hangs on, by their rows of precincts; they are read next."""
         chosen = self._needed(region)
@@ -235,10 +239,11 @@ class UnitReader:
 
         Rows whose sizes are few are together: of the coarsest levels a row has hardly a unit for each processor.
         """
-        if self._stored.together:
+        if self._stored.together or not chosen:
             return [chosen] if chosen else []
         rows = self._by_rows(chosen)
-        sizes = max(self._stored.n_plane * (PRECINCT // 2) * (self._shape[2] // 2), 1)
+        width = _cover([self._units[t] for t in chosen], *self._shape[1:3]).shape[1]
+        sizes = max(self._stored.n_plane * (PRECINCT // 2) * (width // 2), 1)
         numbers, step = sorted(rows), max(_KNOWN_BYTES // sizes, 1)
         together = [numbers[first : first + step] for first in range(0, len(numbers), step)]
         return [sorted(t for number in some for t in rows[number]) for some in together]

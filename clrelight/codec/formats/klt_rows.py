@@ -20,23 +20,29 @@ from clrelight.codec.views import Region
 from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 
+_SMALL_BYTES = 1 << 23
+"""Of a region's sums, up to which it is one part: few units are more evenly spread over processors all at once."""
+
 
 def sums_by_rows(
     reader: UnitReader, region: Region, weight_cj: NDArray[np.float64], sides: tuple[int, int], device: Device
 ) -> Iterator[Held]:
     """Yield weighted sums of the planes of a region of an image of some height and width, from top to bottom.
 
-    PayloadError where units are damaged, unless they are to be salvaged: then all is one part.
+    PayloadError where units are damaged, unless they are to be salvaged: then all is one part, as a small region is.
     """
     least = PRECINCT >> region.level
     cuts = [region.top, *range((region.top // least + 1) * least, region.bottom, least), region.bottom]
-    if len(cuts) == 2 or not reader.is_cut:
+    rows, columns = around(region, *sides).sides_at(region.level)
+    count = len(weight_cj)
+    is_small = 4 * count * rows * columns <= _SMALL_BYTES and reader.holds(region, count)
+    if len(cuts) == 2 or is_small or not reader.is_cut:
         yield from reader.parts(region, weight_cj)
         return
-    rows = _Rows(reader, region, np.ascontiguousarray(weight_cj.T, np.float32), sides)
+    held = _Rows(reader, region, np.ascontiguousarray(weight_cj.T, np.float32), sides)
     for top, bottom in itertools.pairwise(cuts):
         part = Region(top, region.left, bottom, region.right, region.level)
-        yield rows.transformed_back(part, device)
+        yield held.transformed_back(part, device)
 
 
 class _Rows:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,8 @@ BASES = ("sh", "hsh", "gram-schmidt", "zernike", "makhotkin", "haar")
 _TOGETHER = 1 << 18
 """Pixels up to which all units are one stream: they learn from each other, one after another."""
 _HEAD = struct.Struct("<BBhfHBI")
+_LAST_TABLES = 2
+"""Bodies whose operators are kept: 54 kB each at degree 6 with 45 planes, 33 MB at degree 25 with all."""
 _BY_SHELLS = 8
 """Of the byte of curve and basis: mean and axes are coded by `code_by_shells`."""
 
@@ -146,7 +149,9 @@ def parse_body(body: Body, shape: Shape) -> Parsed:
     return Parsed(head, operator_kcj, Stored("klt", is_together(shape), groups, start_t, sum_t))
 
 
+@lru_cache(maxsize=_LAST_TABLES)
 def _read_tables(tables: bytes, head: Head, n_coeff: int, channel: int) -> NDArray[np.float64]:
+    """Return the operator, which is not to be written: regions and pictures of a file ask for it again and again."""
     metric, count = _metric(n_coeff, head.basis), head.n_plane
     component = len(metric.forward_jk)
     rotation_cc = np.frombuffer(tables, "<i1", channel * channel).reshape(channel, channel)
@@ -157,4 +162,6 @@ def _read_tables(tables: bytes, head: Head, n_coeff: int, channel: int) -> NDArr
     entries = code(decoder, (count, channel, component), None).reshape(count, channel * component)
     decoder.finish()
     vectors_jd = np.concatenate([Axes(entries, scales).vectors_jd, mean[None]])
-    return make_operator(np.ldexp(metric.inverse_kj, head.exponent) * head.step, rotation_cc, vectors_jd)
+    operator_kcj = make_operator(np.ldexp(metric.inverse_kj, head.exponent) * head.step, rotation_cc, vectors_jd)
+    operator_kcj.setflags(write=False)
+    return operator_kcj

@@ -21,6 +21,9 @@ from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.matmul import PackedOperator, apply_operator, pack_operator, tile_defines
 
+_LEAD = 15
+"""Pixels that the first tile of a row may have less than others: these begin where a line of the caches does."""
+
 
 class Unmixing:
     """Makes finite coefficients of planes; see `clrelight.codec.formats.klt_decode.Maker`."""
@@ -79,7 +82,7 @@ class Unmixing:
         self._device.launch(
             "codec/unmix.cl",
             "unmix_planes",
-            (-(-width // int(str(tile["TILE"]))), height),
+            (-(-(width + _LEAD) // int(str(tile["TILE"]))), height),
             self._device.empty(coeffs_khwc.shape, np.float32, coeffs_khwc),
             *(part.values, operator.packed_o, operator.heights_b),
             *(top, left, part.top, part.left, width, *coeffs_khwc.shape, operator.heights_b.shape[0]),
