@@ -41,6 +41,7 @@ def change(folder, told):
         *({"materials": [MATERIAL | {"scale": [each, 1.0, 1.0]}]} for each in (float("inf"), 1e300, float("nan"))),
         {"materials": [MATERIAL | {"bias": [float("-inf"), 1.0, 1.0]}]},
         {"resolution": -2},
+        {"type": "rbf", "lights": [0.0, 0.0, 1.0] * 4 + [1.0]},
         *({"type": "rbf", "sigma": each} for each in (1e-200, 0, float("nan"), float("inf"), "s")),
         *({"type": "rbf", "lights": ["a", *[0.0] * 11]}, {"type": "rbf", "lights": [float("nan"), *[0.0] * 11]}),
     ],

@@ -194,7 +194,8 @@ def _check(info: dict[str, Any], kind: str, space: str, planes: int, biases: int
     if len(info["basis"]) != (planes + 1) * cells * 3:
         raise ValueError(f"{len(info['basis'])} numbers in the table")
     if kind == "rbf":
-        _check_numbers("lights", info["lights"])
+        if len(_check_numbers("lights", info["lights"]).ravel()) != 3 * cells:
+            raise ValueError(f"lights are three numbers each, there are {len(info['lights'])}")
         if not _LEAST_SIGMA <= float(info["sigma"]) <= MOST_NUMBER:
             raise ValueError(f"sigma {float(info['sigma']):g}")
 
