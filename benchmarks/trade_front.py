@@ -13,13 +13,16 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from benchmarks.rti_stacks import DATA_VARIABLE, crop
 from clrelight.cli.progress import progress_bar
-from clrelight.dataset import LightStack
+from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, open_device
 from clrelight.experiment.axes import Axes
 from clrelight.experiment.bench import Bench
@@ -28,7 +31,7 @@ from clrelight.experiment.pareto import Model, Trial, best_within, recommend
 from clrelight.experiment.row import row_key
 from clrelight.experiment.run import earlier_results
 from clrelight.experiment.trade import sweep_trade
-from clrelight.fit import method_class
+from clrelight.fit import FitMethod, method_class
 from clrelight.harmonics.index import coefficient_count
 from clrelight.jobs.ingest import ingest
 from clrelight.jobs.report import Report
@@ -89,13 +92,33 @@ def judge(tried: Sequence[Trial], whole: Sequence[Trial]) -> Verdict:
     return Verdict(taken, recommend(everything), behind, worst, worst_bytes)
 
 
+class _Keeping(Bench):
+    """Fits each model once, whatever the order in which its settings come: maps lie in files of `folder`."""
+
+    def __init__(self, stack: LightStack, experiment: Experiment, device: Device, folder: Path) -> None:
+        super().__init__(stack, experiment, device, illustrated=False)
+        self.folder = folder
+        self.kept: dict[tuple[FitMethod | str, int | str], tuple[CoefficientMap, FitMethod, float]] = {}
+
+    def _coefficients(self, method: FitMethod | str, degree: int | str) -> tuple[CoefficientMap, FitMethod, float]:
+        if (method, degree) not in self.kept:
+            coefficients, taken, seconds = super()._coefficients(method, degree)
+            path = self.folder / f"{len(self.kept)}.npy"
+            np.save(path, coefficients.coeffs_khwc)
+            lent = replace(coefficients, coeffs_khwc=np.load(path, mmap_mode="r"))
+            self.kept[method, degree] = lent, taken, seconds
+        return self.kept[method, degree]
+
+
 class Whole:
     """All settings of some axes on one stack: those that could lie on the front are measured."""
 
-    def __init__(self, stack: LightStack, axes: Axes, out: Path, device: Device, known: Sequence[Trial]) -> None:
+    def __init__(
+        self, stack: LightStack, axes: Axes, out: Path, device: Device, known: Sequence[Trial], folder: Path
+    ) -> None:
         self.shape, self.axes, self.out = stack.image_shape, axes, out
         one = Experiment((str(out),), ("auto",), (0,), (CodecSetting(),), axes.holdout)
-        self.bench = Bench(stack, one, device, illustrated=False)
+        self.bench = _Keeping(stack, one, device, folder)
         self.results = earlier_results(out, False)
         self.rows = {row_key(row): row for row in [*(trial.row for trial in known), *self.results.table]}
         self.known = [trial for trial in known if trial.psnr > -math.inf]
@@ -163,8 +186,9 @@ def main() -> None:
         file = f"{name.replace('/', '_')}_{arguments.side}"
         stack = read_stack(name, arguments.side)
         tried = sweep_trade(stack, name, arguments.folder / f"{file}_trade.h5", axes, device=device)
-        whole = Whole(stack, axes, arguments.folder / f"{file}_whole.h5", device, tried)
-        whole.run(name)
+        with tempfile.TemporaryDirectory(dir=arguments.folder) as fits:
+            whole = Whole(stack, axes, arguments.folder / f"{file}_whole.h5", device, tried, Path(fits))
+            whole.run(name)
         rows.append(_row(name, tried, whole))
         print(" | ".join(rows[-1]), flush=True)
     print(markdown_table(HEADERS, rows))

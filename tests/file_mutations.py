@@ -95,7 +95,7 @@ def damage(sound, others, rng):
             case "sector":  # of the same file, or of another one
                 source = sound if rng.random() < 0.5 else others[rng.integers(len(others))]
                 first = at - at % 512
-                start = 512 * int(rng.integers(len(source) // 512))
+                start = 512 * int(rng.integers(max(len(source) // 512, 1)))
                 piece = source[start : start + 512][: len(changed) - first]
                 changed[first : first + len(piece)] = piece
             case "cut":

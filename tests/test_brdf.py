@@ -118,6 +118,38 @@ def test_energy_of_skin_and_fibres():
     assert not fibres.has_azimuth
 
 
+def zonal(l, theta):
+    return np.sqrt((2 * l + 1) / (4 * np.pi)) * eval_legendre(l, np.cos(theta))
+
+
+@pytest.mark.parametrize("sigma", [3e-3, 3e-4])
+def test_narrow_microfacets_become_a_mirror(sigma):
+    """``integral rho dL`` tends to ``N . V`` at the mirrored view: half vectors have a quarter of the lights' area."""
+    found_lp = brdf_coefficients(Microfacet(sigma), 6, 3).rho_lpqc[:, :, 0, 0]
+    for p in range(4):
+        whole = quad(lambda t, p=p: np.cos(t / 2) * zonal(p, t) * np.sin(t), 0, np.pi)[0]
+        expected_l = [2 * np.pi * zonal(l, 0.0) * whole for l in range(7)]
+        np.testing.assert_allclose(found_lp[:, p], expected_l, atol=2e-3 + 30 * sigma, rtol=0)
+
+
+@pytest.mark.parametrize("exponent", [1e4])
+def test_narrow_fibres_become_a_ridge(exponent):
+    found_lp = brdf_coefficients(KajiyaKay(exponent), 6, 3).rho_lpqc[:, :, 0, 0]
+    for l in range(7):
+        for p in range(4):
+            along = quad(lambda t, l=l, p=p: zonal(l, t) * zonal(p, t) * np.sin(t) ** 2, 0, np.pi)[0]
+            expected = 4 * np.pi**2 * np.sqrt(2 * np.pi / exponent) * along
+            assert found_lp[l, p] == pytest.approx(expected, abs=30 / exponent * np.sqrt(1 / exponent) * 4 * np.pi)
+
+
+@pytest.mark.parametrize("brdf", [Microfacet(1e-6), KajiyaKay(1e6)])
+def test_lobes_that_no_sum_sees_are_refused(brdf):
+    """Their maps were black, without a word."""
+    with pytest.raises(InputError, match="too narrow"):
+        brdf_coefficients(brdf, 3, 2)
+    brdf_coefficients(brdf, 3, 2, Resolution(8, 8, 8))  # the caller's own choice
+
+
 def test_coefficients_give_the_reflectance_back():
     theta_i, theta_o, phi = angles(300)
     made = brdf_coefficients(Microfacet(0.5), 20, 10)

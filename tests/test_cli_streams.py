@@ -3,9 +3,11 @@
 import errno
 import os
 import subprocess
+import sys
 
 import pytest
 
+from clrelight import __version__
 from clrelight.cli.app import cli
 from clrelight.errors import InputError, StoreFormatError
 from tests.commands import call, command_line, environment, succeed
@@ -41,6 +43,32 @@ def test_closed_streams_change_nothing_else(stack, tmp_path, redirection):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == ("" if "2>" in redirection else "clrelight: there is no file none.h5\n")
     assert os.listdir(tmp_path) == ["o.h5"]
+
+
+WITHIN_PYTHON = """
+import contextlib, io, sys
+from clrelight.cli import main
+collected = [io.StringIO(), open(sys.argv[1], "w"), io.TextIOWrapper(io.BytesIO())]
+for stream in collected:
+    with contextlib.redirect_stdout(stream):
+        try:
+            main(["--version"])
+        except SystemExit as ended:
+            assert ended.code == 0
+        assert sys.stdout is stream
+collected[1].close()
+collected[2].seek(0)
+print([collected[0].getvalue(), open(sys.argv[1]).read(), collected[2].read()])
+"""
+
+
+def test_what_a_caller_in_python_collects_is_left_to_it(tmp_path):
+    """In memory, or in a file that is not standard output: nothing of it goes there."""
+    ended = subprocess.run(
+        [sys.executable, "-c", WITHIN_PYTHON, tmp_path / "said"], env=environment(), capture_output=True, text=True
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout == str([f"clrelight {__version__}\n"] * 3) + "\n"
 
 
 @pytest.mark.parametrize("words", [["info", "{stack}"], ["info", "{stack}", "--json"], ["--help"]])

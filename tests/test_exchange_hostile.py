@@ -37,9 +37,11 @@ def change(folder, told):
     "told",
     [
         *({"basis": [each, *TABLE[1:]]} for each in ("x", None, [1, 2], float("nan"), float("inf"), 1e300)),
-        *({"materials": [MATERIAL | {"range": [each, 1.0, 1.0]}]} for each in (0, "q", float("nan"), None)),
+        *({"materials": [MATERIAL | {"range": [each, 1.0, 1.0]}]} for each in (0, 1e-320, "q", float("nan"), None)),
         *({"materials": [MATERIAL | {"scale": [each, 1.0, 1.0]}]} for each in (float("inf"), 1e300, float("nan"))),
         {"materials": [MATERIAL | {"bias": [float("-inf"), 1.0, 1.0]}]},
+        {"resolution": -2},
+        {"type": "rbf", "lights": [0.0, 0.0, 1.0] * 4 + [1.0]},
         *({"type": "rbf", "sigma": each} for each in (1e-200, 0, float("nan"), float("inf"), "s")),
         *({"type": "rbf", "lights": ["a", *[0.0] * 11]}, {"type": "rbf", "lights": [float("nan"), *[0.0] * 11]}),
     ],
@@ -50,6 +52,14 @@ def test_numbers_that_make_no_sense_are_refused(folder, tmp_path, told):
     assert (ended.code, ended.err.count("\n")) == (2, 1)
     assert "does not say what a relight folder says" in ended.err
     assert not (tmp_path / "y.h5").exists()
+
+
+@pytest.mark.parametrize("told", [{"resolution": 10**400}, {"type": "1" * 900}, {"colorspace": "2" * 900}])
+def test_what_is_repeated_of_a_folder_is_short(folder, told):
+    change(folder, told)
+    with pytest.raises(cr.InputError) as refused:
+        read_relight_folder(folder)
+    assert len(str(refused.value)) < 500
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\x89HDF\r\n\x1a\n" + bytes(900), b"[" * 100_000])

@@ -10,6 +10,7 @@ import math
 import re
 import shutil
 import subprocess
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
@@ -23,6 +24,7 @@ from clrelight.report.contact_sheet import psnr_8bit
 from clrelight.report.html import json_block, plain, table_html
 from clrelight.report.tables import Column, Table
 from clrelight.results import ROW_DTYPE, Results
+from tests.commands import call
 from tests.test_report import CODECS, make_results, make_rows
 
 HOSTILE = """<img src=x onerror=alert(1)></script>"x='#url(#a"""
@@ -244,9 +246,13 @@ def test_parquet_holds_the_same_rows(tmp_path):
 
 
 def test_parquet_is_refused_without_pyarrow_before_anything_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr("clrelight.report.records.importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)  # as where it is not installed, or does not load
     with pytest.raises(InputError, match=r"pip install 'clrelight\[parquet\]'"):
         write_report(hostile_results(), tmp_path / "out", parquet=True)
+    # Before results are read: the file is not looked at.
+    ended = call("report", tmp_path / "none.h5", "--out", tmp_path / "out", "--parquet")
+    line = "clrelight: Parquet needs pyarrow: pip install 'clrelight[parquet]', or take rows.csv\n"
+    assert (ended.code, ended.out, ended.err) == (2, "", line)
     assert not (tmp_path / "out").exists()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -29,6 +30,11 @@ class Microfacet(CentredBrdf):
 
     def __post_init__(self) -> None:
         check_positive(self.sigma, "the roughness sigma of microfacets")
+
+    @property
+    def least_angles(self) -> int:
+        """See `CentredBrdf`: steps next to 0, where the lobe is, fall with the square of the angles' number."""
+        return math.ceil(8.0 / math.sqrt(self.sigma))
 
     def evaluate(
         self, theta_i: NDArray[np.float64], theta_o: NDArray[np.float64], phi: NDArray[np.float64]
@@ -64,6 +70,11 @@ class KajiyaKay(CentredBrdf):
 
     def __post_init__(self) -> None:
         check_positive(self.exponent, "the exponent of Kajiya and Kay's fibres", zero=True)
+
+    @property
+    def least_angles(self) -> int:
+        """See `CentredBrdf`: a ridge of ``1 / sqrt(s)`` radians at any angle."""
+        return math.ceil(4.5 * math.sqrt(self.exponent))
 
     def evaluate(
         self, theta_i: NDArray[np.float64], theta_o: NDArray[np.float64], phi: NDArray[np.float64]

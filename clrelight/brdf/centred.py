@@ -33,6 +33,8 @@ class CentredBrdf(ABC):
         Whether it depends on ``theta_i`` alone: its maps need the order P = 0 only.
     has_azimuth : bool
         Whether it depends on ``phi``: else all coefficients of q > 0 are 0.
+    least_angles : int
+        How many angles ``theta_i`` of Gauss's rule in 0 .. pi its narrowest lobe takes, to some 1e-5 of its integral.
     """
 
     id: ClassVar[str]
@@ -43,6 +45,11 @@ class CentredBrdf(ABC):
     @property
     def channels(self) -> int:
         """1 or 3."""
+        return 1
+
+    @property
+    def least_angles(self) -> int:
+        """See above; 1 where nothing is narrower than what the orders of any map resolve."""
         return 1
 
     @abstractmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,8 @@ from clrelight.harmonics.basis import MAX_DEGREE, legendre_tables
 MAX_ORDER = 32
 """Largest order P of the view."""
 
+MOST_ANGLES = 1024
+"""Of ``theta_i``, that a lobe may take: nodes of more would take seconds, and maps show a mirror long before."""
 _VALUES_AT_ONCE = 1 << 20
 
 
@@ -155,7 +157,12 @@ def brdf_coefficients(
     order : int
         P, the largest p, 0 to `MAX_ORDER`.
     resolution : Resolution, optional
-        By default `default_resolution` of the orders.
+        By default `default_resolution` of the orders, with as many angles ``theta_i`` as its lobes take.
+
+    Raises
+    ------
+    InputError
+        If an order is too high, or a lobe so narrow that it takes more than `MOST_ANGLES`.
     """
     if not 0 <= degree <= MAX_DEGREE:
         raise InputError(f"the degree F must be 0 to {MAX_DEGREE}, got {degree}")
@@ -168,7 +175,7 @@ def brdf_coefficients(
         rho_lpqc = np.zeros((degree + 1, order + 1, order + 1, 1))
         rho_lpqc[:, 0, 0, 0] = np.sqrt(2.0 * np.arange(degree + 1) + 1.0) * brdf.factors(degree)
         return BrdfCoefficients(rho_lpqc, np.array([brdf.energy]), brdf.centre, brdf.to_config())
-    size = resolution or default_resolution(degree, order)
+    size = resolution or _resolution_of(brdf, degree, order)
     theta_i, weight_i = theta_rule(size.light)
     theta_o, weight_o = theta_rule(size.view)
     azimuths = size.azimuth if brdf.has_azimuth else 1
@@ -189,6 +196,16 @@ def brdf_coefficients(
     for q in range(min(order if brdf.has_azimuth else 0, degree) + 1):
         rho_lpqc[q:, q:, q] = np.einsum("li,i,pic->lpc", light[q], weight_i, rho_pqic[q:, q], optimize=True)
     return BrdfCoefficients(rho_lpqc, square_c, brdf.centre, brdf.to_config())
+
+
+def _resolution_of(brdf: CentredBrdf, degree: int, order: int) -> Resolution:
+    if brdf.least_angles > MOST_ANGLES:
+        raise InputError(
+            f"lobes of {brdf.to_config()} are too narrow for coefficients: they take {brdf.least_angles} angles, "
+            f"{MOST_ANGLES} at most can be summed; take a greater roughness or a smaller exponent"
+        )
+    size = default_resolution(degree, order)
+    return replace(size, light=max(size.light, brdf.least_angles))
 
 
 def _slabs(count: int, each: int) -> list[slice]:

@@ -201,8 +201,11 @@ def report(results_file: str, out: str, stack: str | None, parquet: bool, device
         files = write_speed_report(read_record(results_file), out)
     else:
         from clrelight.report import write_report
+        from clrelight.report.records import check_parquet
         from clrelight.store import read_results
 
+        if parquet:
+            check_parquet()
         results = read_results(results_file)
         with progress_bar("drawing") as bar:
             files = write_report(results, out, parquet=parquet, progress=bar)

@@ -32,6 +32,8 @@ def mend_streams() -> None:
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8"))  # noqa: SIM115
+    if not _is_standard_output(sys.stdout):
+        return  # a caller within Python collects what is printed
     # A file's name need not be text, and goes out as it came in.
     is_utf8 = sys.stdout.encoding.lower().replace("-", "") == "utf8"
     sys.stdout = io.TextIOWrapper(
@@ -40,6 +42,13 @@ def mend_streams() -> None:
         errors="surrogateescape" if is_utf8 else "backslashreplace",
         line_buffering=sys.stdout.isatty(),
     )
+
+
+def _is_standard_output(stream: Any) -> bool:
+    try:
+        return bool(stream.fileno() == 1)
+    except (AttributeError, OSError, ValueError):  # io.UnsupportedOperation is the last two
+        return False
 
 
 def flush_streams() -> None:

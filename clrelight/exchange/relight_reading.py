@@ -23,8 +23,11 @@ from clrelight.harmonics.basis import evaluate_basis
 
 _MOST_RESOLUTION = 256
 _LEAST_SIGMA = 1e-4
+_LEAST_RANGE = 1.0 / MOST_NUMBER
 _LEAST_WEIGHT = 1e-3
 """Of a light, below which OpenLIME leaves it out of radial bases."""
+_MOST_SAID = 80
+"""Letters that a message repeats of what a folder says: a number may have thousands."""
 _TABLES, _TERMS = ("bilinear", "rbf"), ("ptm", "hsh", "sh")
 # relight has 1, u, v, u², u v, v²; ours are u², v², u v, u, v, 1.
 _POLYNOMIAL_ORDER = [5, 3, 4, 0, 2, 1]
@@ -152,7 +155,8 @@ def read_relight_folder(path: str | os.PathLike[str]) -> RelightFolder:
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{folder / INFO} does not say what a relight folder says: {error!r}") from None
+        said = repr(error)[:_MOST_SAID]
+        raise InputError(f"{folder / INFO} does not say what a relight folder says: {said}") from None
     images = [f"plane_{number}" for number in range(-(-n_plane // 3))]
     planes = find_planes(folder, images, ending, size)
     if size is not None and planes.shape[:2] != size:  # before anything is decoded
@@ -167,7 +171,8 @@ def _check(info: dict[str, Any], kind: str, space: str, planes: int, biases: int
         (k, c) for kinds, spaces in ((_TABLES, COLOUR_SPACES), (_TERMS, ("rgb", "lrgb"))) for k in kinds for c in spaces
     }
     if (kind, space) not in known:
-        raise InputError(f"basis {kind!r} in {space!r} cannot be read; known are {sorted(known)}")
+        said = f"{kind[:_MOST_SAID]!r} in {space[:_MOST_SAID]!r}"
+        raise InputError(f"basis {said} cannot be read; known are {sorted(known)}")
     if not 0 < planes <= 2 * MOST_PLANES or biases != planes:
         raise ValueError(f"{planes} scales and {biases} biases")
     material = info["materials"][0]
@@ -180,15 +185,17 @@ def _check(info: dict[str, Any], kind: str, space: str, planes: int, biases: int
         if len(counts) != 3 or sum(counts) != planes or not 0 <= counts[1] == counts[2] <= counts[0]:
             raise ValueError(f"yccplanes {counts} of {planes} planes")
     _check_numbers("basis", info["basis"])
-    if not (_check_numbers("range", material["range"]) != 0.0).all():
-        raise ValueError("a range is 0")
-    cells = int(info["resolution"]) ** 2 if kind == "bilinear" else len(info["lights"]) // 3
-    if not 4 <= cells <= _MOST_RESOLUTION**2 or len(info["materials"][0]["range"]) != planes:
+    if not (np.abs(_check_numbers("range", material["range"])) >= _LEAST_RANGE).all():
+        raise ValueError("a range is 0, or next to it")
+    side = int(info["resolution"]) if kind == "bilinear" else 0
+    cells = side**2 if kind == "bilinear" else len(info["lights"]) // 3
+    if side < 0 or not 4 <= cells <= _MOST_RESOLUTION**2 or len(info["materials"][0]["range"]) != planes:
         raise ValueError(f"{cells} cells of the table")
     if len(info["basis"]) != (planes + 1) * cells * 3:
         raise ValueError(f"{len(info['basis'])} numbers in the table")
     if kind == "rbf":
-        _check_numbers("lights", info["lights"])
+        if len(_check_numbers("lights", info["lights"]).ravel()) != 3 * cells:
+            raise ValueError(f"lights are three numbers each, there are {len(info['lights'])}")
         if not _LEAST_SIGMA <= float(info["sigma"]) <= MOST_NUMBER:
             raise ValueError(f"sigma {float(info['sigma']):g}")
 

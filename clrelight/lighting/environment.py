@@ -63,10 +63,10 @@ class Environment:
 
     @property
     def resolved_degree(self) -> int:
-        """Largest degree whose products with itself the rows from pole to pole can tell apart."""
+        """Largest degree whose products with itself the rows from pole to pole can tell apart; 0 of a single texel."""
         height, width = self.radiance_hwc.shape[:2]
         rows = {"latlong": height, "angular": height // 2, "cube": 2 * width}[self.layout]
-        return (rows - 1) // 2
+        return max(rows - 1, 0) // 2
 
     def geometry(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return directions (n_texel, 3) in our axes and solid angles (n_texel,) of the texels, float64."""

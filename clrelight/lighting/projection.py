@@ -48,7 +48,7 @@ def project_environment(
     ------
     InputError
         If the degree or the method is not one of these, or a separable one is asked of another layout than lat-long,
-        or of one whose up is not our z or -z.
+        or of one whose up is not our z or -z, or radiance is so large that its sums leave float32.
     """
     if not 0 <= degree <= MAX_DEGREE:
         raise InputError(f"degree must be 0 to {MAX_DEGREE}, got {degree}")
@@ -62,12 +62,16 @@ def project_environment(
             f"{environment.axes}"
         )
     taken = method if method != "auto" else "separable" if separable else "direct"
-    if taken == "separable":
-        coeffs_kc = project_latlong(environment.radiance_hwc, degree, matrix)
-    elif taken == "direct":
-        coeffs_kc = project_texels(environment, degree, device or open_device())
-    else:
-        coeffs_kc = project_latlong_on_device(environment.radiance_hwc, degree, device or open_device(), matrix)
+    with np.errstate(over="ignore", invalid="ignore"):  # refused below
+        if taken == "separable":
+            coeffs_kc = project_latlong(environment.radiance_hwc, degree, matrix)
+        elif taken == "direct":
+            coeffs_kc = project_texels(environment, degree, device or open_device())
+        else:
+            coeffs_kc = project_latlong_on_device(environment.radiance_hwc, degree, device or open_device(), matrix)
+    if not np.isfinite(coeffs_kc).all():
+        most = environment.radiance_hwc.max()
+        raise InputError(f"radiance up to {most:.3g} cannot be summed in float32: scale the map down, to 1e30 at most")
     config = {"layout": environment.layout, "method": taken}
     return Light(coeffs_kc, environment.source, environment.axes, config)
 

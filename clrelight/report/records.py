@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import io
 import math
 from pathlib import Path
@@ -16,8 +15,10 @@ from clrelight.results import Results
 
 def check_parquet() -> None:
     """Raise InputError if Parquet cannot be written here."""
-    if importlib.util.find_spec("pyarrow") is None:
-        raise InputError("Parquet needs pyarrow: pip install 'clrelight[parquet]', or take rows.csv")
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError as error:
+        raise InputError("Parquet needs pyarrow: pip install 'clrelight[parquet]', or take rows.csv") from error
 
 
 def columns_of(results: Results) -> dict[str, list[Any]]:
