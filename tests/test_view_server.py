@@ -141,8 +141,18 @@ def test_nothing_else_is_there(server, rest):
 
 def test_only_who_knows_the_secret_and_the_name_is_answered(server):
     assert status(server, f"/{server.secret}/") == 200
-    assert status(server, f"/{server.secret}/", Host="localhost:1") == 200
-    assert status(server, f"/{server.secret}/", Host="evil.example") == 404
+    for host in ("localhost:1", "LOCALHOST", "LocalHost:8080", "127.0.0.1"):
+        assert status(server, f"/{server.secret}/", Host=host) == 200
+    for host in (
+        "evil.example",
+        "localhost.evil.example",
+        "evil.localhost",
+        "localhost:80:1",
+        "localhost:x",
+        "",
+        "[::1]",
+    ):
+        assert status(server, f"/{server.secret}/", Host=host) == 404
     for path in ("/", "/x/", f"/{server.secret[:-1]}/", f"/{server.secret}"):
         assert status(server, path) == 404
     assert server.server_address[0] == "127.0.0.1"
@@ -153,6 +163,8 @@ def test_garbage_ends_a_connection_and_nothing_else(server):
     garbage = [b"", b"\r\n\r\n", b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n", b"A" * 70000, b"GET /" + b"a" * 70000]
     garbage += [rng.bytes(300) for _ in range(20)]
     garbage += [f"GET /{server.secret}/ HTTP/1.1\r\n".encode() + b"X: y\r\n" * 300 + b"\r\n"]
+    for hosts in ("", "Host: localhost\r\nHost: localhost\r\n", "Host: localhost localhost\r\n"):
+        garbage.append(f"GET /{server.secret}/ HTTP/1.1\r\n{hosts}\r\n".encode())
     garbage += [
         f"{verb} /{server.secret}/ HTTP/1.1\r\nHost: localhost\r\n\r\n".encode() for verb in ("POST", "PUT", "X")
     ]
