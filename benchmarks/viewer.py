@@ -46,8 +46,10 @@ _FRAMES = """(() => {
 _SKY = """(async () => {
   const app = clrelight.app;
   const rate = (files) => {
-    const once = () => files.forEach((file, slot) =>
-      app.renderer.sum(slot, file, app.view, app.store, app.lighting, app.state, 0.5));
+    const once = () => {
+      for (const picture of app.renderer.pictures) picture.key = null; // made anew, though the light is the same
+      files.forEach((file, slot) => app.renderer.sum(slot, file, app.view, app.store, app.lighting, app.state, 0.5));
+    };
     once();
     app.renderer.finish();
     const since = performance.now();

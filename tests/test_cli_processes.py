@@ -1,6 +1,7 @@
 """The command line as a process: signals, full disks, missing drivers, pipes and terminals."""
 
 import fcntl
+import inspect
 import os
 import pty
 import re
@@ -234,6 +235,24 @@ def test_bar_on_a_terminal_leaves_nothing(tmp_path):
     shown = [line for line in screen(written) if line]
     assert shown[0].split() == ["file", "r.h5"]
     assert "rendering" not in "".join(shown)
+
+
+AT_ONCE = {"brdf info", "completion", "product", "shader irradiance", "shader transfer"}
+
+
+def test_every_long_command_has_a_bar():
+    """By its text: its module opens one."""
+
+    def leaves(group, path=()):
+        for name, command in group.commands.items():
+            yield from leaves(command, (*path, name)) if hasattr(command, "commands") else [((*path, name), command)]
+
+    bare = {
+        " ".join(path)
+        for path, command in leaves(cli)
+        if "progress_bar(" not in inspect.getsource(inspect.getmodule(inspect.unwrap(command.callback)))
+    }
+    assert bare <= AT_ONCE, bare - AT_ONCE
 
 
 def test_bar_shows_also_while_a_step_has_nothing_to_say(monkeypatch):

@@ -411,3 +411,23 @@ def test_duplicate_directions_are_reported(tmp_path):
     told = succeed("ingest", folder, tmp_path / "s.h5", "--json").json
     assert told["duplicates"] == 2
     assert "duplicates  2" in succeed("ingest", folder, tmp_path / "s.h5").out
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("fit a.h5 b.h5 --degree", "clrelight fit: Option '--degree' requires an argument (see clrelight fit --help)"),
+        (
+            "shrm build --brdf",
+            "clrelight shrm build: Option '--brdf' requires an argument (see clrelight shrm build --help)",
+        ),
+        (
+            "fit a.h5 b.h5 --methud cls",
+            "clrelight fit: No such option '--methud'. Did you mean '--method'? (see clrelight fit --help)",
+        ),
+    ],
+)
+def test_options_that_are_mistyped(words, line):
+    ended = call(*words.split())
+    assert (ended.code, ended.out) == (2, "")
+    assert ended.err.replace("(Did", "Did").replace("?)", "?") == line + "\n"

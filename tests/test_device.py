@@ -1,5 +1,7 @@
+import ctypes
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from clrelight.device import Device, open_device
 from clrelight.errors import DeviceError
 from clrelight.kernel_source import read_kernel_source
 from clrelight.opencl import devices as device_module
+from clrelight.opencl import drivers
 from clrelight.opencl.arguments import check_arguments
 from clrelight.opencl.devices import DEVICE_VARIABLE, STYLE_VARIABLE, list_devices, style_of
 
@@ -273,3 +276,21 @@ def test_a_device_with_its_own_memory_copies(changed):
     on_device = apart.upload(values)
     values[:] = -1
     np.testing.assert_array_equal(apart.download(on_device), np.arange(6).reshape(2, 3))
+
+
+@pytest.mark.skipif(not drivers.packaged_version(), reason="the Python package's PoCL is not installed")
+def test_the_packaged_driver_is_told_by_its_library():
+    """A system's PoCL may have the version of the Python package's."""
+    import pyopencl as cl
+
+    version = f"OpenCL 3.0 PoCL {drivers.packaged_version()}"
+    platform = next(each for each in cl.get_platforms() if drivers.packaged_version() in each.version)
+    assert drivers.library_of(platform.int_ptr).is_relative_to(Path(cl.__file__).parent)
+    assert drivers.is_packaged(version, platform.int_ptr)
+    elsewhere = ctypes.cast(ctypes.CDLL(None).malloc, ctypes.c_void_p).value
+    assert not drivers.library_of(elsewhere).is_relative_to(Path(cl.__file__).parent)
+    assert not drivers.is_packaged(version, elsewhere)
+    assert not drivers.is_packaged("OpenCL 3.0 PoCL 1.8", platform.int_ptr)
+    heap = ctypes.create_string_buffer(64)
+    assert drivers.library_of(ctypes.addressof(heap)) is None
+    assert drivers.is_packaged(version, ctypes.addressof(heap))  # by its version alone, as where nobody tells

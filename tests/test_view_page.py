@@ -241,9 +241,10 @@ def test_two_fingers_zoom_and_pan(page):
 
     page.evaluate("app = clrelight.app; Object.assign(app.state, { light: 'lamp', compare: 'one' }); app.fit()")
     zoom, place = page.evaluate("[app.view.zoom, app.view.toImage(100, 100)]")  # as the tests before have left the page
-    touch("touchStart", (100, 100))
     light = page.evaluate("app.state.lamp.direction")
-    touch("touchStart", (100, 100), (140, 100))
+    touch("touchStart", (100, 100))
+    assert page.evaluate("app.state.lamp.direction") != light
+    touch("touchStart", (100, 100), (140, 100))  # what the first has done is taken back
     touch("touchMove", (80, 100), (160, 100))
     touch("touchMove", (90, 120), (170, 120))
     touch("touchEnd")
@@ -251,6 +252,63 @@ def test_two_fingers_zoom_and_pan(page):
     assert page.evaluate("app.view.toImage(90, 120)") == pytest.approx(place, abs=1)
     assert page.evaluate("[app.state.lamp.direction, app.dragging]") == [light, False]
     page.evaluate("app.fit()")
+
+
+def test_a_double_click_moves_no_light(page):
+    page.evaluate("app = clrelight.app; Object.assign(app.state, { light: 'lamp', compare: 'one' }); app.zoom(2)")
+    light = page.evaluate("app.state.lamp.direction")
+    for count in (1, 2):
+        for kind in ("mousePressed", "mouseReleased"):
+            page.call("Input.dispatchMouseEvent", type=kind, x=60, y=60, button="left", clickCount=count)
+    assert page.evaluate("[app.view.fitted, app.state.lamp.direction]") == [True, light]
+
+
+def test_the_keyboard_alone(page):
+    """Where nothing has the focus, keys are the picture's; what has it is seen to have it, and keeps its own."""
+
+    def press(key):
+        for kind in ("keyDown", "keyUp"):
+            page.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+
+    page.evaluate("app = clrelight.app; Object.assign(app.state, { light: 'lamp', compare: 'one' }); app.fit()")
+    page.evaluate("document.activeElement.blur()")
+    height = "app.state.lamp.direction[1]"
+    before = page.evaluate(height)
+    press("ArrowUp")
+    after = page.evaluate(height)
+    assert after > before
+    page.evaluate("document.getElementById('exposure').focus()")
+    press("ArrowUp")
+    assert page.evaluate(height) == after
+    press("Tab")
+    page.evaluate("app.canvas.focus()")
+    press("ArrowDown")
+    drawn = "(({ outlineStyle, outlineWidth }) => [outlineStyle, outlineWidth])(getComputedStyle(app.canvas))"
+    assert page.evaluate(drawn) == ["solid", "3px"]
+    assert page.evaluate(height) < after
+    page.evaluate("app.set('exposure', 0)")
+
+
+def test_what_changes_no_light_sums_no_planes(page):
+    """Exposure, curves and the line between two files are drawn of pictures that are there."""
+    settled = "app.planned === null && app.isWhole && app.store.isIdle"
+    page.evaluate(
+        "app = clrelight.app; Object.assign(app.state, { light: 'lamp', compare: 'split', second: 1 }); app.fit()"
+    )
+    page.wait(settled)
+    sums = page.evaluate("app.renderer.sums")
+    for change in ("'exposure', 0.5", "'curve', 'filmic'", "'split', 0.3", "'errorGain', 9", "'compare', 'error'"):
+        page.evaluate(f"app.set({change})")
+        page.wait(settled)
+    assert page.evaluate("app.renderer.sums") == sums
+    for change in ("['lamp', 'softness'], 9", "['lamp', 'softness'], 0", "'light', 'sky'", "'first', 1", "'first', 0"):
+        before = page.evaluate("app.renderer.sums")
+        page.evaluate(f"app.set({change})")
+        page.wait(settled)
+        assert page.evaluate("app.renderer.sums") > before, change
+    page.evaluate(
+        "app.set('exposure', 0); app.set('curve', 'srgb'); app.set('compare', 'one'); app.set('light', 'lamp')"
+    )
 
 
 def test_everything_has_a_name(page):

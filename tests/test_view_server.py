@@ -10,12 +10,16 @@ import subprocess
 import threading
 import urllib.error
 import urllib.request
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import clrelight as cr
-from clrelight.store import read_fit
+from clrelight.lighting.light import Light
+from clrelight.shrm.record import Shrm
+from clrelight.store import read_fit, write_fit, write_light, write_shrm
+from clrelight.transfer.reflection import OPERATOR
 from clrelight.view.document import SCRIPTS, page_pieces
 from clrelight.view.session import served_viewer
 from clrelight.view.texels import count_levels, halve, tile_place
@@ -30,9 +34,23 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("viewed")
     succeed("synth", "ring", place / "ring.h5", "--size", 64, "--lights", 20)
     succeed("fit", place / "ring.h5", place / "fit.h5", "--degree", 2)
+    others(place)
     for codec, words in (("klt", ("--rate", 1)), ("wavelet", ("--rate", 2)), ("half", ())):
         succeed("encode", place / "fit.h5", place / f"{codec}.h5", "--codec", codec, *words)
     return place
+
+
+def others(place):
+    """Write files that are no view's."""
+    view = read_fit(place / "fit.h5")
+    for name, method, config in (
+        ("surface", "transfer", {"surface": {"frame": "global"}}),
+        ("operators", OPERATOR, {}),
+    ):
+        write_fit(place / f"{name}.h5", replace(view, method=method, config=config))
+    write_shrm(place / "shrm.h5", Shrm(np.ones((4, 5, 9, 3), np.float32), "global", 3, "reflection", "sky", "", {}))
+    write_light(place / "light.h5", Light(np.ones((4, 3))))
+    (place / "coin.ptm").write_text("PTM_1.2")
 
 
 @pytest.fixture(scope="module")
@@ -141,8 +159,18 @@ def test_nothing_else_is_there(server, rest):
 
 def test_only_who_knows_the_secret_and_the_name_is_answered(server):
     assert status(server, f"/{server.secret}/") == 200
-    assert status(server, f"/{server.secret}/", Host="localhost:1") == 200
-    assert status(server, f"/{server.secret}/", Host="evil.example") == 404
+    for host in ("localhost:1", "LOCALHOST", "LocalHost:8080", "127.0.0.1"):
+        assert status(server, f"/{server.secret}/", Host=host) == 200
+    for host in (
+        "evil.example",
+        "localhost.evil.example",
+        "evil.localhost",
+        "localhost:80:1",
+        "localhost:x",
+        "",
+        "[::1]",
+    ):
+        assert status(server, f"/{server.secret}/", Host=host) == 404
     for path in ("/", "/x/", f"/{server.secret[:-1]}/", f"/{server.secret}"):
         assert status(server, path) == 404
     assert server.server_address[0] == "127.0.0.1"
@@ -153,6 +181,8 @@ def test_garbage_ends_a_connection_and_nothing_else(server):
     garbage = [b"", b"\r\n\r\n", b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n", b"A" * 70000, b"GET /" + b"a" * 70000]
     garbage += [rng.bytes(300) for _ in range(20)]
     garbage += [f"GET /{server.secret}/ HTTP/1.1\r\n".encode() + b"X: y\r\n" * 300 + b"\r\n"]
+    for hosts in ("", "Host: localhost\r\nHost: localhost\r\n", "Host: localhost localhost\r\n"):
+        garbage.append(f"GET /{server.secret}/ HTTP/1.1\r\n{hosts}\r\n".encode())
     garbage += [
         f"{verb} /{server.secret}/ HTTP/1.1\r\nHost: localhost\r\n\r\n".encode() for verb in ("POST", "PUT", "X")
     ]
@@ -222,7 +252,12 @@ def test_levels_halve_as_those_of_units_do():
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("ring.h5",), "the viewer relights fits and encodings: give one, and the photographs as --reference"),
+        (("ring.h5",), "give one that clrelight fit or pack makes of ring.h5, which may then be the --reference"),
+        (("surface.h5",), "clrelight render makes pictures of them, and with --turntable one that goes round"),
+        (("operators.h5",), "clrelight reflect makes radiance of them"),
+        (("shrm.h5",), "clrelight shrm render makes pictures of a reflection map"),
+        (("light.h5",), "by --light or, in view, by --environment"),
+        (("coin.ptm",), "clrelight import makes a stack of it"),
         (("fit.h5", "--out", "fit.h5"), "fit.h5"),
         (("fit.h5", "--out", "x.html", "--port", "80"), "--port and --open are for a page that is served"),
         (("fit.h5", "other.h5"), "other.h5 has 32 × 32 pixels and fit.h5 64 × 64"),

@@ -101,7 +101,7 @@ def _run(words: list[str]) -> tuple[int, str]:
         return 0, ""
     except BaseException as error:
         # What comes after a signal comes of it, whatever it says: an import cut short, say.
-        ending = end_watch() or _explain(error)
+        ending = end_watch() or _explain(error, words)
         if ending is None:
             raise
         return ending
@@ -116,7 +116,7 @@ def _say(code: int, message: str) -> int:
     return code
 
 
-def _explain(error: BaseException) -> tuple[int, str] | None:
+def _explain(error: BaseException, words: list[str]) -> tuple[int, str] | None:
     """Return the exit code and the line to print of an error; None where it is our fault."""
     if isinstance(error, click.exceptions.Exit):
         return error.exit_code, ""
@@ -124,7 +124,7 @@ def _explain(error: BaseException) -> tuple[int, str] | None:
         if error.ctx and isinstance(error, _NO_COMMAND):
             click.echo(error.ctx.get_help())
             return 0, ""
-        return _refuse(_usage_line(error))
+        return _refuse(_usage_line(error, words))
     if isinstance(error, BrokenPipeError):
         return 0, ""  # the reader of a pipe has gone: nothing is left to say, and nobody to say it to
     if _lacks_descriptors(error):
@@ -145,17 +145,34 @@ def _explain(error: BaseException) -> tuple[int, str] | None:
     return None
 
 
-def _usage_line(error: click.UsageError) -> str:
+def _usage_line(error: click.UsageError, words: list[str]) -> str:
     """Return what is wrong with a command's words, and what words it takes where some are missing or too many."""
-    if error.ctx is None:
-        return f"clrelight: {error.format_message()}"
-    where, command, told = error.ctx.command_path, error.ctx.command, error.format_message().rstrip(".")
+    told = error.format_message().rstrip(".")
+    if error.ctx is None:  # an option without its value: the parser knows no command
+        where = _path_of(words)
+        return f"{where}: {told} (see {where} --help)"
+    where, command = error.ctx.command_path, error.ctx.command
     if isinstance(command, click.Group):
         if "Did you mean" not in told and not isinstance(command, Sectioned):
             told = f"{told}; there are {', '.join(command.list_commands(error.ctx))}"
     elif "argument" in told:
         told = f"{told}; it is {where} {' '.join(command.collect_usage_pieces(error.ctx))}"
     return f"{where}: {told} (see {where} --help)"
+
+
+def _path_of(words: list[str]) -> str:
+    """Return the command that words are of, as its help names it."""
+    path = ["clrelight"]
+    group: click.Group = cli
+    for word in words:
+        command = group.commands.get(word)
+        if command is None:
+            break
+        path.append(word)
+        if not isinstance(command, click.Group):
+            break
+        group = command
+    return " ".join(path)
 
 
 def _refuse(message: str, code: int = 2) -> tuple[int, str]:

@@ -15,6 +15,7 @@ from clrelight.cli.lamps import ROTATION_HELP, Lamp, Rotation, Turn, lamp_option
 from clrelight.cli.maps import MapReading, map_options, refuse_map_options
 from clrelight.cli.options import Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import print_report
+from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 from clrelight.errors import InputError
 
@@ -149,8 +150,9 @@ def light(
     claim_output(out, [*environments, *([edit] if edit else []), *(file for file, _ in lamp.blend)])
     report = Report()
     if environments:
-        environment = reading.read(environments, report)
-        made = _project(environment, 6 if degree is None else degree, method, device, report)
+        with progress_bar("projecting"):
+            environment = reading.read(environments, report)
+            made = _project(environment, 6 if degree is None else degree, method, device, report)
     else:
         since = time.perf_counter()
         made = _cut(read_light(edit) if edit else make_lamp(lamp, degree), degree)

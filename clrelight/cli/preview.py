@@ -6,6 +6,7 @@ import click
 
 from clrelight.cli.options import json_option, whole_number
 from clrelight.cli.output import make_report, print_report
+from clrelight.cli.progress import progress_bar
 
 
 @click.command()
@@ -26,7 +27,8 @@ def preview(file: str, out: str, size: int, as_json: bool) -> None:
     """
     from clrelight.jobs.preview import preview as run_preview
 
-    report = run_preview(file, out, size=size, report=make_report(as_json))
+    with progress_bar("drawing"):
+        report = run_preview(file, out, size=size, report=make_report(as_json))
     width, height = report.facts["size"]
     print_report(report, as_json, {"preview": out, "size": f"{width}×{height}, {report.facts['bytes_on_disk']} bytes"})
 

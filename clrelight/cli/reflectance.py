@@ -10,6 +10,7 @@ import click
 from clrelight.cli.maps import MapReading, is_light_file, map_options, refuse_map_options
 from clrelight.cli.options import Numbers, device_option, json_option, whole_number
 from clrelight.cli.output import make_report, print_report
+from clrelight.cli.progress import progress_bar
 from clrelight.cli.sections import Whole
 from clrelight.cli.tables import print_table
 
@@ -154,22 +155,24 @@ def estimate(
     from clrelight.jobs.reflection.estimate import estimate_reflectance
 
     report = make_report(as_json)
-    estimate_reflectance(
-        pictures,
-        _light(lights, reading, report),
-        out,
-        views=views or None,
-        normals=normals,
-        degree=degree,
-        order=order,
-        centre=centre,
-        ridge=ridge,
-        prior=prior,
-        transfer=reading.transfer,
-        samples=samples,
-        device=device,
-        report=report,
-    )
+    with progress_bar("estimating") as bar:
+        estimate_reflectance(
+            pictures,
+            _light(lights, reading, report),
+            out,
+            views=views or None,
+            normals=normals,
+            degree=degree,
+            order=order,
+            centre=centre,
+            ridge=ridge,
+            prior=prior,
+            transfer=reading.transfer,
+            samples=samples,
+            device=device,
+            progress=bar,
+            report=report,
+        )
     facts = report.facts
     lines = {
         "reflectance": out,
@@ -220,20 +223,22 @@ def recognise(
     from clrelight.jobs.reflection.estimate import recognise_material
 
     report = make_report(as_json)
-    recognise_material(
-        pictures,
-        _light(lights, reading, report),
-        materials,
-        views=views or None,
-        normals=normals,
-        degree=degree,
-        order=order,
-        components=components,
-        transfer=reading.transfer,
-        samples=samples,
-        device=device,
-        report=report,
-    )
+    with progress_bar("recognising") as bar:
+        recognise_material(
+            pictures,
+            _light(lights, reading, report),
+            materials,
+            views=views or None,
+            normals=normals,
+            degree=degree,
+            order=order,
+            components=components,
+            transfer=reading.transfer,
+            samples=samples,
+            device=device,
+            progress=bar,
+            report=report,
+        )
     facts = report.facts
     lines = {
         "material": facts["materials"][0],

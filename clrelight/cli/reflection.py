@@ -11,6 +11,7 @@ from clrelight.cli.claims import claim_output
 from clrelight.cli.maps import MapReading, is_light_file, map_options, refuse_map_options
 from clrelight.cli.options import device_option, json_option, whole_number
 from clrelight.cli.output import make_report, print_report
+from clrelight.cli.progress import progress_bar
 from clrelight.cli.reflection_bench import bench
 from clrelight.cli.reflection_render import render
 from clrelight.cli.reflection_turns import rotate
@@ -111,24 +112,14 @@ def build(
     check_output(out, sources)
     report = make_report(as_json)
     source: Any
-    if len(sources) == 1 and is_light_file(sources[0]):
-        refuse_map_options()
-        source = read_light(sources[0])
-    else:
-        source = reading.read(sources, report)
-    build_reflection(
-        source,
-        made_of,
-        out,
-        epsilon=epsilon,
-        degree=degree,
-        order=order,
-        rows=rows,
-        frame=frame,
-        method=method,
-        device=device,
-        report=report,
-    )
+    asked: dict[str, Any] = {"epsilon": epsilon, "degree": degree, "order": order, "rows": rows, "frame": frame}
+    with progress_bar("prefiltering"):
+        if len(sources) == 1 and is_light_file(sources[0]):
+            refuse_map_options()
+            source = read_light(sources[0])
+        else:
+            source = reading.read(sources, report)
+        build_reflection(source, made_of, out, **asked, method=method, device=device, report=report)
     facts = report.facts
     lines = {
         "reflection map": out,
@@ -174,10 +165,11 @@ def plan(
             raise InputError("--chart draws accuracy under a map: give one")
         claim_output(chart, sources)
     report = make_report(as_json)
-    environment = reading.read(sources, report) if sources else None
-    if environment is None:
+    if not sources:
         refuse_map_options()
-    plan_reflection(made_of, environment, epsilon=epsilon, device=device, report=report)
+    with progress_bar("planning"):
+        environment = reading.read(sources, report) if sources else None
+        plan_reflection(made_of, environment, epsilon=epsilon, device=device, report=report)
     if chart is not None:
         from clrelight.report.reflection import write_accuracy
 

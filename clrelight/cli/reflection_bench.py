@@ -10,6 +10,7 @@ import click
 from clrelight.cli.maps import MapReading, map_options
 from clrelight.cli.options import device_option, json_option
 from clrelight.cli.output import make_report, print_report
+from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -61,13 +62,14 @@ def bench(
     from clrelight.lighting.projection import project_environment
 
     report = make_report(as_json)
-    environment, opened = reading.read(sources, report), open_device(device)
-    report.device = opened.info.label
-    since = time.perf_counter()
-    light = project_environment(environment, min(_DEGREE, environment.resolved_degree), device=opened)
-    since = report.add("project", since)
-    headers, rows, facts = _measure(table, names, environment, light, opened)
-    report.add("measure", since)
+    with progress_bar("measuring"):
+        environment, opened = reading.read(sources, report), open_device(device)
+        report.device = opened.info.label
+        since = time.perf_counter()
+        light = project_environment(environment, min(_DEGREE, environment.resolved_degree), device=opened)
+        since = report.add("project", since)
+        headers, rows, facts = _measure(table, names, environment, light, opened)
+        report.add("measure", since)
     report.facts = {"table": table, "rows": facts}
     print_report(report, as_json, {"table": table, "device": report.device})
     if not as_json:

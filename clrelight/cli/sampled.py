@@ -11,6 +11,7 @@ from clrelight.cli.claims import claim_output
 from clrelight.cli.maps import MapReading, map_options, refuse_map_options
 from clrelight.cli.options import json_option, whole_number
 from clrelight.cli.output import print_report
+from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError
 
 if TYPE_CHECKING:
@@ -70,14 +71,15 @@ def project(
     claim_output(out, environments)
     report = Report()
     function: Any
-    if text is not None:
-        function, source, axes = parse_expression(text), text, ""
-    else:
-        environment = reading.read(environments, report)
-        function, source, axes = look_up(environment), environment.source, environment.axes
-    since = time.perf_counter()
-    made, error_kc = sample_light(function, degree, samples, seed=seed, source=source, axes=axes)
-    since = report.add("sample", since)
+    with progress_bar("sampling"):
+        if text is not None:
+            function, source, axes = parse_expression(text), text, ""
+        else:
+            environment = reading.read(environments, report)
+            function, source, axes = look_up(environment), environment.source, environment.axes
+        since = time.perf_counter()
+        made, error_kc = sample_light(function, degree, samples, seed=seed, source=source, axes=axes)
+        since = report.add("sample", since)
     write_light(out, made)
     report.add("write", since)
     worst, typical = float(error_kc.max()), float((error_kc**2).mean() ** 0.5)

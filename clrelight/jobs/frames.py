@@ -49,8 +49,8 @@ class Frames(Protocol):
         """How many."""
         ...
 
-    def only(self, first: int, end: int) -> Frames:
-        """Return the images first..end alone."""
+    def only(self, first: int, end: int, exposure: float | None = None) -> Frames:
+        """Return the images first..end alone, at the exposure of all where that hangs on another image."""
         ...
 
     def together(self, source: FittedLike) -> int:
@@ -83,7 +83,7 @@ class DirectedFrames:
         """How many."""
         return len(self._directions_i3)
 
-    def only(self, first: int, end: int) -> DirectedFrames:
+    def only(self, first: int, end: int, exposure: float | None = None) -> DirectedFrames:
         """See `Frames`."""
         chosen_i3, number = self._directions_i3[first:end], self._first + first
         return DirectedFrames(chosen_i3, self._exposure, self._part, self._salvage, number)
@@ -153,10 +153,11 @@ class LightFrames:
         """How many."""
         return self._some[1] - self._some[0]
 
-    def only(self, first: int, end: int) -> LightFrames:
+    def only(self, first: int, end: int, exposure: float | None = None) -> LightFrames:
         """See `Frames`."""
         some = self._some[0] + first, self._some[0] + end
-        return LightFrames(self._light, self._exposure, self._steps, self._axis, self._part, self._salvage, some)
+        stops = self._exposure if exposure is None else exposure
+        return LightFrames(self._light, stops, self._steps, self._axis, self._part, self._salvage, some)
 
     def together(self, source: FittedLike) -> int:
         """See `Frames`."""
@@ -175,9 +176,8 @@ class LightFrames:
     def _images(self, coefficients: CoefficientMap, device: Device, report: Report) -> Iterator[NDArray[np.float32]]:
         exposure, below = self._exposure, -math.inf  # the largest share of all steps
         is_picture = surface_facts(coefficients.surface, coefficients.config) is None
-        turns = [
-            rotation_matrix("axis", (*self._axis, 360.0 * step / self._steps)) for step in range(*self._some) if step
-        ]
+        degrees = [360.0 * step / self._steps for step in range(*self._some) if step]
+        turns = [rotation_matrix("axis", (*self._axis, each)) for each in degrees]
         still = [] if self._some[0] else [self._light]
         since = time.perf_counter()
         for turned in chain(still, rotate_lights(self._light, np.reshape(turns, (-1, 3, 3)))):
@@ -189,9 +189,9 @@ class LightFrames:
             if exposure != 0.0:
                 image_hwc *= np.float32(2.0**exposure)
             report.add("relight", since)
+            report.facts |= {"exposure": exposure, "below": below}
             yield image_hwc
             since = time.perf_counter()
-        report.facts |= {"exposure": exposure, "below": below}
         if self.count == self._steps:
             tell_below(below, self.count, report)
 

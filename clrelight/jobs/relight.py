@@ -17,6 +17,7 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.relighting import name_frames, show_frames, take_how
 from clrelight.jobs.relighting_farm import SharedFrames
 from clrelight.jobs.report import Progress, Report, report_for
+from clrelight.jobs.unfinished import unfinished_images
 from clrelight.lighting.light import Light
 
 
@@ -150,11 +151,14 @@ def relight(
         given: dict[str, Any] = {"rotate": rotate, "turntable": turntable, "about": about, "region": region}
         given |= {"level": level or None, "tonemap": tonemap, "transfer": transfer, "salvage": salvage or None}
         with claimed(names, paths_among(source, light, lights), kept):
-            SharedFrames.of(farm, source, light, lights, names, given).write(frames, how.exposure, kept)
+            unfinished = unfinished_images(names, [source, lights, light], [how, light, "farm"])
+            SharedFrames.of(farm, source, light, lights, names, given).write(frames, how.exposure, kept, unfinished)
         kept.facts = {"files": names, **kept.facts}
         return kept
     with claimed(names, paths_among(source, light, lights), kept), opened_on(device, kept) as opened:
-        images_ihwc = show_frames(frames, source, names, how, opened, kept, progress)
+        asked = [how, light, kept.device]
+        unfinished = unfinished_images(names, [source, lights, light], asked)
+        images_ihwc = show_frames(frames, source, names, how, opened, kept, progress, unfinished)
     if target is not None:
         kept.facts = {"files": names, **kept.facts}
         return kept

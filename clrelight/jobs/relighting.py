@@ -14,7 +14,7 @@ from clrelight.arrays import check_transfer
 from clrelight.device import Device
 from clrelight.directions import unit_directions
 from clrelight.errors import InputError
-from clrelight.jobs.frames import DirectedFrames, Frames, LightFrames, Rotation, turn_light
+from clrelight.jobs.frames import DirectedFrames, Frames, LightFrames, Rotation, tell_below, turn_light
 from clrelight.jobs.inputs import FittedLike, Path, read_directions, whole
 from clrelight.jobs.pictures import (
     array_of,
@@ -28,10 +28,14 @@ from clrelight.jobs.pictures import (
 )
 from clrelight.jobs.region import Part, take_part
 from clrelight.jobs.report import Progress, Report, stage
+from clrelight.jobs.unfinished import Unfinished, tell_known
 from clrelight.jobs.written import count_stops
 from clrelight.lighting.light import Light
 from clrelight.lighting.relighting import TONEMAPS
 from clrelight.store import read_light
+
+_TOLD = ("exposure", "below")
+"""Facts of images under light from everywhere."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +122,55 @@ def show_frames(
     device: Device,
     report: Report,
     progress: Progress | None,
+    unfinished: Unfinished | None = None,
 ) -> NDArray[np.float32]:
-    """Write all images where they have names; return them where they have none."""
+    """Write all images where they have names, but those that an interrupted job left; else return them."""
+    if unfinished is None or not unfinished.facts:
+        made = _show_some(frames, source, names, how, device, report, progress, unfinished, 0)
+    else:
+        made = _show_rest(frames, source, names, how, device, report, progress, unfinished)
+    if unfinished is not None:
+        unfinished.end()
+    return made
+
+
+def _show_rest(
+    frames: Frames,
+    source: FittedLike,
+    names: list[str],
+    how: How,
+    device: Device,
+    report: Report,
+    progress: Progress | None,
+    unfinished: Unfinished,
+) -> NDArray[np.float32]:
+    """Write the images that an interrupted job has left out."""
+    known = list(unfinished.facts.values())
+    report.note(tell_known(len(known), frames.count))
+    exposure = known[0].get("exposure")
+    below = [float(each.get("below", 0.0)) for each in known]
+    for first, end in list(unfinished.missing(frames.together(source))):
+        some = frames.only(first, end, exposure)
+        _show_some(some, source, names[first:end], how, device, report, progress, unfinished, first)
+        below.append(float(report.facts.get("below", 0.0)))
+    if isinstance(frames, LightFrames):
+        report.facts |= {"exposure": exposure, "below": max(below)}
+        tell_below(max(below), frames.count, report)
+    return np.empty((0,), np.float32)
+
+
+def _show_some(
+    frames: Frames,
+    source: FittedLike,
+    names: list[str],
+    how: How,
+    device: Device,
+    report: Report,
+    progress: Progress | None,
+    unfinished: Unfinished | None,
+    number: int,
+) -> NDArray[np.float32]:
+    """Write or return images, the first of which has this number among all."""
     kept_ihwc, pictures = np.empty((0,), np.float32), []
     with frames.lend(source, device, report, progress) as (images, transfer), stage(progress, "relighting") as tell:
         for index, image in enumerate(images):
@@ -132,6 +183,8 @@ def show_frames(
                 pictures.append(show(array_of(image), how.tonemap, how.transfer or transfer))
             else:
                 write_view(names[index], image, how.tonemap, how.transfer or transfer)
+                if unfinished is not None:
+                    unfinished.add(number + index, {name: report.facts[name] for name in _TOLD if name in report.facts})
             if names:  # rows are relit while others are written
                 report.add("write", since + report.seconds.get("relight", 0.0) - relit)
             tell(index + 1, frames.count)

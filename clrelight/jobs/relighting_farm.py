@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, starmap
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from clrelight.jobs.frames import Frames, LightFrames, tell_below
 from clrelight.jobs.inputs import FittedLike
 from clrelight.jobs.pictures import is_animation, write_animation
 from clrelight.jobs.report import Report
+from clrelight.jobs.unfinished import Unfinished, tell_known
 from clrelight.lighting.light import Light
 from clrelight.tiles import row_tiles
 
@@ -71,18 +73,27 @@ class SharedFrames:
         given = {name: value for name, value in given.items() if value is not None}
         return cls(farm, relit, given, tuple(paths.values()), names)
 
-    def write(self, frames: Frames, exposure: float | None, report: Report) -> None:
-        """Have all pictures made, and write them."""
+    def write(self, frames: Frames, exposure: float | None, report: Report, unfinished: Unfinished | None) -> None:
+        """Have all pictures made but those that an interrupted job left, and write them."""
         since, count, made = time.perf_counter(), frames.count, _Made([], [], 0.0)
-        first = 0
+        first, known = 0, {} if unfinished is None else unfinished.facts
+        if known:
+            report.note(tell_known(len(known), count))
+            made.below = max(float(facts.get("below", 0.0)) for facts in known.values())
+            if exposure is None:
+                exposure = next(iter(known.values()))["exposure"]
         if exposure is None:  # that of the first picture is that of all
-            self._put(self._do([(0, 1)], None), 0, made)
+            self._put(self._do([(0, 1)], None), [0], made, unfinished)
             exposure, first = made.exposure, 1
         # Of as many as one process makes at a time, or a multiple: then they are its pictures, bit for bit.
         each = frames.together(self.source)
-        self._put(self._do(row_tiles((first, count), -(-_TOGETHER // each) * each), exposure), first, made)
+        parts = row_tiles((first, count), -(-_TOGETHER // each) * each)
+        parts = [part for part in parts if not all(number in known for number in range(*part))]
+        self._put(self._do(parts, exposure), chain.from_iterable(starmap(range, parts)), made, unfinished)
         if made.animated:
             write_animation(self.names[0], made.animated)
+        if unfinished is not None:
+            unfinished.end()
         report.add("relight", since)
         report.note(*made.notes)
         report.device = made.device
@@ -90,8 +101,9 @@ class SharedFrames:
             report.facts |= {"exposure": exposure, "below": made.below}
             tell_below(made.below, count, report)
 
-    def _put(self, found: Iterator[Arrays], number: int, made: _Made) -> None:
-        """Write pictures from one of some number on, or keep those of an animation."""
+    def _put(self, found: Iterator[Arrays], numbers: Iterable[int], made: _Made, unfinished: Unfinished | None) -> None:
+        """Write pictures of these numbers, or keep those of an animation."""
+        following = iter(numbers)
         for each in found:
             told = facts_of(each["told"])
             made.notes += told["notes"]
@@ -99,13 +111,14 @@ class SharedFrames:
             made.below = max(made.below, float(each["below"]))
             made.exposure = float(each["exposure"])
             for at in range(int(each["count"])):
-                content = each[f"picture{at}"]
+                content, number = each[f"picture{at}"], next(following)
                 if is_animation(self.names[0]):
                     made.animated.append(content)
                 else:
                     with replacing(self.names[number]) as part:
                         part.write(content.tobytes())
-                number += 1
+                    if unfinished is not None:
+                        unfinished.add(number, {"exposure": made.exposure, "below": made.below})
 
     def _do(self, parts: Sequence[tuple[int, int]], exposure: float | None) -> Iterator[Arrays]:
         kind = os.path.splitext(self.names[0])[1]

@@ -252,7 +252,7 @@ def _describe(cl: Any, index: int, platform: Any, device: Any) -> DeviceInfo:
         kind = "gpu"
     elif device.type & cl.device_type.CPU:
         kind = "cpu"
-    packaged = is_packaged(platform.version)
+    packaged = is_packaged(platform.version, platform.int_ptr)
     return DeviceInfo(
         index=index,
         name=device.name.strip(),

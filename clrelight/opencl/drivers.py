@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
 import functools
 import importlib.metadata
+import importlib.util
 import os
 import shutil
 import sys
@@ -79,10 +81,51 @@ def packaged_version() -> str:
     return _version("pocl-binary-distribution")
 
 
-def is_packaged(platform_version: str) -> bool:
-    """Return whether a platform is that PoCL, which pyopencl names to the loader; a system's has another version."""
+def is_packaged(platform_version: str, record: int) -> bool:
+    """Return whether a platform is that PoCL, which pyopencl names to the loader.
+
+    A system may have one of that version too: the file that holds the record, at an address, tells them apart.
+    """
     version = packaged_version()
-    return bool(version) and f"PoCL {version}" in platform_version
+    if not version or f"PoCL {version}" not in platform_version:
+        return False
+    library = library_of(record)
+    if library is None:
+        return True
+    # Installers link files, or folders, to where they keep them.
+    forms = (Path.absolute, Path.resolve)
+    return any(form(library).is_relative_to(form(place)) for place in _package_folders() for form in forms)
+
+
+class _Found(ctypes.Structure):
+    """What dladdr(3) fills in."""
+
+    _fields_ = (
+        ("file", ctypes.c_char_p),
+        ("start", ctypes.c_void_p),
+        ("symbol", ctypes.c_char_p),
+        ("address", ctypes.c_void_p),
+    )
+
+
+def library_of(record: int) -> Path | None:
+    """Return the library that holds what is at an address of this process; None where the system does not say."""
+    try:
+        ask = ctypes.CDLL(None).dladdr
+    except (AttributeError, OSError, TypeError):  # Windows
+        return None
+    ask.argtypes, found = (ctypes.c_void_p, ctypes.POINTER(_Found)), _Found()
+    if not ask(record, ctypes.byref(found)) or not found.file:
+        return None  # it is on the heap
+    return Path(os.fsdecode(found.file))
+
+
+@functools.cache
+def _package_folders() -> tuple[Path, ...]:
+    """Return where wheels put the library: beside pyopencl, which carries it, or in the folder of its own package."""
+    specs = map(importlib.util.find_spec, ("pyopencl", "pocl_binary_distribution"))
+    places = (place for spec in specs if spec is not None for place in spec.submodule_search_locations or ())
+    return tuple(map(Path, places))
 
 
 def _try_loading(file: Path | None) -> str:

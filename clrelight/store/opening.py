@@ -39,8 +39,13 @@ _MADE_BY = {
 """What makes a file of a kind, for those who gave another."""
 
 MAX_ATTRIBUTES = 256
-_FIRST = {STACK.kind: ": clrelight fit makes one of it"}
-"""What to do first with a file of another kind, where a fit is wanted."""
+_FIRST = {
+    STACK.kind: ": clrelight fit makes one of it",
+    "shrm": ": clrelight shrm render makes pictures of a reflection map",
+    "light": ": light goes with a fit, by --light or, in view, by --environment",
+    "results": ": clrelight report makes a page of a table",
+}
+"""What to do with a file of another kind, where a fit is wanted."""
 
 
 class Opened:

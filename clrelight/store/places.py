@@ -111,6 +111,10 @@ def _place_here(path: str) -> Place:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
 
 
+_AT_FIRST = dict.fromkeys((".ptm", ".rti"), ": clrelight import makes a stack of it")
+"""What to do with files of other programs, by the ends of their names."""
+
+
 def _begin(path: str, size: int, look: Callable[[int], bytes]) -> int:
     """Return where HDF5 begins, which may be behind what another program put before."""
     if not size:
@@ -119,5 +123,5 @@ def _begin(path: str, size: int, look: Callable[[int], bytes]) -> int:
     while at < size and look(at) != MAGIC:
         at = 2 * at or _USER_BLOCK
     if at >= size:
-        raise StoreFormatError(f"{path} is not an HDF5 file")
+        raise StoreFormatError(f"{path} is not an HDF5 file{_AT_FIRST.get(os.path.splitext(path)[1].lower(), '')}")
     return at

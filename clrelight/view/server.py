@@ -19,6 +19,7 @@ _MOST_BYTES = 1 << 28
 """Of a payload in one answer."""
 _IDLE_SECONDS = 30
 _BODY = re.compile(r"/body/(\d{1,4})/(\d{1,15})-(\d{1,15})")
+_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:\d{1,5})?", re.IGNORECASE | re.ASCII)
 _TILE = re.compile(r"/tile/(\d{1,4})/(\d)/(\d{1,7})/(\d{1,7})/(\d{1,7})")
 
 
@@ -95,9 +96,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, *, with_content: bool) -> None:
         # A page elsewhere that had its name point here would send that name.
-        host = self.headers.get("Host", "").rsplit(":", 1)[0]
+        names = self.headers.get_all("Host", [])
+        is_ours = len(names) == 1 and _HOST.fullmatch(names[0].strip()) is not None
         try:
-            found = self.server.answer(self.path) if host in (LOOPBACK, "localhost") else None
+            found = self.server.answer(self.path) if is_ours else None
         except (InputError, OSError, MemoryError) as error:
             self._send(HTTPStatus.INTERNAL_SERVER_ERROR, json.dumps({"error": str(error)}).encode(), "application/json")
             return

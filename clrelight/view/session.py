@@ -62,7 +62,10 @@ def opened_session(
         _check_sizes(sources)
         degrees = [source.record["degree"] for source in sources if "degree" in source.record]
         if not degrees:
-            raise InputError("the viewer relights fits and encodings: give one, and the photographs as --reference")
+            raise InputError(
+                "the viewer relights fits and encodings: give one that clrelight fit or pack makes of "
+                f"{sources[0].name}, which may then be the --reference"
+            )
         degree = light_degree(degrees)
         surroundings = []
         for path in environments:

@@ -255,14 +255,16 @@ def opened_source(path: str | os.PathLike[str], device: Callable[[], Device], re
     if os.path.exists(path) and (file_schema(path) or "").startswith("stack"):
         with open_stack(path) as stack:
             if stack.surface is not None:
-                raise InputError(f"{name} holds functions of a surface: clrelight render makes pictures of those")
+                raise _surface_error(name)
             report.note(*stack.notes)
             yield StackSource(name, n_bytes, stack)
         return
     with lend_fitted(path, report, parts=True) as held:
         record = held.record if isinstance(held, Packed) else FitRecord.of(held)
-        if surface_facts(record.surface, record.config) is not None or record.method == OPERATOR:
-            raise InputError(f"{name} holds functions of a surface: clrelight render makes pictures of those")
+        if record.method == OPERATOR:
+            raise InputError(f"{name} holds operators, from light to views: clrelight reflect makes radiance of them")
+        if surface_facts(record.surface, record.config) is not None:
+            raise _surface_error(name)
         if not isinstance(held, Packed):
             yield MapSource(name, n_bytes, held, "fit")
             return
@@ -274,3 +276,10 @@ def opened_source(path: str | os.PathLike[str], device: Callable[[], Device], re
         else:
             fit = decoded_of(held, path, device(), report, None)
             yield MapSource(name, len(encoded.body), fit, encoded.codec)
+
+
+def _surface_error(name: str) -> InputError:
+    return InputError(
+        f"{name} holds functions of a surface, and the viewer shows those of a picture: clrelight render makes "
+        "pictures of them, and with --turntable one that goes round"
+    )

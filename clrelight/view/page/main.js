@@ -34,12 +34,19 @@
 
     watch() {
       new ResizeObserver(() => this.resize()).observe(this.canvas);
+      this.watchRatio();
       this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
       this.canvas.addEventListener("webglcontextrestored", () => {
         this.store.forget();
         this.renderer.restart();
         this.changed();
       });
+    }
+
+    /** Another screen may have another number of pixels to a length. */
+    watchRatio() {
+      const watch = () => (this.resize(), this.watchRatio());
+      matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener("change", watch, { once: true });
     }
 
     resize() {
@@ -93,10 +100,12 @@
       const work = this.workOf(files);
       const scale = this.chooseScale(work);
       const since = performance.now();
+      const { sums } = renderer;
       const whole = files.map((file, slot) => renderer.sum(slot, file, view, store, lighting, state, scale));
       this.coarser = Math.max(...files.map((file) => 2 ** (renderer.levelOf(file, view) - view.levelFor(file.levels))));
       if (files.length === 1) renderer.pictures.length = 1;
-      if (this.dragging || work > HEAVY) this.measurePace(work, scale, since);
+      const areNew = renderer.sums - sums === files.length;
+      if (areNew && (this.dragging || work > HEAVY)) this.measurePace(work, scale, since);
       renderer.present(state);
       store.endFrame();
       this.isWhole = whole.every(Boolean);

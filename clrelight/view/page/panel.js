@@ -34,8 +34,9 @@
       const { app } = this;
       for (const [id, [path]] of Object.entries(SLIDERS)) {
         const slider = byId(id);
+        const moves = path.length > 1; // light: what the picture shows of it costs little
         slider.addEventListener("input", () => {
-          app.drag(true);
+          if (moves) app.drag(true);
           app.set(path, Number(slider.value));
         });
         slider.addEventListener("change", () => app.drag(false));
@@ -53,6 +54,8 @@
       byId("zoom-out").addEventListener("click", () => app.zoom(1 / 1.5));
       byId("save").addEventListener("click", () => app.save());
       byId("fold").addEventListener("click", () => this.toggle());
+      byId("full").hidden = !document.fullscreenEnabled;
+      byId("full").addEventListener("click", () => this.fillScreen());
       byId("help-open").addEventListener("click", () => byId("help").showModal());
       byId("copy").addEventListener("click", () => this.copy());
       this.bindSplit();
@@ -96,6 +99,11 @@
       byId("fold").setAttribute("aria-label", folded ? "Show controls" : "Hide controls");
     }
 
+    fillScreen() {
+      if (document.fullscreenElement) document.exitFullscreen();
+      else document.documentElement.requestFullscreen?.().catch(() => this.say("The browser does not allow full screen"));
+    }
+
     /** Show the state. */
     update(state) {
       const { files } = this.manifest;
@@ -134,7 +142,8 @@
     }
 
     figure(text) {
-      byId("figure").textContent = text;
+      const parts = text.split(" · ").map((part) => Object.assign(document.createElement("span"), { textContent: part }));
+      byId("figure").replaceChildren(...parts.flatMap((part, i) => (i ? [" · ", part] : [part])));
     }
 
     say(text) {

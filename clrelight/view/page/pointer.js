@@ -5,18 +5,24 @@
   const { directionOf } = clrelight;
 
   const STEP = 3; // degrees of a key
+  const STILL = 12; // pixels of the screen within which a finger waits for another
+  const lightOf = ({ lamp, sky, environment }) => structuredClone({ lamp, sky, environment });
 
   class Pointers {
     constructor(canvas, app) {
-      Object.assign(this, { canvas, app, down: new Map(), panning: false });
+      Object.assign(this, { canvas, app, down: new Map(), panning: false, presses: [] });
       canvas.addEventListener("pointerdown", (event) => this.begin(event));
       canvas.addEventListener("pointermove", (event) => this.move(event));
       for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.end(event));
       canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-      canvas.addEventListener("dblclick", () => app.fit());
+      canvas.addEventListener("dblclick", () => {
+        this.takeBack(this.presses[0]);
+        app.fit();
+      });
       canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
-      canvas.addEventListener("keydown", (event) => this.key(event));
-      canvas.addEventListener("keyup", (event) => event.key === " " && app.peek(false));
+      const hears = ({ target }) => target === canvas || target === document.body; // where nothing has the focus
+      document.addEventListener("keydown", (event) => hears(event) && this.key(event));
+      document.addEventListener("keyup", (event) => event.key === " " && app.peek(false));
     }
 
     place(event) {
@@ -26,7 +32,13 @@
 
     begin(event) {
       this.canvas.setPointerCapture(event.pointerId);
-      this.down.set(event.pointerId, this.place(event));
+      const [first] = this.down.values();
+      const last = this.presses.at(-1);
+      // The first finger of two has moved the light.
+      if (first && Math.hypot(first[0] - last.place[0], first[1] - last.place[1]) < STILL * this.app.ratio) this.takeBack(last);
+      const press = { place: this.place(event), light: lightOf(this.app.state) };
+      this.presses = [...this.presses.slice(-1), press];
+      this.down.set(event.pointerId, press.place);
       this.panning = this.app.state.tool === "pan" || event.button > 0 || event.shiftKey || this.down.size > 1;
       this.app.drag(true);
       if (!this.panning) this.light(event);
@@ -54,6 +66,12 @@
     end(event) {
       this.down.delete(event.pointerId);
       if (!this.down.size) this.app.drag(false);
+    }
+
+    /** The light as it was before a press: it meant something else. */
+    takeBack({ light }) {
+      Object.assign(this.app.state, structuredClone(light));
+      this.app.changed();
     }
 
     /** The light follows the pointer: the middle of the picture is above it, its nearer edges are the horizon. */
@@ -87,6 +105,7 @@
       else if (event.key === "c") app.nextCompare();
       else if (event.key === " ") app.peek(true);
       else if (event.key === "h") app.panel.toggle();
+      else if (event.key === "f") app.panel.fillScreen();
       else if (event.key === "s") app.save();
       else if (event.key === "?") document.getElementById("help").showModal();
       else return;

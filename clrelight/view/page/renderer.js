@@ -23,6 +23,7 @@
     restart() {
       this.programs = new Map();
       this.pictures = [];
+      this.sums = 0; // pictures that were made
       }
 
     sumProgram(layers, nodes, bent) {
@@ -106,27 +107,42 @@
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, new Float32Array(4));
     }
 
-    /** Draw what is seen of a file; return whether all of it was there at the level it should be. */
+    /**
+     * Draw what is seen of a file; return whether all of it was there at the level it should be.
+     *
+     * A picture that is there already stays: exposure, curves and comparisons are no part of it.
+     */
     sum(slot, file, view, store, lighting, state, scale) {
-      const { gl } = this;
       const width = Math.max(Math.round(view.width * scale), 1);
       const height = Math.max(Math.round(view.height * scale), 1);
       const picture = this.picture(slot, width, height);
-      gl.bindFramebuffer(gl.FRAMEBUFFER, picture.frame);
+      const level = this.levelOf(file, view);
+      const places = view.seen ? tilesOf(file, level, view.seen) : [];
+      const found = places.map((at) => this.tileFor(file, level, ...at, store, state.photograph));
+      const { light, lamp, sky, environment, standing } = state;
+      const key = JSON.stringify([
+        ...[file.id, view.x, view.y, view.zoom, light, lamp, sky, environment, standing],
+        found.map((each) => each && [each.tile.serial, each.part]),
+      ]);
+      if (picture.key !== key) this.drawSum(picture, file, view, found, weightsOf(lighting, state, file), scale < 1);
+      picture.key = key;
+      return found.every((each) => each?.tile.level === level);
+    }
+
+    drawSum({ frame, width, height }, file, view, found, weights, fast) {
+      const { gl } = this;
+      this.sums++;
+      gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
       gl.viewport(0, 0, width, height);
       gl.clearColor(0, 0, 0, 0);
       gl.clear(gl.COLOR_BUFFER_BIT);
-      if (!view.seen) return true;
-      const level = this.levelOf(file, view);
-      const found = tilesOf(file, level, view.seen).map((at) => this.tileFor(file, level, ...at, store, state.photograph));
-      const passes = this.planPasses(file, weightsOf(lighting, state, file));
+      if (!found.length) return;
       gl.blendFunc(gl.ONE, gl.ONE);
-      passes.forEach((pass, i) => {
+      this.planPasses(file, weights).forEach((pass, i) => {
         if (i === 1) gl.enable(gl.BLEND);
-        this.drawPass(pass, view, found.filter(Boolean), i === 0, scale < 1);
+        this.drawPass(pass, view, found.filter(Boolean), i === 0, fast);
       });
       gl.disable(gl.BLEND);
-      return found.every((each) => each?.tile.level === level);
     }
 
     drawPass({ program, weights, layer }, view, found, isFirst, fast) {

@@ -52,6 +52,7 @@
       this.wanted = [];
       this.fetching = 0;
       this.jobs = 0;
+      this.settled = 0;
       this.faults = [];
       this.startWorkers();
     }
@@ -181,7 +182,7 @@
 
     settle(entry, content, error) {
       this.pending.delete(entry.key);
-      const tile = { used: this.frame, texture: null, bytes: 0, levels: null };
+      const tile = { serial: ++this.settled, used: this.frame, texture: null, bytes: 0, levels: null };
       if (content) {
         const { file, level, row, column } = entry;
         const place = tilePlace(file.height, file.width, level, row, column);

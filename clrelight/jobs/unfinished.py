@@ -1,0 +1,123 @@
+"""Pictures of a job that was interrupted: which are whole, so that the same job goes on behind them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clrelight import __version__
+from clrelight.codec.encoded import Encoded
+from clrelight.dataset import CoefficientMap
+from clrelight.durable import naming, sibling_stem
+from clrelight.lighting.light import Light
+from clrelight.remote import is_remote
+
+_ENDING = ".done"
+
+
+class Unfinished:
+    """A list of finished pictures, beside them until all are there.
+
+    Its first line stands for what was asked for, and one after it for each picture says what its file is: size and
+    time of change, by which another's is told from it. What is asked for otherwise, or of files that have changed
+    since, begins anew.
+
+    Parameters
+    ----------
+    names : sequence of str
+        All files, in order.
+    inputs : sequence of str
+        Files that the pictures are made of.
+    asked : object
+        All else that they hang on: JSON values, arrays of numbers, and what has a `repr` of all its values.
+    """
+
+    def __init__(self, names: Sequence[str], inputs: Sequence[str], asked: object) -> None:
+        self._names = names
+        first = Path(names[0])
+        self._list = first.with_name(sibling_stem(first.name) + _ENDING)
+        files = [(os.path.realpath(each), *_state(each)) for each in inputs]
+        told = json.dumps([__version__, [os.path.basename(each) for each in names], files, asked], default=_plain)
+        self._key = hashlib.sha256(told.encode()).hexdigest()
+        self.facts = self._read()
+        """Of each picture that is whole, by its number: what is known of it."""
+        self._is_begun = False
+
+    def _read(self) -> dict[int, Mapping[str, Any]]:
+        found: dict[int, Mapping[str, Any]] = {}
+        try:
+            head, *lines = self._list.read_text("utf-8").splitlines()
+            if head != self._key:
+                return {}
+        except (OSError, ValueError):
+            return {}
+        for line in lines:
+            with suppress(ValueError, TypeError, LookupError, OSError):  # cut short, or its picture is gone
+                number, state, facts = json.loads(line)
+                if tuple(state) == _state(self._names[number]):
+                    found[number] = facts
+        return found
+
+    def missing(self, together: int) -> Iterator[tuple[int, int]]:
+        """Yield numbers first..end of pictures to make, in parts that begin at multiples of `together`."""
+        count = len(self._names)
+        groups = [(first, min(first + together, count)) for first in range(0, count, together)]
+        begin = None
+        for first, end in groups:
+            is_whole = all(number in self.facts for number in range(first, end))
+            if not is_whole and begin is None:
+                begin = first
+            if is_whole and begin is not None:
+                yield begin, first
+                begin = None
+        if begin is not None:
+            yield begin, count
+
+    def add(self, number: int, facts: Mapping[str, Any]) -> None:
+        """Note that a picture is written; InputError where the list cannot be."""
+        self.facts[number] = facts
+        with naming(self._list):
+            if self._is_begun:
+                with self._list.open("a", encoding="utf-8") as stream:
+                    stream.write(self._line(number))
+            else:  # the last line of an older list may be cut short
+                self._list.write_text(self._key + "\n" + "".join(map(self._line, self.facts)), "utf-8")
+        self._is_begun = True
+
+    def _line(self, number: int) -> str:
+        return json.dumps([number, _state(self._names[number]), dict(self.facts[number])]) + "\n"
+
+    def end(self) -> None:
+        """Take the list away: all pictures are there."""
+        with suppress(OSError):
+            self._list.unlink()
+
+
+def unfinished_images(names: Sequence[str], sources: Sequence[object], asked: object) -> Unfinished | None:
+    """Return what knows which images are there; None of a single one, or made of what is no file of this machine."""
+    inputs = [os.fsdecode(each) for each in sources if isinstance(each, str | os.PathLike)]
+    has_records = any(isinstance(each, CoefficientMap | Encoded | Light) for each in sources)
+    if len(names) < 2 or has_records or any(map(is_remote, inputs)):
+        return None
+    return Unfinished(names, inputs, asked)
+
+
+def tell_known(some: int, count: int) -> str:
+    """Return what to say where an interrupted job left some of its images."""
+    return f"{some} of {count} images are there, of this command when it was interrupted"
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)
+
+
+def _state(path: str) -> tuple[int, int]:
+    found = os.stat(path)
+    return found.st_size, found.st_mtime_ns

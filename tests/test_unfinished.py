@@ -1,0 +1,159 @@
+"""Turntables that are interrupted go on where they were, and only those."""
+
+import os
+import signal
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+import clrelight as cr
+from clrelight.batch.single import run_single
+from clrelight.jobs import relighting, unfinished
+from clrelight.jobs.report import Report
+from clrelight.sampling import make_pattern
+from clrelight.store import write_fit
+from tests.commands import call, command_line, contents, environment, succeed
+from tests.test_batch import Here
+
+COUNT = 9
+LIST = ".turn0.png.done"
+
+
+def run(*arguments):
+    ended = call(*arguments)
+    assert ended.code == 0, ended.err
+    return ended
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("turned")
+    coeffs = np.random.default_rng(0).random((9, 24, 32, 3)).astype(np.float32)
+    write_fit(place / "fit.h5", cr.CoefficientMap(coeffs, 2, "uls", 1.0, "srgb", make_pattern("uniform", 9)))
+    succeed("light", place / "sky.h5", "--sky", "clear", "--sun", "35,120", "--degree", 2)
+    return place
+
+
+def words(folder, out, *more):
+    return ["relight", folder / "fit.h5", out / "turn%d.png", "--light", folder / "sky.h5", "--turntable", COUNT, *more]
+
+
+def interrupt_after(count, monkeypatch):
+    """Have images written until so many are; return their numbers, as they are written."""
+    write, written = relighting.write_view, []
+
+    def counted(name, *arguments):
+        if len(written) == count:
+            raise KeyboardInterrupt
+        write(name, *arguments)
+        written.append(int(name[-5]))
+
+    monkeypatch.setattr(relighting, "write_view", counted)
+    return written
+
+
+def cut(asked, count, monkeypatch):
+    with monkeypatch.context() as patch:
+        interrupt_after(count, patch)
+        assert call(*asked).code == 130
+
+
+def start(folder, out, count, monkeypatch, *more):
+    """Interrupt a turntable after so many images."""
+    cut(words(folder, out, *more), count, monkeypatch)
+    assert sorted(contents(out)) == [LIST, *(f"turn{i}.png" for i in range(count))]
+
+
+@pytest.fixture(scope="module")
+def whole(folder, tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole")
+    run(*words(folder, out, "--exposure", "auto"))
+    return contents(out)
+
+
+def test_finished_images_are_kept(folder, whole, tmp_path, monkeypatch):
+    start(folder, tmp_path, 4, monkeypatch, "--exposure", "auto")
+    (tmp_path / "turn2.png").write_bytes(b"of somebody else")
+    (tmp_path / LIST).open("a").write("[5, [1")  # as a crash may leave it
+    written = interrupt_after(99, monkeypatch)
+    told = run(*words(folder, tmp_path, "--exposure", "auto"), "--json").json
+    assert written == [2, 4, 5, 6, 7, 8]
+    assert told["notes"][0] == f"3 of {COUNT} images are there, of this command when it was interrupted"
+    assert contents(tmp_path) == whole
+    written.clear()
+    again = run(*words(folder, tmp_path, "--exposure", "auto"), "--json").json
+    assert written == list(range(COUNT))  # a whole turntable is made anew
+    assert again["exposure"] == told["exposure"]
+    assert again["below"] == told["below"]
+
+
+@pytest.mark.parametrize("change", ["option", "fit", "light", "list"])
+def test_another_command_begins_anew(folder, tmp_path, monkeypatch, change):
+    start(folder, tmp_path, 4, monkeypatch)
+    if change == "list":
+        (tmp_path / LIST).write_bytes(b"\xff\xfe\x00")
+    elif change != "option":
+        os.utime(folder / {"fit": "fit.h5", "light": "sky.h5"}[change])
+    written = interrupt_after(99, monkeypatch)
+    run(*words(folder, tmp_path, *(("--tonemap", "reinhard") if change == "option" else ())))
+    assert written == list(range(COUNT))
+    assert len(contents(tmp_path)) == COUNT
+
+
+def test_directions_made_together_are_made_together_again(folder, tmp_path, monkeypatch):
+    (tmp_path / "dome.lp").write_text("6\n" + "".join(f"x{i}.png 0.{i} 0.1 1\n" for i in range(6)))
+    monkeypatch.setattr("clrelight.jobs.frames.TILE_BYTES", 2 * 4 * 24 * 32 * 3)
+    asked = ["relight", folder / "fit.h5", tmp_path / "turn%d.png", "--lights", tmp_path / "dome.lp"]
+    cut(asked, 3, monkeypatch)
+    with monkeypatch.context() as patch:
+        written = interrupt_after(99, patch)
+        run(*asked)
+    assert written == [2, 3, 4, 5]
+    found = contents(tmp_path)
+    run(*asked)
+    assert contents(tmp_path) == found
+
+
+def test_a_killed_command_leaves_whole_images(folder, whole, tmp_path):
+    started = subprocess.Popen(
+        command_line(*words(folder, tmp_path, "--exposure", "auto")), env=environment(), stderr=subprocess.DEVNULL
+    )
+    try:
+        end = time.monotonic() + 60
+        while not (tmp_path / "turn1.png").exists() and started.poll() is None and time.monotonic() < end:
+            time.sleep(0.001)
+        started.send_signal(signal.SIGKILL)
+    finally:
+        started.kill()
+        started.wait()
+    left = {name: content for name, content in contents(tmp_path).items() if name.startswith("turn")}
+    assert left.items() <= whole.items()
+    run(*words(folder, tmp_path, "--exposure", "auto"))
+    assert {name: content for name, content in contents(tmp_path).items() if not name.startswith(".")} == whole
+
+
+def test_workers_leave_out_what_is_there(folder, tmp_path, monkeypatch):
+    images, report = tmp_path / "turn%d.exr", Report()
+    light = {"light": folder / "sky.h5", "turntable": 20, "exposure": "auto"}
+    add = unfinished.Unfinished.add
+
+    def stop(self, number, facts):
+        add(self, number, facts)
+        if number == 10:  # of the second part
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(unfinished.Unfinished, "add", stop)
+        with pytest.raises(KeyboardInterrupt):
+            run_single("relight", folder / "fit.h5", images, options=light, engine=Here(), report=Report())
+    times = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("turn*.exr")}
+    assert len(times) == 11
+    run_single("relight", folder / "fit.h5", images, options=light, engine=Here(), report=report)
+    assert any("11 of 20 images are there" in note for note in report.notes)
+    kept = {name for name, since in times.items() if (tmp_path / name).stat().st_mtime_ns == since}
+    assert kept == {f"turn{number}.exr" for number in range(8)}  # whole parts
+    found = contents(tmp_path)
+    cr.relight(folder / "fit.h5", out=images, report=Report(), **light)
+    assert contents(tmp_path) == found
