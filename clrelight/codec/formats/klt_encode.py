@@ -12,7 +12,7 @@ from clrelight.codec.entropy.unit_streams import Coded
 from clrelight.codec.entropy.units import Tile, list_tiles, whole_tile
 from clrelight.codec.formats.klt_fill import MULTIPLIER_POWER, change_multiplier, fill
 from clrelight.codec.formats.klt_last import Last, LastElsewhere, LastHere
-from clrelight.codec.formats.klt_search import StepFinder
+from clrelight.codec.formats.klt_search import NEAR, StepFinder
 from clrelight.codec.formats.klt_tiles import MULTIPLIER, encode_elsewhere
 from clrelight.codec.formats.klt_trials import Trial, foretell, search_step
 from clrelight.codec.formats.klt_units import Head, count_streams, is_together, pack_body
@@ -23,8 +23,6 @@ from clrelight.errors import InputError
 
 _USED = (0.992, 0.997, 1.0)
 """Parts of a budget where a search for the step of one stream ends, and aims; it ends at the last, too."""
-_NEAR = (0.9, 0.997, 1.1)
-"""The same where multipliers make up for the rest."""
 _SLACK = 0.004
 """Part of a budget that they may leave."""
 _LEAST_FILLED, _AIM = 0.99, 0.997
@@ -139,8 +137,8 @@ class Encoder(StepFinder):
             self._collect(streams, tile, self.encode_part(part, exact, keep=True).streams)
             return self._used_bytes(axes, exact, streams)
 
-        step = trial.step * (trial.size / max(_NEAR[1] * budget, 1.0)) ** _STEP_POWER
-        for aims in (_NEAR, _USED):
+        step = trial.step * (trial.size / max(NEAR[1] * budget, 1.0)) ** _STEP_POWER
+        for aims in (NEAR, _USED):
             place = search_step(count, float(np.log2(step)), self._bounds(), budget, aims)
             step = float(np.float32(2.0**place))
             if step != exact:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
-from clrelight.codec.entropy.units import Window
+from clrelight.codec.entropy.units import Window, is_one_tile
 from clrelight.codec.formats.klt_pieces import Pieces, Tried
 from clrelight.codec.formats.klt_tiles import TileEncoder
 from clrelight.codec.formats.klt_trials import Trial, list_pieces, search_step
@@ -27,6 +27,8 @@ _AXIS_MULTIPLIER = 0.1
 """Squared steps of error that a bit of an axis must save: the faintest planes may be what lights from one side show."""
 _NEARLY, _FOUND, _FEW = (0.93, 0.97, 1.0), (0.95, 0.99, 1.04), 4
 """Parts of a budget where a search on every n-th piece ends, and aims; and those of one on all."""
+NEAR = (0.9, 0.997, 1.1)
+"""The same where what comes after makes up for the rest."""
 _PIECES_COST = 1.05
 """What pieces take of what a map does for each of their pixels: 1.03 to 1.07."""
 
@@ -69,6 +71,7 @@ class StepFinder(TileEncoder):
         self._windows: list[Window] = []
         self._pieces: dict[int, Pieces] = {}
         self._prepared = 0
+        self._tried: dict[tuple[float, int], dict[int, Tried]] = {}
         self._table: tuple[Axes, float, int] | None = None
 
     def _mean(self, step: float) -> NDArray[np.int64]:
@@ -81,6 +84,7 @@ class StepFinder(TileEncoder):
         _, height, width, _ = self._shape
         count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
         self._windows, self._pieces = list_pieces(height, width, count, self._memory), {}
+        self._tried = {}
         self._prepared = count
 
     def _try(self, step: float, every: int = 1) -> Trial:
@@ -91,7 +95,8 @@ class StepFinder(TileEncoder):
         axes = quantise_axes(vectors, deviation, self._n_pixel, step, self._whitening.root_nn)
         streams, sizes = 0.0, np.zeros(0)
         if count:
-            chosen = range(len(self._windows))[every // 2 :: every] or range(len(self._windows))
+            # Every second piece, or each, is also every fourth.
+            chosen = range(len(self._windows))[_FEW // 2 % every :: every] or range(len(self._windows))
             tried = self._try_pieces(chosen, step, count)
             sizes, areas = np.array([each.size for each in tried]), np.array([self._windows[n].n_pixel for n in chosen])
             # Streams of a piece's coarse levels are shorter than those of a map, and learn as much anew.
@@ -110,11 +115,16 @@ class StepFinder(TileEncoder):
     def _try_pieces(self, chosen: Sequence[int], step: float, count: int) -> list[Tried]:
         """Return what the first planes of some pieces take at a step."""
         elsewhere, planes = self._pixels.elsewhere, self._whitening.exact(self._prepared)
+        found = self._tried.setdefault((step, count), {})
+        missing = [n for n in chosen if n not in found]
         if elsewhere is not None:
-            windows = [self._windows[n] for n in chosen]
-            return elsewhere.try_pieces(windows, planes, self._pixels.transfer, step, count)
-        found: dict[int, Tried] = {}
-        for group in sorted({number % _FEW for number in chosen}):
+            windows = [self._windows[n] for n in missing]
+            if windows:
+                found |= zip(
+                    missing, elsewhere.try_pieces(windows, planes, self._pixels.transfer, step, count), strict=True
+                )
+            return [found[n] for n in chosen]
+        for group in sorted({number % _FEW for number in missing}):
             if group not in self._pieces:
                 self._pieces[group] = self.take_pieces(self._windows[group::_FEW], planes)
             tried = self.try_pieces(self._pieces[group], step, count)
@@ -135,9 +145,10 @@ class StepFinder(TileEncoder):
 
     def _find_step(self, budget: int) -> Trial:
         """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
-        place = -5.0
-        for every, aims in ((_FEW, _NEARLY), (1, _FOUND)):
-            trials: dict[float, Trial] = {}
+        place, trials = -5.0, dict[float, Trial]()
+        for stage in range(2):
+            every, aims = (_FEW, _NEARLY) if not stage else self._last_stage()
+            trials = {}
 
             def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
                 trials[place] = self._try(2.0**place, every)
@@ -147,6 +158,11 @@ class StepFinder(TileEncoder):
             if len(self._windows) <= 1:
                 break
         return trials[place]
+
+    def _last_stage(self) -> tuple[int, tuple[float, float, float]]:
+        """Return of how many pieces one is tried at last, and how near; one tile is coded until its bytes fit."""
+        _, height, width, _ = self._shape
+        return (2, NEAR) if is_one_tile(height, width, self._prepared, self._memory) else (1, _FOUND)
 
     def _bounds(self) -> tuple[float, float]:
         return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))
