@@ -446,21 +446,24 @@ __kernel void place_planes(__global float *value_jyx, __global const float *part
         to[x] = from[x] - offset;
 }
 
-/* Streams of units; global size: workers, of which each takes one stream after another. Indices may take the place of
+/* Streams of units; global size: workers, of which each takes the next stream of `order_t` from begin to end, until
+ * `next_a[batch]` has counted all. Indices may take the place of
  * values: of a band, all values that are needed are read before. */
 __kernel void encode_units(__global int *index_jyx, __global const float *value_jyx, __global uchar *stream_b,
                            __global uint *taken_o, __global uint *place_t2, __global float *error_tj,
                            __global float *bits_tj, __global const int *part_t4, __global const int *unit_uf,
                            __global const ushort *count_ms, __global const ushort *flag_q2, __global uchar *work_wd,
                            __global uint *item_wi, __global uchar *raw_wr, __global uint *seen_wn,
-                           __global const float *scale_j, __global const int *coarse_jl, const float multiplier, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
+                           __global const float *scale_j, __global const int *coarse_jl, __global const int *order_t, volatile __global uint *next_a,
+                           const float multiplier, const int batch, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
                            const int size_n, const int size_j, const int size_y, const int size_x)
 {
     const int worker = get_global_id(0);
     __global work_t *work = (__global work_t *)(work_wd + worker * (size_t)WORK_BYTES);
     __global uint *seen = size_n > 1 ? seen_wn + (size_t)worker * size_n : 0;
     const size_t plane_size = (size_t)size_y * size_x;
-    for (int t = begin + worker; t < end; t += get_global_size(0)) {
+    for (int n; (n = begin + (int)atomic_inc(next_a + batch)) < end;) {
+        const int t = order_t[n];
         encoder_t e = {item_wi + (size_t)worker * size_i, 0, size_i, raw_wr + (size_t)worker * size_r, 0, size_r, 0, 0, multiplier,
                        0.0f, 0, 0};
         begin_tables(work, count_ms, flag_q2, 1);
