@@ -72,7 +72,7 @@ class Encoder(StepFinder):
         if not len(axes.scales_j):
             streams = []
         head = Head(whitening.exponent, step, len(axes.scales_j), self._transfer, 0, self._pixels.basis)
-        return pack_body(head, whitening.rotation_cc, axes, self._mean(step), streams)
+        return pack_body(head, self._tables(axes, step), streams)
 
     def _encode_tiles(self, tiles: list[Tile], planes: Planes, step: float, multiplier: float) -> Iterator[Coded]:
         """Return the streams of tiles, one after another; where others help, parts of all are begun at once."""

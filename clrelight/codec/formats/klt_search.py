@@ -72,7 +72,8 @@ class StepFinder(TileEncoder):
         self._pieces: dict[int, Pieces] = {}
         self._prepared = 0
         self._tried: dict[tuple[float, int], dict[int, Tried]] = {}
-        self._table: tuple[Axes, float, int] | None = None
+        self._packed: tuple[Axes, float, bytes] | None = None
+        self._of_entropy: float | None = None
 
     def _mean(self, step: float) -> NDArray[np.int64]:
         return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
@@ -93,7 +94,7 @@ class StepFinder(TileEncoder):
         self._prepare(count)
         vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
         axes = quantise_axes(vectors, deviation, self._n_pixel, step, self._whitening.root_nn)
-        streams, sizes = 0.0, np.zeros(0)
+        streams, sizes, axis_bits = 0.0, np.zeros(0), 0.0
         if count:
             # Every second piece, or each, is also every fourth.
             chosen = range(len(self._windows))[_FEW // 2 % every :: every] or range(len(self._windows))
@@ -105,11 +106,12 @@ class StepFinder(TileEncoder):
             energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
             saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
             saved_j -= energy_j * self._whitening.cost_j(axes.vectors_jd - vectors)
-            pays = saved_j > _AXIS_MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
+            axis_bits_j = np.array([zero_order_bits(np.abs(row)) for row in axes.entries_jd])
+            pays = saved_j > _AXIS_MULTIPLIER * (bits_j + axis_bits_j)
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
-            streams = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0)
+            streams, axis_bits = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0), float(axis_bits_j[pays].sum())
             sizes = sizes * share / self._n_pixel * len(areas)
-        size = self._fixed_bytes(axes, step, streams) + streams
+        size = self._about_table_bytes(axes, step, axis_bits) + self._about_index_bytes(streams) + streams
         return Trial(step, size, axes, sizes)
 
     def _try_pieces(self, chosen: Sequence[int], step: float, count: int) -> list[Tried]:
@@ -133,15 +135,30 @@ class StepFinder(TileEncoder):
 
     def _fixed_bytes(self, axes: Axes, step: float, streams: float) -> float:
         """Return the bytes beside those of streams, which take about so many."""
+        return self._table_bytes(axes, step) + self._about_index_bytes(streams)
+
+    def _about_index_bytes(self, streams: float) -> int:
         count = count_streams(self._shape)
-        return self._table_bytes(axes, step) + index_bytes([int(streams / count) + 1] * count)
+        return index_bytes([int(streams / count) + 1] * count)
 
     def _table_bytes(self, axes: Axes, step: float) -> int:
-        """Return the bytes of a body in front of its index; the last is remembered while streams fill a budget."""
-        if self._table is None or self._table[0] is not axes or self._table[1] != step:
-            packed = pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
-            self._table = axes, step, HEAD_SIZE + len(packed)
-        return self._table[2]
+        """Return the bytes of a body in front of its index."""
+        return HEAD_SIZE + len(self._tables(axes, step))
+
+    def _tables(self, axes: Axes, step: float) -> bytes:
+        """Return the tables of a body; the last are remembered while streams fill a budget."""
+        if self._packed is None or self._packed[0] is not axes or self._packed[1] != step:
+            self._packed = axes, step, pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
+        return self._packed[2]
+
+    def _about_table_bytes(self, axes: Axes, step: float, bits: float) -> float:
+        """Return about the same for axes of some entropy: what the first took of theirs, others do too."""
+        if self._of_entropy is None or not bits:
+            size = self._table_bytes(axes, step)
+            if bits:
+                self._of_entropy = size / bits
+            return size
+        return self._of_entropy * bits
 
     def _find_step(self, budget: int) -> Trial:
         """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
