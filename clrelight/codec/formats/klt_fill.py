@@ -5,7 +5,6 @@ Where much is missing, or too much, all are. The multiplier by which a bit must 
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 
@@ -23,6 +22,8 @@ _GIVES = 0.1
 """Part of their bytes that streams are to give or take: at multipliers much apart bytes would be spent unevenly."""
 _MORE = 1.25
 """Times by which bytes are to change more than they must: places are taken until they fit."""
+_COMBINED, _TAKEN = 10, 3
+"""Places of which each set is looked at, and sets that are."""
 _LEAST_PLACES, _MAX_TRIALS = 4, 7
 
 
@@ -62,22 +63,19 @@ def fill(
     def measure(place: float) -> float:
         nonlocal best
         made = dict(zip(chosen, encode(chosen, math.exp(place)), strict=True))
-
-        def after(count: int) -> int:
-            """Return what is left where the first places are as they were made."""
-            nonlocal best
+        change_p = np.array([sum(len(made[t]) - len(first[t]) for t in streams) for streams in places])
+        most = left
+        for _ in range(_TAKEN):
             taken = list(first)
-            for t in itertools.chain(*places[:count]):
-                taken[t] = made[t]
+            for p in _take(change_p, most):
+                for t in places[p]:
+                    taken[t] = made[t]
             now = spare(taken)
             best = min(best, (now, taken), key=lambda each: (each[0] < 0, abs(each[0])))
-            return now
-
-        of_all, few, many = after(len(places)), 0, len(places)
-        while many - few > 1:  # where bytes begin to fit, or cease to
-            middle = (few + many) // 2
-            few, many = (middle, many) if (after(middle) < 0) == (left < 0) else (few, middle)
-        return math.log(max(held + left - of_all, 1.0))
+            if now >= 0:
+                break
+            most += now  # the index grew
+        return math.log(max(held + int(change_p.sum()), 1.0))
 
     search_falling(
         measure,
@@ -92,6 +90,18 @@ def fill(
         width=1e-4,
     )
     return best[1]
+
+
+def _take(change_p: NDArray[np.int64], most: int) -> list[int]:
+    """Return the places whose changes of bytes sum up to the greatest number that is not above one, or all places."""
+    few = min(len(change_p), _COMBINED)
+    head_n = np.concatenate([[0], np.cumsum(change_p[: len(change_p) - few])])
+    masks_mp = np.arange(1 << few)[:, None] >> np.arange(few) & 1
+    sums_nm = head_n[:, None] + masks_mp @ change_p[len(change_p) - few :]
+    if sums_nm.min() > most:
+        return list(range(len(change_p)))
+    n, m = divmod(int(np.where(sums_nm > most, np.iinfo(np.int64).min, sums_nm).argmax()), 1 << few)
+    return [*range(n), *(len(change_p) - few + np.flatnonzero(masks_mp[m])).tolist()]
 
 
 def change_multiplier(multiplier: float, ratio: float) -> float:

@@ -72,6 +72,7 @@ class StepFinder(TileEncoder):
         self._pieces: dict[int, Pieces] = {}
         self._prepared = 0
         self._tried: dict[tuple[float, int], dict[int, Tried]] = {}
+        self._exact = self._whitening.exact(0)
         self._packed: tuple[Axes, float, bytes] | None = None
         self._of_entropy: float | None = None
 
@@ -85,7 +86,7 @@ class StepFinder(TileEncoder):
         _, height, width, _ = self._shape
         count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
         self._windows, self._pieces = list_pieces(height, width, count, self._memory), {}
-        self._tried = {}
+        self._tried, self._exact = {}, self._whitening.exact(count)
         self._prepared = count
 
     def _try(self, step: float, every: int = 1) -> Trial:
@@ -116,7 +117,7 @@ class StepFinder(TileEncoder):
 
     def _try_pieces(self, chosen: Sequence[int], step: float, count: int) -> list[Tried]:
         """Return what the first planes of some pieces take at a step."""
-        elsewhere, planes = self._pixels.elsewhere, self._whitening.exact(self._prepared)
+        elsewhere, planes = self._pixels.elsewhere, self._exact
         found = self._tried.setdefault((step, count), {})
         missing = [n for n in chosen if n not in found]
         if elsewhere is not None:
@@ -163,9 +164,12 @@ class StepFinder(TileEncoder):
     def _find_step(self, budget: int) -> Trial:
         """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
         place, trials = -5.0, dict[float, Trial]()
+        _, height, width, _ = self._shape
         for stage in range(2):
-            every, aims = (_FEW, _NEARLY) if not stage else self._last_stage()
-            trials = {}
+            # One tile is coded until its bytes fit.
+            one = is_one_tile(height, width, self._prepared, self._memory)
+            every, aims = (2 if one else 1, _FOUND) if stage else (_FEW, _NEARLY)
+            aims, trials = NEAR if one else aims, {}
 
             def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
                 trials[place] = self._try(2.0**place, every)
@@ -175,11 +179,6 @@ class StepFinder(TileEncoder):
             if len(self._windows) <= 1:
                 break
         return trials[place]
-
-    def _last_stage(self) -> tuple[int, tuple[float, float, float]]:
-        """Return of how many pieces one is tried at last, and how near; one tile is coded until its bytes fit."""
-        _, height, width, _ = self._shape
-        return (2, NEAR) if is_one_tile(height, width, self._prepared, self._memory) else (1, _FOUND)
 
     def _bounds(self) -> tuple[float, float]:
         return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))
