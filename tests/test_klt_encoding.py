@@ -6,7 +6,7 @@ import pytest
 from clrelight.codec.entropy.units import Window, list_units
 from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_encode import Encoder
-from clrelight.codec.formats.klt_fill import _choose
+from clrelight.codec.formats.klt_fill import _choose, _take
 from clrelight.codec.streams import ArraySource
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.pixels import Pixels
@@ -52,6 +52,36 @@ def test_what_fills_a_budget_decodes(device, rate):
     assert 0.99 * budget <= len(filled) <= budget
     # At the same step, more bytes are less error, and the other way round.
     assert error_of(filled) == pytest.approx(error_of(plain) * len(plain) / len(filled), rel=0.15)
+
+
+def test_no_piece_is_coded_twice_at_a_step(device, monkeypatch):
+    tried = []
+    code = Encoder.try_pieces
+
+    def counted(self, pieces, step, count):
+        tried.append((id(pieces), step, count))
+        return code(self, pieces, step, count)
+
+    monkeypatch.setattr(Encoder, "try_pieces", counted)
+    coeffs = rough_map(760, 700)  # larger than what is tried as a whole
+    encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear")
+    encoder.encode_within(int(0.05 * coeffs.size / 8))
+    assert len(tried) == len(set(tried)) > 1
+    assert len(encoder._windows) > 1
+    assert len({pieces for pieces, _, _ in tried}) == 2  # of four groups, the map being one tile
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("count", [1, 4, 10, 13])
+def test_the_places_that_fill_a_budget_best(count, sign):
+    change = sign * np.random.default_rng(count).integers(5, 400, count)
+    # With more places than are combined, the first ones are taken in order.
+    sets = [[n for n in range(count) if mask >> n & 1] for mask in range(1 << count)]
+    allowed = [each for each in sets if (head := [n for n in each if n < count - 10]) == list(range(len(head)))]
+    for most in (int(change.sum()) - 1, int(change.sum() // 2), 0):
+        fitting = [int(change[each].sum()) for each in allowed if change[each].sum() <= most]
+        wanted = max(fitting) if fitting else int(change.sum())
+        assert int(change[_take(change, most)].sum()) == wanted
 
 
 def test_tiles_fit_a_budget_whatever_their_trials_said(device):
