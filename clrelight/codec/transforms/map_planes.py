@@ -66,5 +66,12 @@ def planes_of_map(
         (-(-width // tile), rows[1] - rows[0]),
         *(made, coeffs, last.packed_o, heights, offset, at, rows[0], columns[0], width),
         *(*made.shape, *coeffs.shape, heights.shape[0]),
-        defines={"VECTOR": device.info.lanes, "REAL_BITS": 32, "TILE": tile, "CHUNK": DEPTH, "DEPTH": DEPTH, "ROOM": room},
+        defines={
+            "VECTOR": device.info.lanes,
+            "REAL_BITS": 32,
+            "TILE": tile,
+            "CHUNK": DEPTH,
+            "DEPTH": DEPTH,
+            "ROOM": room,
+        },
     )
