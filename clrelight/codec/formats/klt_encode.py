@@ -119,7 +119,7 @@ class Encoder(StepFinder):
                 fitting.append((len(body), body, exact))
             return len(body)
 
-        search_step(count, float(np.log2(trial.step)), self._bounds(), budget, _USED)
+        search_step(count, float(np.log2(_likely_step(trial, budget))), self._bounds(), budget, _USED)
         if not fitting:
             raise InputError(f"klt needs {least} bytes for this map even at its coarsest step, the budget is {budget}")
         _, body, step = max(fitting, key=lambda each: each[0])
@@ -137,7 +137,7 @@ class Encoder(StepFinder):
             self._collect(streams, tile, self.encode_part(part, exact, keep=True).streams)
             return self._used_bytes(axes, exact, streams)
 
-        step = trial.step * (trial.size / max(NEAR[1] * budget, 1.0)) ** _STEP_POWER
+        step = _likely_step(trial, budget)
         for aims in (NEAR, _USED):
             place = search_step(count, float(np.log2(step)), self._bounds(), budget, aims)
             step = float(np.float32(2.0**place))
@@ -237,3 +237,8 @@ class Encoder(StepFinder):
 
     def _bounded(self, step: float) -> float:
         return float(np.float32(min(max(step, self._finest), STEP_RANGE[1])))
+
+
+def _likely_step(trial: Trial, budget: int) -> float:
+    """Return the step at which a budget is likely filled, by a trial near it."""
+    return trial.step * float(trial.size / max(NEAR[1] * budget, 1.0)) ** _STEP_POWER
