@@ -19,7 +19,7 @@ _RESONANT = 256
 column finds none of its lines again: three to four times the time of `ceb`."""
 
 _CHUNK = 256
-_DEPTH = 64
+DEPTH = 64
 _MAX_TILE = 256
 _FEW_ROWS, _FEW_ROWS_SUMS = 4, 4096
 """Most rows that are summed at once, and sums that a work-item then keeps: it reads the source page by page."""
@@ -81,9 +81,9 @@ def tile_defines(device: Device, real: np.dtype = _FLOAT32) -> dict[str, object]
     while tile > 2 * vector and tile * size * (_CHUNK + 8) > device.info.local_memory_bytes:
         tile //= 2
     chunk = _CHUNK
-    while chunk > _DEPTH and tile * size * (chunk + 8) > device.info.local_memory_bytes:
+    while chunk > DEPTH and tile * size * (chunk + 8) > device.info.local_memory_bytes:
         chunk //= 2
-    return {"VECTOR": vector, "TILE": tile, "CHUNK": chunk, "DEPTH": _DEPTH}
+    return {"VECTOR": vector, "TILE": tile, "CHUNK": chunk, "DEPTH": DEPTH}
 
 
 def sample_defines(dtype: np.dtype, real: np.dtype = _FLOAT32) -> dict[str, object]:

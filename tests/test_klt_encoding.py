@@ -6,7 +6,7 @@ import pytest
 from clrelight.codec.entropy.units import Window, list_units
 from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_encode import Encoder
-from clrelight.codec.formats.klt_fill import _choose
+from clrelight.codec.formats.klt_fill import _choose, _take
 from clrelight.codec.streams import ArraySource
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.pixels import Pixels
@@ -54,6 +54,36 @@ def test_what_fills_a_budget_decodes(device, rate):
     assert error_of(filled) == pytest.approx(error_of(plain) * len(plain) / len(filled), rel=0.15)
 
 
+def test_no_piece_is_coded_twice_at_a_step(device, monkeypatch):
+    tried = []
+    code = Encoder.try_pieces
+
+    def counted(self, pieces, step, count):
+        tried.append((id(pieces), step, count))
+        return code(self, pieces, step, count)
+
+    monkeypatch.setattr(Encoder, "try_pieces", counted)
+    coeffs = rough_map(760, 700)  # larger than what is tried as a whole
+    encoder = Encoder(Pixels(ArraySource(coeffs, device)), "linear")
+    encoder.encode_within(int(0.05 * coeffs.size / 8))
+    assert len(tried) == len(set(tried)) > 1
+    assert len(encoder._windows) > 1
+    assert len({pieces for pieces, _, _ in tried}) == 2  # of four groups, the map being one tile
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("count", [1, 4, 10, 13])
+def test_the_places_that_fill_a_budget_best(count, sign):
+    change = sign * np.random.default_rng(count).integers(5, 400, count)
+    # With more places than are combined, the first ones are taken in order.
+    sets = [[n for n in range(count) if mask >> n & 1] for mask in range(1 << count)]
+    allowed = [each for each in sets if (head := [n for n in each if n < count - 10]) == list(range(len(head)))]
+    for most in (int(change.sum()) - 1, int(change.sum() // 2), 0):
+        fitting = [int(change[each].sum()) for each in allowed if change[each].sum() <= most]
+        wanted = max(fitting) if fitting else int(change.sum())
+        assert int(change[_take(change, most)].sum()) == wanted
+
+
 def test_tiles_fit_a_budget_whatever_their_trials_said(device):
     """Noise at the top alone: three passes over the tiles missed the budget, and it was refused."""
     shape, rows, deviation, rate = (4, 2100, 700, 3), 700, 0.3, 2.0
@@ -72,8 +102,8 @@ def test_tiles_fit_a_budget_whatever_their_trials_said(device):
 def test_streams_are_chosen_with_all_that_hang_on_them():
     units = list_units(700, 900)
     sizes = np.full(len(units), 100)
-    assert _choose(units, sizes, -1e9) == list(range(len(units)))
-    chosen = _choose(units, sizes, 50.0)
+    assert _choose(units, sizes, -1e9) == [list(range(len(units)))]
+    chosen = [t for place in _choose(units, sizes, 50.0) for t in place]
     assert 4 <= len(chosen) < len(units) / 2
     held = {(units[t].level, units[t].row, units[t].column) for t in chosen}
     assert {level for level, _, _ in held} == {1, 2}

@@ -19,6 +19,7 @@
 #define FINITE 1
 #include "common/source_tile.clh"
 #include "codec/bend.clh"
+#include "codec/plane_rows.clh"
 
 #if !defined(BEND) || !defined(ROOM)
 #error "BEND and ROOM must be defined"
@@ -72,19 +73,6 @@ __kernel void make_planes_jyx(__global float *restrict plane_jyx, __global const
         for (int v = 0; v < count_n * TILE_VECTORS; v++) of_channel[v] = bend(of_channel[v]);
 #endif
     }
-    __global const float *operator = last_e;
-    int j = 0;
-    for (int d = 0; d < size_d; d++) {
-        const int height = heights_d[d];
-        apply_block(height, values, operator, ROOM, sums, 1);
-        for (int r = 0; r < height; r++, j++) {
-            __local const float *from = (__local const float *)(sums + r * TILE_VECTORS);
-            __global float *to = plane_jyx + ((long)j * size_y + row + y) * size_x + x;
-            const float offset = offset_j[j];
-            int at = 0;
-            for (; at + 8 <= count; at += 8) AT(__global, float8, to + at) = AT(__local const, float8, from + at) - offset;
-            for (; at < count; at++) to[at] = from[at] - offset;
-        }
-        operator += height * ROOM;
-    }
+    store_planes(plane_jyx + (long)(row + y) * size_x + x, (long)size_y * size_x, values, last_e, heights_d, offset_j,
+                 ROOM, size_d, count, sums);
 }

@@ -79,20 +79,33 @@ INLINE void encode_symbol(encoder_t *e, __global work_t *work, const int context
         work->due[(*due)++] = (ushort)context;
 }
 
-/* What is lost at best of a sample of size `a`, in squared steps: its error, and its bits at their multiplier. */
-INLINE float least_loss(__global const float *cost, const float multiplier, const float a, int *chosen)
+#define EACH(from, at) \
+    (from)[at.s0], (from)[at.s1], (from)[at.s2], (from)[at.s3], (from)[at.s4], (from)[at.s5], (from)[at.s6], (from)[at.s7]
+
+/* What is lost at best of samples of sizes `a`, in squared steps: their error, and their bits at their multiplier. Where
+ * the costs of each sample's symbols begin, and those of its 0. */
+INLINE float8 least_losses(__global const float *cost, const int8 begin, const float8 cost_0, const float multiplier,
+                           const float8 a, int8 *chosen)
 {
-    const int nearest = LEAST((int)(a + 0.5f), LAST - 1);
-    float least = a * a + multiplier * cost[0];
-    *chosen = 0;
-    for (int m = MOST(nearest - 1, 1); m <= nearest; ++m) {
-        const float loss = (a - m) * (a - m) + multiplier * (cost[m] + 1.0f);
-        if (loss < least) {
-            least = loss;
-            *chosen = m;
-        }
-    }
-    return least;
+    const float8 largest = (float)(LAST - 1);
+    const int8 nearest = __builtin_convertvector((a < largest ? a : largest) + 0.5f, int8);
+    const int8 lower = nearest > 2 ? nearest - 1 : 1, at_lower = begin + lower, at_nearest = begin + nearest;
+    const float8 less = a - __builtin_convertvector(lower, float8), off = a - __builtin_convertvector(nearest, float8);
+    const float8 of_lower = less * less + multiplier * ((float8)(EACH(cost, at_lower)) + 1.0f);
+    const float8 of_nearest = off * off + multiplier * ((float8)(EACH(cost, at_nearest)) + 1.0f);
+    const float8 of_0 = a * a + multiplier * cost_0;
+    const int8 any = nearest > 0;
+    const int8 is_lower = any & (of_lower < of_0);
+    const float8 least = is_lower ? of_lower : of_0;
+    const int8 is_nearest = any & (of_nearest < least);
+    *chosen = is_nearest ? nearest : is_lower ? lower : 0;
+    return is_nearest ? of_nearest : least;
+}
+
+INLINE int any_of(const int8 mask)
+{
+    const int4 four = mask.lo | mask.hi;
+    return four.x | four.y | four.z | four.w;
 }
 
 INLINE float8 size_of(const float8 value) { return as_float8(as_int8(value) & 0x7fffffff); }
@@ -129,7 +142,7 @@ INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global
                        const int top, const int left, const int rows, const int columns, const int pitch)
 {
     const int base = context_base(plane);
-    float gain = 0.0f;
+    float8 gains = 0.0f;
     int8 up = 0;
     for (int y = top; y < rows; ++y) {
         const float8 a = size_of(load_row(value + (size_t)y * pitch + left, columns - left, e->scale));
@@ -137,22 +150,17 @@ INLINE float find_gain(const encoder_t *e, __global const work_t *work, __global
         const int8 hint = __builtin_convertvector(LOAD(ushort8, work->hint + y * UNIT + left), int8);
         const int8 context = base + classes_of(2 * (before + up), NEAR - 2) * HINT + classes_of(hint, HINT - 1);
         up = nearest;
-        const int8 places = context * SYMBOLS;
-        const float *size = (const float *)&a;
-        const int *of = (const int *)&places;
-        float bits = 0.0f;
-        for (int x = 0; x < LEAST(columns - left, CELL); ++x) {
-            bits += work->cost[of[x]];
-            if (size[x] >= 0.5f) {
-                __global const float *cost = work->cost + of[x];
-                int chosen;
-                const float loss = least_loss(cost, e->multiplier, size[x], &chosen);
-                gain += size[x] * size[x] - loss + e->multiplier * cost[0];
-            }
+        const int8 begin = context * SYMBOLS;
+        const float8 cost_0 = (float8)(EACH(work->cost, begin)), of_0 = e->multiplier * cost_0;
+        const int8 inside = (int8)(0, 1, 2, 3, 4, 5, 6, 7) < columns - left, any = a >= 0.5f;
+        float8 saved = -of_0;
+        if (any_of(any)) {
+            int8 chosen;
+            saved = a * a - least_losses(work->cost, begin, cost_0, e->multiplier, a, &chosen);
         }
-        gain -= e->multiplier * bits;
+        gains += inside ? saved : 0.0f;
     }
-    return gain;
+    return sum_of(gains);
 }
 
 /* Which cells are worth their bits. */
@@ -193,6 +201,119 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
     return cells;
 }
 
+/* Choose the magnitudes of a batch's samples, which hang on none of each other: symbols go where contexts were, behind
+ * them, and magnitudes to `chosen`, below 0 where the value is. Returns whether any needs more than a symbol and a sign. */
+INLINE int choose_sizes(const encoder_t *e, __global work_t *work, __global const float *value, const int pitch,
+                        const int samples, float *error, float *taken)
+{
+    const int8 lanes = (int8)(0, 1, 2, 3, 4, 5, 6, 7);
+    float8 errors = 0.0f, bits = 0.0f;
+    int8 rare = 0;
+    STORE(ushort8, work->context + samples, 0); /* of samples that fill up the last eight */
+    STORE(ushort8, work->place + samples, work->place[0]);
+    for (int i = 0; i < samples; i += 8) {
+        const int8 place = __builtin_convertvector(LOAD(ushort8, work->place + i), int8);
+        const int8 context = __builtin_convertvector(LOAD(ushort8, work->context + i), int8);
+        const int8 begin = (context & 0xfff) * SYMBOLS, shift = (context >> 12) + e->coarse;
+        const int8 at = (place >> 6) * pitch + (place & 63), valid = lanes < samples - i;
+        const float8 v = (float8)(EACH(value, at)) * e->scale, a = size_of(v);
+        const float8 most = (float)(MAX_MAGNITUDE >> 1), half_up = a + 0.5f;
+        int8 magnitude = __builtin_convertvector(half_up < most ? half_up : most, int8);
+        int8 chosen;
+        least_losses(work->cost, begin, (float8)(EACH(work->cost, begin)), e->multiplier, a, &chosen);
+        magnitude = magnitude < LAST & shift == 0 ? chosen : magnitude;
+        const int8 above = magnitude >> shift, symbol = above < LAST ? above : LAST, where = begin + symbol;
+        const float8 off = a - __builtin_convertvector(magnitude, float8);
+        errors += valid ? off * off : 0.0f;
+        const float8 taken_by = (float8)(EACH(work->cost, where)) + (magnitude > 0 ? 1.0f : 0.0f);
+        bits += valid ? taken_by : 0.0f;
+        rare |= valid & (shift > 0 | above >= LAST);
+        STORE(ushort8, work->context + i, __builtin_convertvector(where, ushort8));
+        STORE(ushort8, work->place + i, __builtin_convertvector(place | (context >> 12) << 12, ushort8));
+        STORE(int8, work->chosen + i, v < 0.0f ? -magnitude : magnitude);
+    }
+    *error += sum_of(errors);
+    *taken += sum_of(bits);
+    return any_of(rare);
+}
+
+/* Put the symbols of a batch, and its magnitudes where others look for them. */
+INLINE void put_batch(encoder_t *e, __global work_t *work, const int band, __global int *index, const int pitch,
+                      const int samples, __global uint *seen)
+{
+    __global uchar *size = work->size + band * SIZES + PITCH + EDGE;
+    __global uint *item = e->item + e->items;
+    const uint in_lanes = samples & ~(LANES - 1);
+    int due = 0;
+    if (e->items + (uint)samples > e->room) {
+        e->full = 1;
+        return;
+    }
+    for (uint i = 0; i < (uint)samples; ++i) {
+        const uint at = work->context[i], context = at / SYMBOLS, place = work->place[i] & 0xfff, y = place >> 6, x = place & 63;
+        const uint begin = work->left[at], width = (work->left[at + 1] - begin) & (ONE - 1);
+        const int found = work->chosen[i], magnitude = (found < 0 ? -found : found) >> e->coarse;
+        item[i] = begin | width << PRECISION | (i < in_lanes ? i & (LANES - 1) : 0) << 29;
+        index[(size_t)y * pitch + x] = found;
+        size[y * PITCH + x] = (uchar)LEAST(magnitude, MAX_SIZE);
+        if (seen)
+            seen[at]++;
+        work->count[at]++;
+        if (--work->patience[context] == 0)
+            work->due[due++] = (ushort)context;
+    }
+    e->items += samples;
+    learn_due(work, due, 1);
+}
+
+/* Put the signs of what is not 0. */
+INLINE void put_signs(encoder_t *e, __global const work_t *work, const int samples)
+{
+    ulong bits = e->bits;
+    int held = e->held;
+    __global uchar *raw = e->raw + e->raw_size;
+    if (e->raw_size + (uint)samples / 8 + 8 > e->raw_room) {
+        e->full = 1;
+        return;
+    }
+    for (int i = 0; i < samples; ++i) {
+        const int found = work->chosen[i];
+        bits |= (ulong)(found < 0) << held;
+        held += found != 0;
+        if (held >= 32) {
+            STORE(uint, raw, (uint)bits);
+            raw += 4;
+            bits >>= 32;
+            held -= 32;
+        }
+    }
+    e->raw_size = raw - e->raw;
+    e->bits = bits;
+    e->held = held;
+    put_bits(e, 0, 0);
+}
+
+/* The same where some are larger than symbols tell; returns the bits beside symbols and signs. */
+INLINE float put_rare(encoder_t *e, __global const work_t *work, const int samples)
+{
+    float taken = 0.0f;
+    for (int i = 0; i < samples; ++i) {
+        const int found = work->chosen[i], magnitude = found < 0 ? -found : found;
+        const int above = work->place[i] >> 12, shift = above + e->coarse;
+        if (!magnitude && !shift)
+            continue;
+        if (magnitude >> shift >= LAST)
+            taken += put_large(e, (magnitude >> shift) - LAST, ORDER(above));
+        if (shift) {
+            put_bits(e, (uint)magnitude & ((1u << shift) - 1u), shift);
+            taken += shift;
+        }
+        if (magnitude)
+            put_bits(e, found < 0, 1);
+    }
+    return taken;
+}
+
 INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int *unit, __global const float *values,
                         __global int *indices, const int band, const int plane, const int pitch, __global uint *seen,
                         __global float *bits, __global float *errors, const size_t plane_size)
@@ -228,41 +349,12 @@ INLINE void encode_band(encoder_t *e, __global work_t *work, __global const int 
             }
         for (int batch = 0; batch < 3; ++batch) {
             const int samples = gather_batch(work, band, plane, batch, rows, columns, cells);
-            const int in_lanes = samples & ~(LANES - 1);
-            int due = 0;
-            for (int i = 0; i < samples; ++i) {
-                const int y = work->place[i] >> 6, x = work->place[i] & 63, context = work->context[i] & 0xfff;
-                const int shift = (work->context[i] >> 12) + e->coarse;
-                const float v = value[(size_t)y * pitch + x] * e->scale, a = v < 0.0f ? -v : v;
-                __global const float *cost = work->cost + context * SYMBOLS;
-                int magnitude = a < 0.5f ? 0 : (int)LEAST(a + 0.5f, (float)(MAX_MAGNITUDE >> 1));
-                if (magnitude && magnitude < LAST && !shift)
-                    least_loss(cost, e->multiplier, a, &magnitude);
-                error += (a - magnitude) * (a - magnitude);
-                const int symbol = LEAST(magnitude >> shift, LAST);
-                taken += cost[symbol] + (symbol || (e->coarse && magnitude) ? 1.0f : 0.0f);
-                encode_symbol(e, work, context, symbol, i < in_lanes ? i & (LANES - 1) : 0, &due, seen);
-                index[(size_t)y * pitch + x] = v < 0.0f ? -magnitude : magnitude;
-                if (magnitude) {
-                    work->size[band * SIZES + (y + 1) * PITCH + EDGE + x] = (uchar)LEAST(magnitude >> e->coarse, MAX_SIZE);
-                }
-            }
-            learn_due(work, due, 1);
-            for (int i = 0; i < samples; ++i) {
-                const int y = work->place[i] >> 6, x = work->place[i] & 63, above = work->context[i] >> 12;
-                const int shift = above + e->coarse;
-                const int found = index[(size_t)y * pitch + x], magnitude = found < 0 ? -found : found;
-                if (!magnitude && !shift)
-                    continue;
-                if (magnitude >> shift >= LAST)
-                    taken += put_large(e, (magnitude >> shift) - LAST, ORDER(above));
-                if (shift) {
-                    put_bits(e, (uint)magnitude & ((1u << shift) - 1u), shift);
-                    taken += shift;
-                }
-                if (magnitude)
-                    put_bits(e, found < 0, 1);
-            }
+            const int rare = choose_sizes(e, work, value, pitch, samples, &error, &taken);
+            put_batch(e, work, band, index, pitch, samples, seen);
+            if (rare)
+                taken += put_rare(e, work, samples);
+            else
+                put_signs(e, work, samples);
         }
     }
     *errors += error;
@@ -354,21 +446,24 @@ __kernel void place_planes(__global float *value_jyx, __global const float *part
         to[x] = from[x] - offset;
 }
 
-/* Streams of units; global size: workers, of which each takes one stream after another. Indices may take the place of
+/* Streams of units; global size: workers, of which each takes the next stream of `order_t` from begin to end, until
+ * `next_a[batch]` has counted all. Indices may take the place of
  * values: of a band, all values that are needed are read before. */
 __kernel void encode_units(__global int *index_jyx, __global const float *value_jyx, __global uchar *stream_b,
                            __global uint *taken_o, __global uint *place_t2, __global float *error_tj,
                            __global float *bits_tj, __global const int *part_t4, __global const int *unit_uf,
                            __global const ushort *count_ms, __global const ushort *flag_q2, __global uchar *work_wd,
                            __global uint *item_wi, __global uchar *raw_wr, __global uint *seen_wn,
-                           __global const float *scale_j, __global const int *coarse_jl, const float multiplier, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
+                           __global const float *scale_j, __global const int *coarse_jl, __global const int *order_t, volatile __global uint *next_a,
+                           const float multiplier, const int batch, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
                            const int size_n, const int size_j, const int size_y, const int size_x)
 {
     const int worker = get_global_id(0);
     __global work_t *work = (__global work_t *)(work_wd + worker * (size_t)WORK_BYTES);
     __global uint *seen = size_n > 1 ? seen_wn + (size_t)worker * size_n : 0;
     const size_t plane_size = (size_t)size_y * size_x;
-    for (int t = begin + worker; t < end; t += get_global_size(0)) {
+    for (int n; (n = begin + (int)atomic_inc(next_a + batch)) < end;) {
+        const int t = order_t[n];
         encoder_t e = {item_wi + (size_t)worker * size_i, 0, size_i, raw_wr + (size_t)worker * size_r, 0, size_r, 0, 0, multiplier,
                        0.0f, 0, 0};
         begin_tables(work, count_ms, flag_q2, 1);

@@ -211,17 +211,6 @@ __kernel void planes_from_coeffs(__global float *restrict planes_pyx, __global c
               (size_t)size_y * size_x);
 }
 
-/* planes[k c][y][x] = coeffs[k][top + y][left + x][c], x of `width`. Same global size. */
-__kernel void planes_from_part(__global float *restrict planes_pyx, __global const float *restrict coeffs_khwc,
-                               const int top, const int left, const int width, const int size_h, const int size_w,
-                               const int size_c, const int size_y, const int size_x)
-{
-    const int y = get_global_id(0), k = get_global_id(1);
-    split_row(planes_pyx + ((size_t)k * size_c * size_y + y) * size_x,
-              coeffs_khwc + (((size_t)k * size_h + top + y) * size_w + left) * size_c, 1.0f, width, size_c,
-              (size_t)size_y * size_x);
-}
-
 /* coeffs[k][y][x][c] = scale[k] planes[k c][y][x], kept within the range of float32. Same global size. */
 __kernel void coeffs_from_planes(__global float *restrict coeffs_khwc, __global const float *restrict planes_pyx,
                                  __global const float *restrict scale_k, const int size_h, const int size_w,

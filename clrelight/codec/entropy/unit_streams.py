@@ -137,7 +137,8 @@ def encode_streams(
     batches = layout.batches()
     n_plane, n_stream = values.shape[0], len(layout.part_t4)
     samples = _samples(layout)
-    workers = min(4 * device.info.compute_units, max(end - begin for begin, end in batches))
+    most = max(end - begin for begin, end in batches)
+    workers = min((1 if device.style == "cpu" else 4) * device.info.compute_units, most)
     items = int(samples.max()) * 5 // 4 + (1 << 12)  # samples, and flags of cells and bands
     place_t2, seen_wn = np.zeros((n_stream, 2), np.uint32), np.zeros((workers, _SEEN if count else 1), np.uint32)
     error_tj, bits_tj = np.zeros((n_stream, n_plane), np.float32), np.zeros((n_stream, n_plane), np.float32)
@@ -146,18 +147,19 @@ def encode_streams(
     coarse = device.upload(_coarse(coarse_jl, n_plane))
     work, item = device.empty((workers, _WORK_BYTES), np.uint8), device.empty((workers, items), np.uint32)
     raw = device.empty((workers, _RAW_BYTES * items), np.uint8)
+    order = device.upload(np.lexsort((-samples, _batch_of(batches))).astype(np.int32))  # the largest first
     room = max(1 << 20, int(samples.sum()))
     while True:
         taken, stream = np.zeros(1, np.uint32), device.empty((room,), np.uint8)
         held = [device.hold(a) for a in (taken, place_t2, error_tj, bits_tj)]
-        seen = device.hold(seen_wn)
-        for begin, end in batches:
+        seen, next_a = device.hold(seen_wn), device.hold(np.zeros(len(batches), np.uint32))
+        for batch, (begin, end) in enumerate(batches):
             device.launch(
                 "codec/units_encode.cl",
                 "encode_units",
                 (min(workers, end - begin),),
-                *(index, values, stream, *held, *given, work, item, raw, seen, scales, coarse),
-                *(multiplier, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
+                *(index, values, stream, *held, *given, work, item, raw, seen, scales, coarse, order, next_a),
+                *(multiplier, batch, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
             )
         taken, place_t2, error_tj, bits_tj = (device.download(a) for a in held)
         if int(taken[0]) <= room:
@@ -187,6 +189,10 @@ def _samples(layout: Layout) -> NDArray[np.int64]:
     ends = np.concatenate([[0], np.cumsum(of_unit)])
     units, planes = layout.part_t4[:, :2], layout.part_t4[:, 2:]
     return (ends[units[:, 1]] - ends[units[:, 0]]) * (planes[:, 1] - planes[:, 0])
+
+
+def _batch_of(batches: list[tuple[int, int]]) -> NDArray[np.int64]:
+    return np.repeat(np.arange(len(batches)), [end - begin for begin, end in batches])
 
 
 def _coarse(coarse_jl: NDArray[np.int32] | None, n_plane: int) -> NDArray[np.int32]:

@@ -260,7 +260,7 @@ def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
     is in pieces: what comes last is coded several times, which takes its memory twice.
     """
     known = list(enumerate(list_units(height, width)))
-    if height * width <= _WHOLE and 4 * height * width * count <= memory:
+    if is_one_tile(height, width, count, memory):
         return [whole_tile(height, width, list(range(len(known))))]
     rows, columns = tile_sides(height, width, count, memory)
     tiles = []
@@ -272,6 +272,11 @@ def list_tiles(height: int, width: int, count: int, memory: int) -> list[Tile]:
             right = min(left + columns, width)
             tiles.append(tile_of(height, width, (top, left, bottom, right), known))
     return tiles
+
+
+def is_one_tile(height: int, width: int, count: int, memory: int) -> bool:
+    """Return whether an image of so many planes is one tile within so many bytes."""
+    return height * width <= _WHOLE and 4 * height * width * count <= memory
 
 
 def tile_sides(height: int, width: int, count: int, memory: int) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from clrelight.codec.entropy.unit_streams import Coded
 from clrelight.codec.entropy.units import Tile, list_tiles, whole_tile
 from clrelight.codec.formats.klt_fill import MULTIPLIER_POWER, change_multiplier, fill
 from clrelight.codec.formats.klt_last import Last, LastElsewhere, LastHere
-from clrelight.codec.formats.klt_search import StepFinder
+from clrelight.codec.formats.klt_search import NEAR, StepFinder
 from clrelight.codec.formats.klt_tiles import MULTIPLIER, encode_elsewhere
 from clrelight.codec.formats.klt_trials import Trial, foretell, search_step
 from clrelight.codec.formats.klt_units import Head, count_streams, is_together, pack_body
@@ -23,8 +23,6 @@ from clrelight.errors import InputError
 
 _USED = (0.992, 0.997, 1.0)
 """Parts of a budget where a search for the step of one stream ends, and aims; it ends at the last, too."""
-_NEAR = (0.9, 0.997, 1.1)
-"""The same where multipliers make up for the rest."""
 _SLACK = 0.004
 """Part of a budget that they may leave."""
 _LEAST_FILLED, _AIM = 0.99, 0.997
@@ -74,7 +72,7 @@ class Encoder(StepFinder):
         if not len(axes.scales_j):
             streams = []
         head = Head(whitening.exponent, step, len(axes.scales_j), self._transfer, 0, self._pixels.basis)
-        return pack_body(head, whitening.rotation_cc, axes, self._mean(step), streams)
+        return pack_body(head, self._tables(axes, step), streams)
 
     def _encode_tiles(self, tiles: list[Tile], planes: Planes, step: float, multiplier: float) -> Iterator[Coded]:
         """Return the streams of tiles, one after another; where others help, parts of all are begun at once."""
@@ -121,7 +119,7 @@ class Encoder(StepFinder):
                 fitting.append((len(body), body, exact))
             return len(body)
 
-        search_step(count, float(np.log2(trial.step)), self._bounds(), budget, _USED)
+        search_step(count, float(np.log2(_likely_step(trial, budget))), self._bounds(), budget, _USED)
         if not fitting:
             raise InputError(f"klt needs {least} bytes for this map even at its coarsest step, the budget is {budget}")
         _, body, step = max(fitting, key=lambda each: each[0])
@@ -139,8 +137,8 @@ class Encoder(StepFinder):
             self._collect(streams, tile, self.encode_part(part, exact, keep=True).streams)
             return self._used_bytes(axes, exact, streams)
 
-        step = trial.step * (trial.size / max(_NEAR[1] * budget, 1.0)) ** _STEP_POWER
-        for aims in (_NEAR, _USED):
+        step = _likely_step(trial, budget)
+        for aims in (NEAR, _USED):
             place = search_step(count, float(np.log2(step)), self._bounds(), budget, aims)
             step = float(np.float32(2.0**place))
             if step != exact:
@@ -239,3 +237,8 @@ class Encoder(StepFinder):
 
     def _bounded(self, step: float) -> float:
         return float(np.float32(min(max(step, self._finest), STEP_RANGE[1])))
+
+
+def _likely_step(trial: Trial, budget: int) -> float:
+    """Return the step at which a budget is likely filled, by a trial near it."""
+    return trial.step * float(trial.size / max(NEAR[1] * budget, 1.0)) ** _STEP_POWER

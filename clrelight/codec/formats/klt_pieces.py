@@ -68,9 +68,10 @@ class Pieces:
             pixels.fill(values, rows, columns, planes, number * height)
         transform_planes("analyse", reshaped(values, (count * many, height, pitch)), width, LEVELS, device)
         of_all = device.download(values).reshape(count, many, height, pitch)[..., :width]
-        energy = [np.einsum("jyx,jyx->j", of_all[:, n], of_all[:, n], dtype=np.float64) for n in range(many)]
+        pieces = [of_all[:, n].reshape(count, -1) for n in range(many)]
+        energy = [np.einsum("jp,jp->j", piece, piece) for piece in pieces]  # float32 tells which axes pay
         layout, piece_t = _lay_out((height, width), many, pitch, count, together)
-        return cls(values, layout, piece_t, np.array(energy))
+        return cls(values, layout, piece_t, np.array(energy, np.float64))
 
     def share(self, coded: Coded, count: int) -> list[Tried]:
         """Return what each piece has of the streams of the first planes."""

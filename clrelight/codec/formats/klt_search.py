@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
-from clrelight.codec.entropy.units import Window
+from clrelight.codec.entropy.units import Window, is_one_tile
 from clrelight.codec.formats.klt_pieces import Pieces, Tried
 from clrelight.codec.formats.klt_tiles import TileEncoder
 from clrelight.codec.formats.klt_trials import Trial, list_pieces, search_step
@@ -27,6 +27,8 @@ _AXIS_MULTIPLIER = 0.1
 """Squared steps of error that a bit of an axis must save: the faintest planes may be what lights from one side show."""
 _NEARLY, _FOUND, _FEW = (0.93, 0.97, 1.0), (0.95, 0.99, 1.04), 4
 """Parts of a budget where a search on every n-th piece ends, and aims; and those of one on all."""
+NEAR = (0.9, 0.997, 1.1)
+"""The same where what comes after makes up for the rest."""
 _PIECES_COST = 1.05
 """What pieces take of what a map does for each of their pixels: 1.03 to 1.07."""
 
@@ -69,7 +71,10 @@ class StepFinder(TileEncoder):
         self._windows: list[Window] = []
         self._pieces: dict[int, Pieces] = {}
         self._prepared = 0
-        self._table: tuple[Axes, float, int] | None = None
+        self._tried: dict[tuple[float, int], dict[int, Tried]] = {}
+        self._exact = self._whitening.exact(0)
+        self._packed: tuple[Axes, float, bytes] | None = None
+        self._of_entropy: float | None = None
 
     def _mean(self, step: float) -> NDArray[np.int64]:
         return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
@@ -81,6 +86,7 @@ class StepFinder(TileEncoder):
         _, height, width, _ = self._shape
         count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
         self._windows, self._pieces = list_pieces(height, width, count, self._memory), {}
+        self._tried, self._exact = {}, self._whitening.exact(count)
         self._prepared = count
 
     def _try(self, step: float, every: int = 1) -> Trial:
@@ -89,9 +95,10 @@ class StepFinder(TileEncoder):
         self._prepare(count)
         vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
         axes = quantise_axes(vectors, deviation, self._n_pixel, step, self._whitening.root_nn)
-        streams, sizes = 0.0, np.zeros(0)
+        streams, sizes, axis_bits = 0.0, np.zeros(0), 0.0
         if count:
-            chosen = range(len(self._windows))[every // 2 :: every] or range(len(self._windows))
+            # Every second piece, or each, is also every fourth.
+            chosen = range(len(self._windows))[_FEW // 2 % every :: every] or range(len(self._windows))
             tried = self._try_pieces(chosen, step, count)
             sizes, areas = np.array([each.size for each in tried]), np.array([self._windows[n].n_pixel for n in chosen])
             # Streams of a piece's coarse levels are shorter than those of a map, and learn as much anew.
@@ -100,21 +107,27 @@ class StepFinder(TileEncoder):
             energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
             saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
             saved_j -= energy_j * self._whitening.cost_j(axes.vectors_jd - vectors)
-            pays = saved_j > _AXIS_MULTIPLIER * (bits_j + [zero_order_bits(np.abs(row)) for row in axes.entries_jd])
+            axis_bits_j = np.array([zero_order_bits(np.abs(row)) for row in axes.entries_jd])
+            pays = saved_j > _AXIS_MULTIPLIER * (bits_j + axis_bits_j)
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
-            streams = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0)
+            streams, axis_bits = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0), float(axis_bits_j[pays].sum())
             sizes = sizes * share / self._n_pixel * len(areas)
-        size = self._fixed_bytes(axes, step, streams) + streams
+        size = self._about_table_bytes(axes, step, axis_bits) + self._about_index_bytes(streams) + streams
         return Trial(step, size, axes, sizes)
 
     def _try_pieces(self, chosen: Sequence[int], step: float, count: int) -> list[Tried]:
         """Return what the first planes of some pieces take at a step."""
-        elsewhere, planes = self._pixels.elsewhere, self._whitening.exact(self._prepared)
+        elsewhere, planes = self._pixels.elsewhere, self._exact
+        found = self._tried.setdefault((step, count), {})
+        missing = [n for n in chosen if n not in found]
         if elsewhere is not None:
-            windows = [self._windows[n] for n in chosen]
-            return elsewhere.try_pieces(windows, planes, self._pixels.transfer, step, count)
-        found: dict[int, Tried] = {}
-        for group in sorted({number % _FEW for number in chosen}):
+            windows = [self._windows[n] for n in missing]
+            if windows:
+                found |= zip(
+                    missing, elsewhere.try_pieces(windows, planes, self._pixels.transfer, step, count), strict=True
+                )
+            return [found[n] for n in chosen]
+        for group in sorted({number % _FEW for number in missing}):
             if group not in self._pieces:
                 self._pieces[group] = self.take_pieces(self._windows[group::_FEW], planes)
             tried = self.try_pieces(self._pieces[group], step, count)
@@ -123,21 +136,40 @@ class StepFinder(TileEncoder):
 
     def _fixed_bytes(self, axes: Axes, step: float, streams: float) -> float:
         """Return the bytes beside those of streams, which take about so many."""
+        return self._table_bytes(axes, step) + self._about_index_bytes(streams)
+
+    def _about_index_bytes(self, streams: float) -> int:
         count = count_streams(self._shape)
-        return self._table_bytes(axes, step) + index_bytes([int(streams / count) + 1] * count)
+        return index_bytes([int(streams / count) + 1] * count)
 
     def _table_bytes(self, axes: Axes, step: float) -> int:
-        """Return the bytes of a body in front of its index; the last is remembered while streams fill a budget."""
-        if self._table is None or self._table[0] is not axes or self._table[1] != step:
-            packed = pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
-            self._table = axes, step, HEAD_SIZE + len(packed)
-        return self._table[2]
+        """Return the bytes of a body in front of its index."""
+        return HEAD_SIZE + len(self._tables(axes, step))
+
+    def _tables(self, axes: Axes, step: float) -> bytes:
+        """Return the tables of a body; the last are remembered while streams fill a budget."""
+        if self._packed is None or self._packed[0] is not axes or self._packed[1] != step:
+            self._packed = axes, step, pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
+        return self._packed[2]
+
+    def _about_table_bytes(self, axes: Axes, step: float, bits: float) -> float:
+        """Return about the same for axes of some entropy: what the first took of theirs, others do too."""
+        if self._of_entropy is None or not bits:
+            size = self._table_bytes(axes, step)
+            if bits:
+                self._of_entropy = size / bits
+            return size
+        return self._of_entropy * bits
 
     def _find_step(self, budget: int) -> Trial:
         """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
-        place = -5.0
-        for every, aims in ((_FEW, _NEARLY), (1, _FOUND)):
-            trials: dict[float, Trial] = {}
+        place, trials = -5.0, dict[float, Trial]()
+        _, height, width, _ = self._shape
+        for stage in range(2):
+            # One tile is coded until its bytes fit.
+            one = is_one_tile(height, width, self._prepared, self._memory)
+            every, aims = (2 if one else 1, _FOUND) if stage else (_FEW, _NEARLY)
+            aims, trials = NEAR if one else aims, {}
 
             def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
                 trials[place] = self._try(2.0**place, every)

@@ -20,6 +20,8 @@ _PIECE, _PIECES = 128, 48
 _LEAST_TRIED, _MAX_TRIED = 1 << 22, 1 << 26
 """Values of the planes that are tried at once: what bounds memory, of which they take an eighth."""
 _MAX_TRIALS = 24
+_STEP_SLOPE = 1.05
+"""By how much the logarithm of 2 of a step falls, about, where that of e of the bytes rises by 1."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def search_step(
         aim,
         limit=limit,
         is_enough=lambda size: least <= size <= limit,
-        expect=lambda place, size: place - 0.8 * (aim - size),
+        expect=lambda place, size: place - _STEP_SLOPE * (aim - size),
         # In logarithms of 2 a step's bytes fall by a power between 0.3 and 3.
         slopes=(-4.8, -0.48),
         most=_MAX_TRIALS,

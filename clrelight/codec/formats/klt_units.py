@@ -92,11 +92,8 @@ class Parsed:
     stored: Stored
 
 
-def pack_body(
-    head: Head, rotation_cc: NDArray[np.int8], axes: Axes, mean: NDArray[np.int64], streams: list[bytes]
-) -> bytes:
-    """Return a body; the head's bytes of axes are filled in."""
-    tables = pack_axes(rotation_cc, axes, mean)
+def pack_body(head: Head, tables: bytes, streams: list[bytes]) -> bytes:
+    """Return a body of what `pack_axes` gives and streams; the head's bytes of axes are filled in."""
     return seal_front(head._replace(axes_bytes=len(tables)).pack() + tables, streams)
 
 

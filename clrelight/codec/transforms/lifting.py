@@ -110,13 +110,6 @@ def split_planes(
     )
 
 
-def split_part(coeffs: DeviceArray, planes: DeviceArray, corner: tuple[int, int], width: int, device: Device) -> None:
-    """Queue the same, unscaled, of the part of maps that begins at a row and a column: for CPUs, where maps stay."""
-    n_coeff = coeffs.shape[0]
-    size = planes.shape[1], n_coeff
-    _launch(device, "planes_from_part", size, planes, coeffs, *corner, width, *coeffs.shape[1:], *planes.shape[1:])
-
-
 def join_channels(
     planes: DeviceArray, shape: tuple[int, int, int, int], scale_k: NDArray[np.float32], device: Device
 ) -> NDArray[np.float32]:

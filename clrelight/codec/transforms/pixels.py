@@ -14,7 +14,8 @@ from clrelight import recycling
 from clrelight.codec.slabs import SLAB_BYTES
 from clrelight.codec.streams import Linear, Source
 from clrelight.codec.transforms.code_values import bend, code_values_of, node_matrices
-from clrelight.codec.transforms.lifting import padded_width, split_part, split_planes
+from clrelight.codec.transforms.lifting import padded_width, split_planes
+from clrelight.codec.transforms.map_planes import has_tile, planes_of_map
 from clrelight.codec.transforms.whitening import Planes, reshaped
 from clrelight.device import Device
 from clrelight.matmul import PackedOperator, SampleCurve, apply_operator, pack_operator, sample_defines
@@ -79,16 +80,14 @@ class Pixels:
         if way.fused is not None:
             way.fused.run(made, self._source, rows, columns, at)
             return
-        width, linear, whole = columns[1] - columns[0], self._source.linear, self._in_place()
+        if (whole := self._in_place()) is not None and has_tile(self.device, way.n_value):
+            planes_of_map(made, whole, way.last, way.offset, rows, columns, at, self.device)
+            return
+        width, linear = columns[1] - columns[0], self._source.linear
         row_bytes = 4 * width * (2 * way.n_value + made.shape[0])
         step, curve = max(SLAB_BYTES // row_bytes, 1), SampleCurve() if linear is None else linear.curve
         for top in range(*rows, step):
             piece, at_row = (top, min(top + step, rows[1])), at + top - rows[0]
-            if whole is not None:
-                split = self.lend("split", (way.n_value, piece[1] - piece[0], made.shape[2]))
-                split_part(whole, split, (top, columns[0]), width, self.device)
-                self._place(made, split, width, way, at_row)
-                continue
             held = self._read(piece, columns) if linear is None else self._source.read_samples(piece, columns)
             values = self._values(held if held.flags.c_contiguous else recycling.copied(held), way.first, curve)
             split = self.lend("split", (values.shape[0] * self.shape[3], held.shape[1], made.shape[2]))

@@ -20,7 +20,7 @@ from clrelight.threads import on_one_thread
 
 AXES = "damped"
 """Those of `hemisphere_metric` that every processor finds alike."""
-_SAMPLED_ROWS, _SAMPLED_PIXELS, _SAMPLED_VALUES = 256, 1 << 16, 1 << 24
+_SAMPLED_ROWS, _SAMPLED_PIXELS, _SAMPLED_VALUES = 256, 1 << 15, 1 << 24
 
 Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
@@ -138,7 +138,7 @@ def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.fl
     rows = range(step // 2, height, step)
     column_step = -(-width * len(rows) // most)
     chosen_kpc = read([(y, slice((7 * i) % column_step, width, column_step)) for i, y in enumerate(rows)])
-    return chosen_kpc.transpose(1, 0, 2).astype(np.float64)
+    return chosen_kpc.transpose(1, 0, 2).astype(np.float64, order="C")
 
 
 def reshaped(array: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:
