@@ -74,11 +74,12 @@ def test_a_lobe_is_where_it_was_drawn_and_tells_how_sure_it_is():
         shown[window.kept_p] = fit._shape(values_3, window, lobe)
         picture_hw[window.rows, window.columns] = shown.reshape(part.shape)
         seen_hw = picture_hw + 1e-3 * rng.standard_normal((42, 42)) + 0.02
-        found = fit.fit(seen_hw, seen_hw, picture_hw > 0.3 * picture_hw.max(), np.inf, lobe)
+        found = fit.fit([(seen_hw, seen_hw, picture_hw > 0.3 * picture_hw.max())], np.inf, lobe)[0]
         assert np.hypot(found.x - 24.31, found.y - 16.84) < 5.0 * found.off + 2e-3
         assert found.off < 0.02
         clipped_hw = np.minimum(seen_hw, 0.6 * picture_hw.max())
-        found = fit.fit(clipped_hw, clipped_hw, picture_hw > 0.3 * picture_hw.max(), 0.6 * picture_hw.max(), lobe)
+        clipped = [(clipped_hw, clipped_hw, picture_hw > 0.3 * picture_hw.max())]
+        found = fit.fit(clipped, 0.6 * picture_hw.max(), lobe)[0]
         assert np.hypot(found.x - 24.31, found.y - 16.84) < 0.05
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from clrelight.errors import InputError
 from clrelight.jobs.fit import fit
 from clrelight.jobs.variation.normals import normals
 from clrelight.sampling import make_pattern
@@ -51,5 +52,10 @@ def test_normals_do_not_hang_on_the_unit_of_the_samples(scale):
 
 
 def test_what_is_black_has_no_normal():
-    found_hw3 = normals(stack_of(EVEN, 0.0)).normals_hw3
+    with pytest.raises(InputError, match="no pixel tells a normal"):
+        normals(stack_of(EVEN, 0.0))
+    stack = stack_of(EVEN, 1.0)
+    stack.images_ihwc[:, :, :4] = 0.0
+    found_hw3 = normals(stack).normals_hw3
     assert np.isfinite(found_hw3).all()
+    assert not found_hw3[:, :4].any()

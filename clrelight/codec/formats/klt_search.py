@@ -29,6 +29,8 @@ _NEARLY, _FOUND, _FEW = (0.93, 0.97, 1.0), (0.95, 0.99, 1.04), 4
 """Parts of a budget where a search on every n-th piece ends, and aims; and those of one on all."""
 NEAR = (0.9, 0.997, 1.1)
 """The same where what comes after makes up for the rest."""
+_FEW_ENTRIES = 4096
+"""Values of axes whose coded tables a trial weighs; of more it reckons them."""
 _PIECES_COST = 1.05
 """What pieces take of what a map does for each of their pixels: 1.03 to 1.07."""
 
@@ -74,7 +76,7 @@ class StepFinder(TileEncoder):
         self._tried: dict[tuple[float, int], dict[int, Tried]] = {}
         self._exact = self._whitening.exact(0)
         self._packed: tuple[Axes, float, bytes] | None = None
-        self._of_entropy: float | None = None
+        self._of_entropy: tuple[int, float] | None = None
 
     def _mean(self, step: float) -> NDArray[np.int64]:
         return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
@@ -153,13 +155,14 @@ class StepFinder(TileEncoder):
         return self._packed[2]
 
     def _about_table_bytes(self, axes: Axes, step: float, bits: float) -> float:
-        """Return about the same for axes of some entropy: what the first took of theirs, others do too."""
-        if self._of_entropy is None or not bits:
-            size = self._table_bytes(axes, step)
-            if bits:
-                self._of_entropy = size / bits
-            return size
-        return self._of_entropy * bits
+        """Return the same, and of large tables about: what the first took of their entropy, others do too."""
+        if axes.entries_jd.size <= _FEW_ENTRIES or not bits:
+            return self._table_bytes(axes, step)
+        if self._of_entropy is None:
+            beside = self._table_bytes(Axes(axes.entries_jd[:0], axes.scales_j[:0]), step)
+            self._of_entropy = beside, (self._table_bytes(axes, step) - beside) / bits
+        beside, of_a_bit = self._of_entropy
+        return beside + of_a_bit * bits
 
     def _find_step(self, budget: int) -> Trial:
         """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
