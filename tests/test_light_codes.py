@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clrelight.errors import InputError
-from clrelight.light_codes import MOST_PACKED, pack_directions, unpack_directions, unpack_directions_of_5
+from clrelight.light_codes import MOST_PACKED, WITHIN, pack_directions, unpack_directions, unpack_directions_of_5
 from clrelight.sampling import make_pattern
 from clrelight.store.usual import USUAL
 from tests.commands import ROOT
@@ -52,7 +52,7 @@ def test_directions_come_back():
     around /= np.linalg.norm(around, axis=1, keepdims=True)
     packed = pack_directions(around)
     back = unpack_directions(packed)
-    assert np.linalg.norm(back - around, axis=1).max() < 8e-5
+    assert np.linalg.norm(back - around, axis=1).max() < WITHIN
     assert back[:1000, 2].min() >= 0
     np.testing.assert_array_equal(unpack_directions(pack_directions(back)), back)
     assert len(packed) < 4.2 * MOST_PACKED
