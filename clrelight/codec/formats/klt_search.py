@@ -75,6 +75,7 @@ class StepFinder(TileEncoder):
         self._exact = self._whitening.exact(0)
         self._packed: tuple[Axes, float, bytes] | None = None
         self._of_entropy: float | None = None
+        self._surely = False
 
     def _mean(self, step: float) -> NDArray[np.int64]:
         return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
@@ -154,22 +155,26 @@ class StepFinder(TileEncoder):
 
     def _about_table_bytes(self, axes: Axes, step: float, bits: float) -> float:
         """Return about the same for axes of some entropy: what the first took of theirs, others do too."""
-        if self._of_entropy is None or not bits:
+        if self._of_entropy is None or not bits or self._surely:
             size = self._table_bytes(axes, step)
             if bits:
                 self._of_entropy = size / bits
             return size
         return self._of_entropy * bits
 
-    def _find_step(self, budget: int) -> Trial:
-        """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
+    def _find_step(self, budget: int, *, surely: bool = False) -> Trial:
+        """Return the trial of a step at which the map takes about as many bytes: by a few pieces first.
+
+        Trials that are to tell `surely` take longer, and are not above the budget.
+        """
+        self._surely = surely
         place, trials = -5.0, dict[float, Trial]()
         _, height, width, _ = self._shape
         for stage in range(2):
             # One tile is coded until its bytes fit.
             one = is_one_tile(height, width, self._prepared, self._memory)
             every, aims = (2 if one else 1, _FOUND) if stage else (_FEW, _NEARLY)
-            aims, trials = NEAR if one else aims, {}
+            aims, trials = _NEARLY if surely else NEAR if one else aims, {}
 
             def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
                 trials[place] = self._try(2.0**place, every)
