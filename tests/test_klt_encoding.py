@@ -16,6 +16,7 @@ from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import ROTATION_UNIT
 from clrelight.codec.transforms.whitening import AXES, whitening_of
 from clrelight.errors import InputError
+from tests.styles import both_styles
 
 
 def rough_map(height, width):
@@ -42,6 +43,7 @@ def test_pieces_side_by_side_are_those_alone(device, height, width):
                 assert getattr(one, name).shape == (count,)
 
 
+@both_styles
 @pytest.mark.parametrize("rate", [0.02, 0.15, 1.0])
 def test_what_fills_a_budget_decodes(device, rate):
     coeffs = rough_map(530, 600)
