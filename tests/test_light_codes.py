@@ -1,15 +1,19 @@
 """Directions of lights in few bytes."""
 
 import ast
+import json
 import re
 import struct
+import zlib
 
+import h5py
 import numpy as np
 import pytest
 
 from clrelight.errors import InputError
 from clrelight.light_codes import MOST_PACKED, WITHIN, pack_directions, unpack_directions, unpack_directions_of_5
 from clrelight.sampling import make_pattern
+from clrelight.store import read_encoded
 from clrelight.store.usual import USUAL
 from tests.commands import ROOT
 
@@ -112,3 +116,17 @@ def test_no_bytes_do_harm():
 def test_the_dictionary_of_records_is_documented():
     page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
     assert ast.literal_eval(re.search(r"usual = (\(\n.*?\n\))", page, re.DOTALL)[1]) == USUAL
+
+
+def test_the_reader_of_the_page_reads_a_file():
+    page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+    path = ROOT / "tests" / "frozen" / "encoded.4.hdf"
+    with h5py.File(path) as file:
+        names = {"zlib": zlib, "json": json, "struct": struct, "file": file}
+        exec(re.search(r"```python\n(usual = .*?)```", page, re.DOTALL)[1], names)
+    record = read_encoded(path)[1]
+    assert (names["facts"]["method"], names["facts"]["degree"]) == (record.method, record.degree)
+    x, y = np.array(names["places"]).T
+    found = np.stack([x, y, STEPS - np.abs(x) - np.abs(y)], axis=1)
+    assert found[:, 2].min() >= 0  # of these lights none is folded
+    np.testing.assert_allclose(found / np.linalg.norm(found, axis=1, keepdims=True), record.directions_i3, atol=1e-15)

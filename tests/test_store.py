@@ -450,7 +450,7 @@ def test_encodings_of_before_are_read():
 
 @pytest.mark.parametrize(("version", "basis", "off"), [(2, "sh", 5e-6), (3, "hsh", 5e-6), (4, "hsh", 8e-5)])
 def test_encodings_of_all_versions_are_read(version, basis, off, tmp_path):
-    """Before `encoded/4` lights took 5 bytes, records were deflated without a dictionary, and the root bore the seal."""
+    """Before `encoded/4` lights took 5 bytes, records had no dictionary, and the root bore the seal."""
     path = FROZEN / f"encoded.{version}.hdf"
     encoded, record = store.read_encoded(path)
     np.testing.assert_array_equal(np.frombuffer(encoded.body, "<f2"), np.arange(24) / 8)
