@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, LightStack, split_lights
 from clrelight.errors import InputError
+from clrelight.light_codes import WITHIN
 from clrelight.sampling import farthest_point_subset
 
 HOLDOUTS = ("index", "place")
 """Ways to choose the lights that are held out; see `split_chosen`."""
 SAME_DIRECTION = math.radians(0.05)
 """Photographs whose lights are no farther apart, in radians, are of one direction."""
-_STORED_WITHIN = 1e-5
-"""Encoded files hold directions within 5e-6."""
 
 _ROUNDING = 1e-9
 _NOISE_ROWS = 16
@@ -235,9 +234,7 @@ def split_by_fit(stack: LightStack, coefficients: CoefficientMap) -> tuple[NDArr
             fitted, held = rule.split(stack.directions_i3)
         except InputError:  # not that stack
             fitted = held = np.arange(0)
-        if len(fitted) == len(fitted_i3) and np.allclose(
-            stack.directions_i3[fitted], fitted_i3, rtol=0.0, atol=_STORED_WITHIN
-        ):
+        if len(fitted) == len(fitted_i3) and np.allclose(stack.directions_i3[fitted], fitted_i3, rtol=0.0, atol=WITHIN):
             return fitted, held
     seen_i = distances_to(fitted_i3, stack.directions_i3) <= math.degrees(SAME_DIRECTION)
     return np.flatnonzero(seen_i), np.flatnonzero(~seen_i)

@@ -11,6 +11,8 @@ from clrelight.errors import InputError
 
 MOST_PACKED = 4096
 """Lights whose directions an encoded file packs."""
+WITHIN = 8e-5
+"""By how much, in radians, a direction that is packed may be off."""
 _OCTAHEDRON = 1 << 15
 """Steps from the middle of the octahedron's map to its corners."""
 _HEAD = struct.Struct("<BBBH")

@@ -12,7 +12,7 @@ import pytest
 from clrelight.batch import journal as journals
 from clrelight.batch import make_tasks, read_listing, run_batch
 from clrelight.batch.engine import Ended, usable_cores, worker_environment
-from clrelight.batch.fingerprint import is_unchanged, take_fingerprint
+from clrelight.batch.fingerprint import is_unchanged, take_fingerprint, take_seal
 from clrelight.batch.journal import Journal, sealed
 from clrelight.batch.leftovers import sweep
 from clrelight.batch.perform import _work, perform
@@ -21,9 +21,11 @@ from clrelight.batch.verbs import VERBS
 from clrelight.durable import replacing
 from clrelight.errors import InputError
 from clrelight.jobs.report import Report
+from clrelight.store import read_encoded, write_encoded
 from tests.batches import FIT, make_stacks, results_in, strays_in
-from tests.commands import call, contents, succeed
+from tests.commands import ROOT, call, contents, succeed
 
+FROZEN = ROOT / "tests" / "frozen"
 OPTIONS = {"degree": 1, "measure": False}
 
 
@@ -578,6 +580,18 @@ def test_fingerprints_of_folders(tmp_path):
     (folder / "a").write_text("onf")
     assert not is_unchanged(folder, known)
     assert not is_unchanged(tmp_path / "none", known)
+
+
+def test_the_fingerprint_of_an_encoding_is_its_seal(tmp_path):
+    """Which its payload bears: no more of a large file is read."""
+    path = tmp_path / "e.h5"
+    write_encoded(path, read_encoded(FROZEN / "encoded.2.hdf")[0])
+    known = take_seal(path)
+    assert known["content"].startswith("seal xxh3-64 ")
+    os.utime(path, ns=(0, 0))
+    assert is_unchanged(path, known)
+    write_encoded(path, replace(read_encoded(path)[0], body=bytes(48)))
+    assert not is_unchanged(path, known)
 
 
 def test_workers_share_the_processors():

@@ -1,5 +1,7 @@
 """Lights that no fit sees, against distances and groups by brute force."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from clrelight.holdout import (
 from clrelight.jobs.fit import fit
 from clrelight.jobs.measure import measure
 from clrelight.jobs.report import Report
+from clrelight.light_codes import kept_directions
 from clrelight.sampling import make_pattern
 from clrelight.store import write_stack
 from tests.commands import call
@@ -145,6 +148,21 @@ def test_a_fit_and_psnr_print_the_same_figures(tmp_path, device):
         again = measure(path, stack, device=device, report=Report())
         assert again == told
         assert ("mean_holdout" in told) == ("holdout" in options)
+
+
+@pytest.mark.parametrize(
+    "rule", [HoldoutRule(5), HoldoutRule(5, by="place"), HoldoutRule(4, 20), HoldoutRule(lights=9)]
+)
+def test_lights_of_an_encoding_are_those_of_its_fit(device, rule):
+    """It holds directions rounded; what is neither fitted nor held out is not measured at either."""
+    stack = stack_of(make_pattern("uniform", 60))
+    fitted = fit(stack, "cls", 1, device=device, report=Report())
+    seen, held = rule.split(stack.directions_i3)
+    kept_i3 = kept_directions(stack.directions_i3[seen])
+    assert np.abs(kept_i3 - stack.directions_i3[seen]).max() > 1e-5
+    found = split_by_fit(stack, replace(fitted, directions_i3=kept_i3, config=rule.to_config()))
+    for lights, expected in zip(found, (seen, held), strict=True):
+        np.testing.assert_array_equal(lights, expected)
 
 
 def test_of_another_stack_lights_near_fitted_ones_count_as_fitted(device):

@@ -1,17 +1,22 @@
 """How klt finds its step and fills a budget: pieces are coded as if alone, and what is coded anew decodes."""
 
+import re
+
 import numpy as np
 import pytest
 
+from clrelight.codec import encode
 from clrelight.codec.entropy.units import Window, list_units
 from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_encode import Encoder
-from clrelight.codec.formats.klt_fill import _choose, _take
+from clrelight.codec.formats.klt_fill import MULTIPLIER_POWER, _choose, _take, fill
 from clrelight.codec.streams import ArraySource
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import ROTATION_UNIT
 from clrelight.codec.transforms.whitening import AXES, whitening_of
+from clrelight.errors import InputError
+from tests.styles import both_styles
 
 
 def rough_map(height, width):
@@ -38,6 +43,7 @@ def test_pieces_side_by_side_are_those_alone(device, height, width):
                 assert getattr(one, name).shape == (count,)
 
 
+@both_styles
 @pytest.mark.parametrize("rate", [0.02, 0.15, 1.0])
 def test_what_fills_a_budget_decodes(device, rate):
     coeffs = rough_map(530, 600)
@@ -52,6 +58,29 @@ def test_what_fills_a_budget_decodes(device, rate):
     assert 0.99 * budget <= len(filled) <= budget
     # At the same step, more bytes are less error, and the other way round.
     assert error_of(filled) == pytest.approx(error_of(plain) * len(plain) / len(filled), rel=0.15)
+
+
+def test_no_budget_is_refused_that_the_mean_fits(device):
+    """Whatever trials foretold of axes that take a few bytes more."""
+    coeffs = rough_map(13, 17)
+
+    def encode_within(budget):
+        return Encoder(Pixels(ArraySource(coeffs, device)), "linear").encode_within(budget)[0]
+
+    with pytest.raises(InputError, match="even at its coarsest step") as refused:
+        encode_within(12)
+    least = int(re.search(r"needs (\d+) bytes", str(refused.value))[1])
+    for budget in range(least, least + 40, 3):
+        assert least <= len(encode_within(budget)) <= budget
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_pixel_beyond_all_others_is_no_number_of_none(device):
+    """Its square leaves float32, and so does its error: no axis pays, which is told without a warning of NaN."""
+    coeffs = rough_map(530, 510)
+    coeffs[0, 200, 300] = 1e30  # no pixel that axes are of
+    body = encode(coeffs, Klt(step=0.05), device).body
+    assert np.isfinite(Klt.decode_body(body, coeffs.shape, device)).all()
 
 
 def test_no_piece_is_coded_twice_at_a_step(device, monkeypatch):
@@ -82,6 +111,25 @@ def test_the_places_that_fill_a_budget_best(count, sign):
         fitting = [int(change[each].sum()) for each in allowed if change[each].sum() <= most]
         wanted = max(fitting) if fitting else int(change.sum())
         assert int(change[_take(change, most)].sum()) == wanted
+
+
+@pytest.mark.parametrize("change", [-0.25, -0.05, 0.05, 0.25])
+def test_a_budget_is_filled_in_few_trials(change):
+    """Also where all streams are to change, of which none can be left out."""
+    units, usual, tried = list_units(1400, 1300), 0.15, []
+    sizes = np.random.default_rng(1).integers(500, 2000, len(units))
+    budget = int((1.0 + change) * sizes.sum())
+
+    def encode(chosen, multiplier):
+        tried.append(multiplier)
+        return [bytes(int(sizes[t] * (multiplier / usual) ** -MULTIPLIER_POWER)) for t in chosen]
+
+    def spare(streams):
+        return budget - sum(map(len, streams))
+
+    first = [bytes(int(size)) for size in sizes]
+    assert 0 <= spare(fill(encode, units, first, usual, spare, 0.004 * budget)) <= 0.004 * budget
+    assert len(tried) <= 2
 
 
 def test_tiles_fit_a_budget_whatever_their_trials_said(device):

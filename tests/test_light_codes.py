@@ -1,15 +1,19 @@
 """Directions of lights in few bytes."""
 
 import ast
+import json
 import re
 import struct
+import zlib
 
+import h5py
 import numpy as np
 import pytest
 
 from clrelight.errors import InputError
-from clrelight.light_codes import MOST_PACKED, pack_directions, unpack_directions, unpack_directions_of_5
+from clrelight.light_codes import MOST_PACKED, WITHIN, pack_directions, unpack_directions, unpack_directions_of_5
 from clrelight.sampling import make_pattern
+from clrelight.store import read_encoded
 from clrelight.store.usual import USUAL
 from tests.commands import ROOT
 
@@ -52,7 +56,7 @@ def test_directions_come_back():
     around /= np.linalg.norm(around, axis=1, keepdims=True)
     packed = pack_directions(around)
     back = unpack_directions(packed)
-    assert np.linalg.norm(back - around, axis=1).max() < 8e-5
+    assert np.linalg.norm(back - around, axis=1).max() < WITHIN
     assert back[:1000, 2].min() >= 0
     np.testing.assert_array_equal(unpack_directions(pack_directions(back)), back)
     assert len(packed) < 4.2 * MOST_PACKED
@@ -112,3 +116,17 @@ def test_no_bytes_do_harm():
 def test_the_dictionary_of_records_is_documented():
     page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
     assert ast.literal_eval(re.search(r"usual = (\(\n.*?\n\))", page, re.DOTALL)[1]) == USUAL
+
+
+def test_the_reader_of_the_page_reads_a_file():
+    page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+    path = ROOT / "tests" / "frozen" / "encoded.4.hdf"
+    with h5py.File(path) as file:
+        names = {"zlib": zlib, "json": json, "struct": struct, "file": file}
+        exec(re.search(r"```python\n(usual = .*?)```", page, re.DOTALL)[1], names)
+    record = read_encoded(path)[1]
+    assert (names["facts"]["method"], names["facts"]["degree"]) == (record.method, record.degree)
+    x, y = np.array(names["places"]).T
+    found = np.stack([x, y, STEPS - np.abs(x) - np.abs(y)], axis=1)
+    assert found[:, 2].min() >= 0  # of these lights none is folded
+    np.testing.assert_allclose(found / np.linalg.norm(found, axis=1, keepdims=True), record.directions_i3, atol=1e-15)

@@ -340,6 +340,17 @@ def test_a_sample_that_is_no_radiance_is_named(tmp_path):
     assert "image 7 is nan at row 21, column 33, channel 1" in ended.err
 
 
+@pytest.mark.parametrize("channel", [1, 3])
+def test_the_least_bytes_that_are_told_are_enough(tmp_path, channel):
+    stack = LightStack(make_samples(make_pattern("uniform", 20), (6, 7, channel)), make_pattern("uniform", 20), 1.0)
+    fitted = cr.fit(stack, "cls", 1, measure=False, report=cr.Report())
+    with pytest.raises(InputError, match="takes at least") as refused:
+        cr.encode(fitted, "klt", out=tmp_path / "e.h5", bytes=100, report=cr.Report())
+    least = int(re.search(r"at least (\d+)", str(refused.value))[1])
+    cr.encode(fitted, "klt", out=tmp_path / "e.h5", bytes=least, report=cr.Report())
+    assert os.path.getsize(tmp_path / "e.h5") <= least
+
+
 def refuse_reading(monkeypatch):
     """Let no photograph be read."""
 

@@ -65,6 +65,13 @@ def test_the_rate_of_a_cpu_is_of_work_not_of_waiting(monkeypatch):
     assert truth.measure_rate(device) > 0.01
 
 
+def test_a_clock_that_ticks_slowly_tells_a_rate(monkeypatch):
+    reads = iter(range(10**9))
+    for name in ("perf_counter", "process_time"):
+        monkeypatch.setattr(truth.time, name, lambda: 0.016 * (next(reads) // 5))
+    assert 0.0 < truth.measure_rate(open_device()) < 1e6
+
+
 @every_width
 def test_every_width_computes_right(device):
     assert device.info.lanes in (4, 8, 16)

@@ -1,7 +1,8 @@
 """The seal of a file: one checksum over the checksums of its blocks, its attributes, and the shapes of its arrays.
 
 The table of block checksums is a dataset in a group of its own, where no reader of arrays with named axes looks; the
-seal is a root attribute. A file that has neither is another program's, and is read as it is.
+seal is an attribute of the root, or of the array that a schema says. A file that has neither is another program's, and
+is read as it is.
 """
 
 from __future__ import annotations

@@ -68,7 +68,8 @@ def opening_fit(path: str | os.PathLike, *kinds: str) -> Iterator[Opened]:
 
 def seal_in(opened: Opened) -> str:
     """Return the seal of an open file, which covers all it holds."""
-    return opened.attribute(SEAL_ATTRIBUTE, str)
+    holder = opened.schema.sealed
+    return opened.attribute(SEAL_ATTRIBUTE, str, of=None if holder == "/" else holder)
 
 
 def shards_of(opened: Opened) -> list[Shard]:

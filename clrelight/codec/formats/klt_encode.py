@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +53,15 @@ class Encoder(StepFinder):
 
     def encode_within(self, budget: int) -> tuple[bytes, dict[str, float]]:
         """Return the body that fills a budget of bytes best, and what was found; InputError if none is as small."""
-        trial = self._find_step(budget)
+        for surely in (False, True):
+            trial = self._find_step(budget, surely=surely)
+            with suppress(InputError):  # axes of few bytes may take more than trials say
+                return self._fit(budget, trial)
+        none = Axes(trial.axes.entries_jd[:0], trial.axes.scales_j[:0])
+        return self._fit(budget, replace(trial, axes=none))
+
+    def _fit(self, budget: int, trial: Trial) -> tuple[bytes, dict[str, float]]:
+        """Return the body with the axes of a trial; errors as of `encode_within`."""
         tiles = self._tiles(trial.axes)
         if not tiles or is_together(self._shape):
             body, step = self._fit_step(budget, trial, tiles)

@@ -21,7 +21,7 @@ MULTIPLIER_POWER = 0.45
 _GIVES = 0.1
 """Part of their bytes that streams are to give or take: at multipliers much apart bytes would be spent unevenly."""
 _MORE = 1.25
-"""Times by which bytes are to change more than they must: places are taken until they fit."""
+"""Times by which bytes of several places are to change more than they must: these are taken until they fit."""
 _COMBINED, _TAKEN = 10, 3
 """Places of which each set is looked at, and sets that are."""
 _LEAST_PLACES, _MAX_TRIALS = 4, 7
@@ -58,7 +58,8 @@ def fill(
     places = _choose(units, np.array([len(stream) for stream in first]), left - slack / 2.0)
     chosen = sorted(t for place in places for t in place)
     held = sum(len(first[t]) for t in chosen)
-    limit, aim = (math.log(max(held + each, 1.0)) for each in (left, _MORE * (left - slack / 2.0)))
+    more = _MORE if len(places) > 1 else 1.0
+    limit, aim = (math.log(max(held + each, 1.0)) for each in (left, more * (left - slack / 2.0)))
 
     def measure(place: float) -> float:
         nonlocal best

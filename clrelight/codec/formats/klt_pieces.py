@@ -69,9 +69,10 @@ class Pieces:
         transform_planes("analyse", reshaped(values, (count * many, height, pitch)), width, LEVELS, device)
         of_all = device.download(values).reshape(count, many, height, pitch)[..., :width]
         pieces = [of_all[:, n].reshape(count, -1) for n in range(many)]
-        energy = [np.einsum("jp,jp->j", piece, piece) for piece in pieces]  # float32 tells which axes pay
+        energy_nj = np.array([np.einsum("jp,jp->j", piece, piece) for piece in pieces])  # float32 tells which axes pay
         layout, piece_t = _lay_out((height, width), many, pitch, count, together)
-        return cls(values, layout, piece_t, np.array(energy, np.float64))
+        finite_nj = np.minimum(energy_nj, np.finfo(np.float32).max)  # errors of such values are infinite
+        return cls(values, layout, piece_t, finite_nj.astype(np.float64))
 
     def share(self, coded: Coded, count: int) -> list[Tried]:
         """Return what each piece has of the streams of the first planes."""

@@ -156,7 +156,7 @@ class StepFinder(TileEncoder):
 
     def _about_table_bytes(self, axes: Axes, step: float, bits: float) -> float:
         """Return the same, and of large tables about: what the first took of their entropy, others do too."""
-        if axes.entries_jd.size <= _FEW_ENTRIES or not bits:
+        if axes.entries_jd.size <= _FEW_ENTRIES or not bits or self._surely:
             return self._table_bytes(axes, step)
         if self._of_entropy is None:
             beside = self._table_bytes(Axes(axes.entries_jd[:0], axes.scales_j[:0]), step)
@@ -164,15 +164,19 @@ class StepFinder(TileEncoder):
         beside, of_a_bit = self._of_entropy
         return beside + of_a_bit * bits
 
-    def _find_step(self, budget: int) -> Trial:
-        """Return the trial of a step at which the map takes about as many bytes: by a few pieces first."""
+    def _find_step(self, budget: int, *, surely: bool = False) -> Trial:
+        """Return the trial of a step at which the map takes about as many bytes: by a few pieces first.
+
+        Trials that are to tell `surely` take longer, and are not above the budget.
+        """
+        self._surely = surely
         place, trials = -5.0, dict[float, Trial]()
         _, height, width, _ = self._shape
         for stage in range(2):
             # One tile is coded until its bytes fit.
             one = is_one_tile(height, width, self._prepared, self._memory)
             every, aims = (2 if one else 1, _FOUND) if stage else (_FEW, _NEARLY)
-            aims, trials = NEAR if one else aims, {}
+            aims, trials = _NEARLY if surely else NEAR if one else aims, {}
 
             def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
                 trials[place] = self._try(2.0**place, every)

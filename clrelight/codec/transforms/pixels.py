@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,7 @@ class Pixels:
         self.shape, self.device, self.transfer, self.basis = source.shape, source.device, transfer, source.basis
         self._source, self.elsewhere, self.lights_i3 = source, source.elsewhere, source.lights_i3
         self._buffers: dict[str, Buffer] = defaultdict(Buffer)
+        self._arrays: dict[str, DeviceArray] = {}  # where a device has memory of its own
         self._way: tuple[NDArray[np.float64], _Way] | None = None
 
     def coefficients(self, rows: Span, columns: Span) -> NDArray[np.float32]:
@@ -144,12 +145,17 @@ class Pixels:
 
     def lend(self, name: str, shape: tuple[int, ...]) -> DeviceArray:
         """Return memory under a name, the same for all that ask: what is new costs a page fault for every 4 KiB."""
-        host = self._buffers[name].lend(shape, np.float32) if self.device.shares_memory else None
-        return self.device.empty(shape, np.float32, host)
+        if self.device.shares_memory:
+            return self.device.empty(shape, np.float32, self._buffers[name].lend(shape, np.float32))
+        size, held = math.prod(shape), self._arrays.get(name)
+        if held is None or held.shape[0] < size:
+            held = self._arrays[name] = self.device.empty((size,), np.float32)
+        return replace(held, shape=shape)
 
     def forget(self) -> None:
         """Let go of what was lent, for work that needs little of it."""
         self._buffers.clear()
+        self._arrays.clear()
 
 
 class _Chain:
