@@ -151,7 +151,7 @@ def relight(
         given: dict[str, Any] = {"rotate": rotate, "turntable": turntable, "about": about, "region": region}
         given |= {"level": level or None, "tonemap": tonemap, "transfer": transfer, "salvage": salvage or None}
         with claimed(names, paths_among(source, light, lights), kept):
-            unfinished = unfinished_images(names, [source, lights, light], [how, light, "farm"])
+            unfinished = unfinished_images(names, [source, lights, light], [how, light, device, "farm"])
             SharedFrames.of(farm, source, light, lights, names, given).write(frames, how.exposure, kept, unfinished)
         kept.facts = {"files": names, **kept.facts}
         return kept
