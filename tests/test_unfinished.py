@@ -237,3 +237,10 @@ def test_what_is_there_is_told_before_the_rest_is_made(folder, tmp_path, monkeyp
         ended = call(*words(folder, tmp_path))
     assert ended.code == 130
     assert ended.err.startswith(f"note: 4 of {COUNT} images are there, of this command when it was interrupted\n")
+
+
+def test_notes_on_kept_images_are_told_again(folder, tmp_path, monkeypatch):
+    asked = ["relight", folder / "fit.h5", tmp_path / "turn%d.png", "--light", "0,0.5,-1", "--light", "0,0,1"]
+    cut(asked, 1, monkeypatch)
+    lines = run(*asked).err.splitlines()
+    assert "note: light 0 is below the horizon, where a hemispherical fit knows nothing" in lines

@@ -146,7 +146,7 @@ def _show_rest(
 ) -> NDArray[np.float32]:
     """Write the images that an interrupted job has left out."""
     known = list(unfinished.facts.values())
-    report.note(tell_known(len(known), frames.count))
+    report.note(tell_known(len(known), frames.count), *(note for each in known for note in each.get("notes", ())))
     exposure = known[0].get("exposure")
     below = [float(each.get("below", 0.0)) for each in known]
     for first, end in list(unfinished.missing(frames.together(source))):
@@ -171,7 +171,7 @@ def _show_some(
     number: int,
 ) -> NDArray[np.float32]:
     """Write or return images, the first of which has this number among all."""
-    kept_ihwc, pictures = np.empty((0,), np.float32), []
+    kept_ihwc, pictures, n_note = np.empty((0,), np.float32), [], len(report.notes)
     with frames.lend(source, device, report, progress) as (images, transfer), stage(progress, "relighting") as tell:
         for index, image in enumerate(images):
             since, relit = time.perf_counter(), report.seconds.get("relight", 0.0)
@@ -184,7 +184,9 @@ def _show_some(
             else:
                 write_view(names[index], image, how.tonemap, how.transfer or transfer)
                 if unfinished is not None:
-                    unfinished.add(number + index, {name: report.facts[name] for name in _TOLD if name in report.facts})
+                    told = {name: report.facts[name] for name in _TOLD if name in report.facts}
+                    unfinished.add(number + index, {**told, "notes": report.notes[n_note:]})
+                    n_note = len(report.notes)
             if names:  # rows are relit while others are written
                 report.add("write", since + report.seconds.get("relight", 0.0) - relit)
             tell(index + 1, frames.count)
