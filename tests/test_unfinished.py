@@ -11,7 +11,7 @@ import pytest
 import clrelight as cr
 from clrelight import durable
 from clrelight.batch.single import run_single
-from clrelight.jobs import relighting, unfinished
+from clrelight.jobs import relight, relighting, unfinished
 from clrelight.jobs.report import Report
 from clrelight.sampling import make_pattern
 from clrelight.store import write_fit
@@ -134,16 +134,29 @@ def test_a_list_that_cannot_be_written_anew_stays(folder, tmp_path, monkeypatch)
     assert run(*words(folder, tmp_path), "--json").json["notes"][0].startswith("4 of 9 images are there")
 
 
-def test_all_digits_of_a_turn_count(folder, tmp_path):
+def test_all_digits_of_a_turn_count(tmp_path):
     matrix = np.eye(3).ravel() / 3.0
     names = [str(tmp_path / f"turn{i}.png") for i in range(2)]
 
     def key(turn):
         how = relighting.take_how(rotate=("matrix", turn))
-        return unfinished.unfinished_images(names, [folder / "fit.h5"], [how])._lines[0]
+        return unfinished.unfinished_images(names, [("fit.h5", 1, 2)], [how])._lines[0]
 
     assert key(matrix) == key(matrix.tolist())
     assert key(matrix) != key(matrix * (1.0 + 1e-12))
+
+
+def test_a_light_that_changes_once_it_is_read_is_another(folder, tmp_path, monkeypatch):
+    opened_on = relight.opened_on
+
+    def changed(*arguments):
+        os.utime(folder / "sky.h5")
+        return opened_on(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(relight, "opened_on", changed)
+        start(folder, tmp_path, 4, monkeypatch)
+    assert not run(*words(folder, tmp_path), "--json").json["notes"][0].startswith("4 of")
 
 
 def test_directions_made_together_are_made_together_again(folder, tmp_path, monkeypatch):

@@ -21,6 +21,8 @@ from clrelight.durable import naming, replacing, sibling_stem
 from clrelight.lighting.light import Light
 from clrelight.remote import is_remote
 
+Input = tuple[str, int, int]
+"""Where a file is, of how many bytes, and when it was changed."""
 _ENDING = ".done"
 
 
@@ -35,14 +37,14 @@ class Unfinished:
     ----------
     names : sequence of str
         All files, in order.
-    inputs : sequence of (str, int, int)
-        Files that the pictures are made of: where, of how many bytes, when changed.
+    inputs : sequence of Input
+        Files that the pictures are made of.
     asked : object
         All else that they hang on: JSON values, arrays of numbers, dataclasses of these, and what has a `repr` of all
         its values.
     """
 
-    def __init__(self, names: Sequence[str], inputs: Sequence[tuple[str, int, int]], asked: object) -> None:
+    def __init__(self, names: Sequence[str], inputs: Sequence[Input], asked: object) -> None:
         self._names = names
         first = Path(names[0])
         self._list = first.with_name(sibling_stem(first.name) + _ENDING)
@@ -105,17 +107,21 @@ class Unfinished:
             self._list.unlink()
 
 
-def unfinished_images(names: Sequence[str], sources: Sequence[object], asked: object) -> Unfinished | None:
-    """Return what knows which images are there; None of a single one, or made of what is no file of this machine."""
+def seen_inputs(sources: Sequence[object]) -> list[Input] | None:
+    """Return what files look like, before they are read; None where a source is no file of this machine."""
     paths = [os.fsdecode(each) for each in sources if isinstance(each, str | os.PathLike)]
     has_records = any(isinstance(each, CoefficientMap | Encoded | Light) for each in sources)
-    if len(names) < 2 or has_records or any(map(is_remote, paths)):
+    if has_records or any(map(is_remote, paths)):
         return None
     try:
-        inputs = [(os.path.realpath(each), *_state(each)) for each in paths]
+        return [(os.path.realpath(each), *_state(each)) for each in paths]
     except (OSError, ValueError):  # who reads it says what is wrong with it
         return None
-    return Unfinished(names, inputs, asked)
+
+
+def unfinished_images(names: Sequence[str], inputs: Sequence[Input] | None, asked: object) -> Unfinished | None:
+    """Return what knows which images are there; None of a single one, or of inputs that may change unseen."""
+    return None if len(names) < 2 or inputs is None else Unfinished(names, inputs, asked)
 
 
 def tell_known(some: int, count: int) -> str:
