@@ -104,5 +104,5 @@ def test_photographs_that_tell_nothing_are_refused(device):
         cr.basis_images(lit(bump(5), in_a_plane), by="normals", report=cr.Report())
     for code in (0, 255):
         blank = LightStack(np.full((4, 5, 5, 3), code, np.uint8), upwards(CAP), 255.0)
-        with pytest.raises(InputError, match=r"no pixel tells a normal: .* all is black, clipped, or as no lamp"):
+        with pytest.raises(InputError, match=r"no pixel tells a normal: .* all is black, clipped, or as under no lamp"):
             cr.basis_images(blank, by="normals", report=cr.Report())
