@@ -20,6 +20,7 @@ import rich.progress  # noqa: F401 - so that it does not load while a bar is tim
 
 from clrelight.cli import progress
 from clrelight.cli.app import cli, run
+from clrelight.cli.output import print_notes
 from clrelight.cli.tables import print_table
 from clrelight.dataset import LightStack
 from clrelight.images import write_image
@@ -276,6 +277,29 @@ def test_bar_shows_also_while_a_step_has_nothing_to_say(monkeypatch):
         assert "thinking" in shown(0.01, 0.5)
         assert shown(10, 0.0) == "<end>"
     os.close(ours)
+
+
+def test_notes_stand_above_the_bar(monkeypatch):
+    ours, theirs = pty.openpty()
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(progress, "_PATIENCE_SECONDS", 0.01)
+    with os.fdopen(theirs, "w") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        with progress.progress_bar("thinking") as bar:
+            for _ in range(500):
+                if bar._bar is not None:
+                    break
+                time.sleep(0.01)
+            time.sleep(0.1)
+            print_notes(["all is well"])
+        terminal.write("<end>")
+        terminal.flush()
+        written = ""
+        while not written.endswith("<end>"):
+            written += os.read(ours, 65536).decode()
+    os.close(ours)
+    assert "thinking" in written
+    assert [line.strip() for line in screen(written) if line.strip()] == ["note: all is well", "<end>"]
 
 
 def test_bench_on_a_terminal_of_80_columns(tmp_path):

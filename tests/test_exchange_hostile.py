@@ -54,7 +54,13 @@ def test_numbers_that_make_no_sense_are_refused(folder, tmp_path, told):
     assert not (tmp_path / "y.h5").exists()
 
 
-@pytest.mark.parametrize("told", [{"resolution": 10**400}, {"type": "1" * 900}, {"colorspace": "2" * 900}])
+STRANGE = (
+    *({"resolution": 10**400}, {"type": "1" * 900}, {"colorspace": "2" * 900}),
+    *({"width": 10**400, "height": 10**400}, {"format": "3" * 900}),
+)
+
+
+@pytest.mark.parametrize("told", STRANGE)
 def test_what_is_repeated_of_a_folder_is_short(folder, told):
     change(folder, told)
     with pytest.raises(cr.InputError) as refused:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import clrelight as cr
+from clrelight import durable
 from clrelight.batch.single import run_single
-from clrelight.jobs import relighting, unfinished
+from clrelight.jobs import relight, relighting, unfinished
 from clrelight.jobs.report import Report
 from clrelight.sampling import make_pattern
 from clrelight.store import write_fit
@@ -102,6 +103,62 @@ def test_another_command_begins_anew(folder, tmp_path, monkeypatch, change):
     assert len(contents(tmp_path)) == COUNT
 
 
+def test_what_is_missing_is_told_as_of_one_image(folder, tmp_path):
+    with pytest.raises(cr.InputError, match=r"there is no file .*none\.h5"):
+        cr.relight(folder / "none.h5", out=tmp_path / "turn%d.png", light=folder / "sky.h5", turntable=COUNT)
+
+
+def test_a_list_that_is_a_link_is_left_alone(folder, tmp_path):
+    """Anybody may put one into a shared folder."""
+    (tmp_path / "theirs").write_text("theirs")
+    (tmp_path / LIST).symlink_to(tmp_path / "theirs")
+    ended = call(*words(folder, tmp_path))
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert f"{LIST}: it is there and is no regular file" in ended.err
+    assert (tmp_path / "theirs").read_text() == "theirs"
+
+
+def test_a_list_that_cannot_be_written_anew_stays(folder, tmp_path, monkeypatch):
+    start(folder, tmp_path, 4, monkeypatch)
+    before, write = (tmp_path / LIST).read_text(), durable.Part.write
+
+    def fill(self, content):
+        if self.target.name == LIST:
+            raise cr.InputError("the disk is full")
+        write(self, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(durable.Part, "write", fill)
+        assert call(*words(folder, tmp_path)).code == 2
+    assert (tmp_path / LIST).read_text() == before
+    assert run(*words(folder, tmp_path), "--json").json["notes"][0].startswith("4 of 9 images are there")
+
+
+def test_all_digits_of_a_turn_count(tmp_path):
+    matrix = np.eye(3).ravel() / 3.0
+    names = [str(tmp_path / f"turn{i}.png") for i in range(2)]
+
+    def key(turn):
+        how = relighting.take_how(rotate=("matrix", turn))
+        return unfinished.unfinished_images(names, [("fit.h5", 1, 2)], [how])._lines[0]
+
+    assert key(matrix) == key(matrix.tolist())
+    assert key(matrix) != key(matrix * (1.0 + 1e-12))
+
+
+def test_a_light_that_changes_once_it_is_read_is_another(folder, tmp_path, monkeypatch):
+    opened_on = relight.opened_on
+
+    def changed(*arguments):
+        os.utime(folder / "sky.h5")
+        return opened_on(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(relight, "opened_on", changed)
+        start(folder, tmp_path, 4, monkeypatch)
+    assert not run(*words(folder, tmp_path), "--json").json["notes"][0].startswith("4 of")
+
+
 def test_directions_made_together_are_made_together_again(folder, tmp_path, monkeypatch):
     (tmp_path / "dome.lp").write_text("6\n" + "".join(f"x{i}.png 0.{i} 0.1 1\n" for i in range(6)))
     monkeypatch.setattr("clrelight.jobs.frames.TILE_BYTES", 2 * 4 * 24 * 32 * 3)
@@ -157,3 +214,46 @@ def test_workers_leave_out_what_is_there(folder, tmp_path, monkeypatch):
     found = contents(tmp_path)
     cr.relight(folder / "fit.h5", out=images, report=Report(), **light)
     assert contents(tmp_path) == found
+
+
+def test_workers_on_another_device_begin_anew(folder, tmp_path, monkeypatch):
+    add, light = unfinished.Unfinished.add, {"light": folder / "sky.h5", "turntable": COUNT}
+
+    def stop(self, number, facts):
+        add(self, number, facts)
+        raise KeyboardInterrupt
+
+    def relit(device):
+        report = Report()
+        run_single(
+            "relight",
+            *(folder / "fit.h5", tmp_path / "turn%d.png"),
+            options=light,
+            engine=Here(),
+            device=device,
+            report=report,
+        )
+        return report.notes
+
+    with monkeypatch.context() as patch:
+        patch.setattr(unfinished.Unfinished, "add", stop)
+        with pytest.raises(KeyboardInterrupt):
+            relit("pocl")
+    assert (tmp_path / LIST).exists()
+    assert not any("images are there" in note for note in relit(None))
+
+
+def test_what_is_there_is_told_before_the_rest_is_made(folder, tmp_path, monkeypatch):
+    start(folder, tmp_path, 4, monkeypatch)
+    with monkeypatch.context() as patch:
+        interrupt_after(1, patch)
+        ended = call(*words(folder, tmp_path))
+    assert ended.code == 130
+    assert ended.err.startswith(f"note: 4 of {COUNT} images are there, of this command when it was interrupted\n")
+
+
+def test_notes_on_kept_images_are_told_again(folder, tmp_path, monkeypatch):
+    asked = ["relight", folder / "fit.h5", tmp_path / "turn%d.png", "--light", "0,0.5,-1", "--light", "0,0,1"]
+    cut(asked, 1, monkeypatch)
+    lines = run(*asked).err.splitlines()
+    assert "note: light 0 is below the horizon, where a hemispherical fit knows nothing" in lines

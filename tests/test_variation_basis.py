@@ -49,6 +49,11 @@ def test_nine_from_photographs_of_degree_2(device, tmp_path):
     assert len(told["files"]) == 10
     assert read_image(tmp_path / "nine" / "harmonic_2_-1.png").shape[:2] == (5, 7)
     assert "9 pictures of degree 2 by lights" in succeed(*words[:4]).out
+    for name, line in (("new.h5", "twice: the map and the pictures have that name"), ("no/nine", "there is no folder")):
+        ended = call(*words[:3], tmp_path / "new.h5", "--pictures", tmp_path / name)
+        assert ended.code == 2
+        assert line in ended.err
+        assert not (tmp_path / "new.h5").exists()
 
 
 def test_nine_of_normals_from_four_photographs(device, tmp_path):
@@ -99,5 +104,5 @@ def test_photographs_that_tell_nothing_are_refused(device):
         cr.basis_images(lit(bump(5), in_a_plane), by="normals", report=cr.Report())
     for code in (0, 255):
         blank = LightStack(np.full((4, 5, 5, 3), code, np.uint8), upwards(CAP), 255.0)
-        with pytest.raises(InputError, match=r"no pixel tells a normal: .* all is black, clipped, or as no lamp"):
+        with pytest.raises(InputError, match=r"no pixel tells a normal: .* all is black, clipped, or as under no lamp"):
             cr.basis_images(blank, by="normals", report=cr.Report())

@@ -201,7 +201,7 @@ def brdf_coefficients(
 def _resolution_of(brdf: CentredBrdf, degree: int, order: int) -> Resolution:
     if brdf.least_angles > MOST_ANGLES:
         raise InputError(
-            f"lobes of {brdf.to_config()} are too narrow for coefficients: they take {brdf.least_angles} angles, "
+            f"lobes of {brdf.to_config()} are too narrow for coefficients: they take {brdf.least_angles:.4g} angles, "
             f"{MOST_ANGLES} at most can be summed; take a greater roughness or a smaller exponent"
         )
     size = default_resolution(degree, order)

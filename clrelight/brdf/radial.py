@@ -62,7 +62,7 @@ class Phong(CentredBrdf):
     @property
     def energy(self) -> float:
         """The integral of its square over light and view, ``2 (s + 1)^2 / (2 s + 1)``."""
-        return 2.0 * (self.exponent + 1.0) ** 2 / (2.0 * self.exponent + 1.0)
+        return (self.exponent + 1.0) * ((self.exponent + 1.0) / (self.exponent + 0.5))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from clrelight.cli.options import (
     memory_option,
     within_option,
 )
-from clrelight.cli.output import decibel, print_facts, print_json, print_notes, seconds_line
+from clrelight.cli.output import decibel, make_report, print_facts, print_json, print_notes, seconds_line
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.psnr import psnr_lines
 from clrelight.errors import InputError
@@ -135,7 +135,8 @@ def fit(
     from clrelight.store import check_output
 
     read_too = [name for name in (config, update) if name]
-    report = Report()
+    # Of work that is long enough to be shared, what is done is told of also where it does not come to its end.
+    report = make_report(as_json) if is_shared(engine, jobs) else Report()
     if asked["at"] is not None and not check_places(asked["at"]):
         read_too.append(asked["at"])
         asked["at"] = read_directions(asked["at"], report)
@@ -160,7 +161,8 @@ def fit(
     if as_json:
         print_json(report.to_json())
         return
-    print_notes(report.notes)
+    if report.tell is None:
+        print_notes(report.notes)
     print_facts(_lines(out, report))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -62,7 +63,7 @@ def print_notes(notes: Sequence[str]) -> None:
     """Print notes on standard error, so that they never mix with results."""
     for note in notes:
         with suppress(OSError):  # nobody may be there to read it
-            click.echo(f"note: {note}", err=True)
+            print(f"note: {note}", file=sys.stderr)  # which a bar keeps above itself; click goes past it
 
 
 def make_report(as_json: bool) -> Report:

@@ -19,7 +19,7 @@ from clrelight.cli.options import (
     salvage_option,
     whole_number,
 )
-from clrelight.cli.output import print_report
+from clrelight.cli.output import make_report, print_report
 from clrelight.cli.progress import progress_bar
 from clrelight.errors import InputError
 
@@ -104,14 +104,13 @@ def relight(
       clrelight relight large.h5 frame%03d.exr --lights turntable.lp --jobs 2
     """
     from clrelight.jobs.relight import relight as run_relight
-    from clrelight.jobs.report import Report
 
     under: str | list[Any] | None = list(light) or None
     if any(isinstance(each, str) for each in light):
         if len(light) > 1:
             raise InputError("a light file is light from everywhere: give one --light, and no --lights beside it")
         under = str(light[0])
-    report = Report()
+    report = make_report(as_json)
     asked: dict[str, Any] = {
         "lights": lights,
         "exposure": "auto" if exposure is None else exposure,

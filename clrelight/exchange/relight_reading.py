@@ -148,7 +148,7 @@ def read_relight_folder(path: str | os.PathLike[str]) -> RelightFolder:
         scale_p, bias_p = (np.array(info["materials"][0][name], np.float64).ravel() for name in ("scale", "bias"))
         kind, space, n_plane = str(info["type"]), str(info["colorspace"]), len(scale_p)
         _check(info, kind, space, n_plane, len(bias_p))
-        ending = str(info.get("format", "jpg"))
+        ending = str(info.get("format", "jpg"))[:_MOST_SAID]
         size = (int(info["height"]), int(info["width"])) if "height" in info and "width" in info else None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError):
         raise InputError(f"{folder / INFO} is no JSON") from None
@@ -160,8 +160,8 @@ def read_relight_folder(path: str | os.PathLike[str]) -> RelightFolder:
     images = [f"plane_{number}" for number in range(-(-n_plane // 3))]
     planes = find_planes(folder, images, ending, size)
     if size is not None and planes.shape[:2] != size:  # before anything is decoded
-        sides = f"{planes.shape[1]} × {planes.shape[0]} pixels, {INFO} says {size[1]} × {size[0]}"
-        raise InputError(f"{folder}: its planes have {sides}")
+        said = f"{size[1]} × {size[0]}"[:_MOST_SAID]
+        raise InputError(f"{folder}: its planes have {planes.shape[1]} × {planes.shape[0]} pixels, {INFO} says {said}")
     return RelightFolder(planes, scale_p, bias_p, info)
 
 

@@ -17,7 +17,7 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.relighting import name_frames, show_frames, take_how
 from clrelight.jobs.relighting_farm import SharedFrames
 from clrelight.jobs.report import Progress, Report, report_for
-from clrelight.jobs.unfinished import unfinished_images
+from clrelight.jobs.unfinished import seen_inputs, unfinished_images
 from clrelight.lighting.light import Light
 
 
@@ -145,19 +145,19 @@ def relight(
     how = take_how(exposure, rotate, turntable, about, tonemap, transfer, region, level, salvage)
     how.check(target)
     kept = report_for(report)
+    inputs = seen_inputs([source, lights, light])
     frames, flat = how.frames(light, lights, kept)
     names = name_frames(target, frames)
     if farm is not None:
         given: dict[str, Any] = {"rotate": rotate, "turntable": turntable, "about": about, "region": region}
         given |= {"level": level or None, "tonemap": tonemap, "transfer": transfer, "salvage": salvage or None}
         with claimed(names, paths_among(source, light, lights), kept):
-            unfinished = unfinished_images(names, [source, lights, light], [how, light, "farm"])
+            unfinished = unfinished_images(names, inputs, [how, light, device, "farm"])
             SharedFrames.of(farm, source, light, lights, names, given).write(frames, how.exposure, kept, unfinished)
         kept.facts = {"files": names, **kept.facts}
         return kept
     with claimed(names, paths_among(source, light, lights), kept), opened_on(device, kept) as opened:
-        asked = [how, light, kept.device]
-        unfinished = unfinished_images(names, [source, lights, light], asked)
+        unfinished = unfinished_images(names, inputs, [how, light, kept.device])
         images_ihwc = show_frames(frames, source, names, how, opened, kept, progress, unfinished)
     if target is not None:
         kept.facts = {"files": names, **kept.facts}

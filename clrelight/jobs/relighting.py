@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence, Sized
+from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -125,10 +126,15 @@ def show_frames(
     unfinished: Unfinished | None = None,
 ) -> NDArray[np.float32]:
     """Write all images where they have names, but those that an interrupted job left; else return them."""
+
+    def some(part: Frames, first: int, end: int) -> NDArray[np.float32]:
+        return _show_some(part, source, names[first:end], how, device, report, progress, unfinished, first)
+
     if unfinished is None or not unfinished.facts:
-        made = _show_some(frames, source, names, how, device, report, progress, unfinished, 0)
+        made = some(frames, 0, len(names))
     else:
-        made = _show_rest(frames, source, names, how, device, report, progress, unfinished)
+        made = np.empty((0,), np.float32)
+        _show_rest(frames, unfinished.missing(frames.together(source)), unfinished.facts, some, report)
     if unfinished is not None:
         unfinished.end()
     return made
@@ -136,27 +142,22 @@ def show_frames(
 
 def _show_rest(
     frames: Frames,
-    source: FittedLike,
-    names: list[str],
-    how: How,
-    device: Device,
+    missing: Iterable[tuple[int, int]],
+    facts: Mapping[int, Mapping[str, Any]],
+    some: Callable[[Frames, int, int], object],
     report: Report,
-    progress: Progress | None,
-    unfinished: Unfinished,
-) -> NDArray[np.float32]:
+) -> None:
     """Write the images that an interrupted job has left out."""
-    known = list(unfinished.facts.values())
-    report.note(tell_known(len(known), frames.count))
+    known = list(facts.values())
+    report.note(tell_known(len(known), frames.count), *(note for each in known for note in each.get("notes", ())))
     exposure = known[0].get("exposure")
     below = [float(each.get("below", 0.0)) for each in known]
-    for first, end in list(unfinished.missing(frames.together(source))):
-        some = frames.only(first, end, exposure)
-        _show_some(some, source, names[first:end], how, device, report, progress, unfinished, first)
+    for first, end in list(missing):  # of what is there now
+        some(frames.only(first, end, exposure), first, end)
         below.append(float(report.facts.get("below", 0.0)))
     if isinstance(frames, LightFrames):
         report.facts |= {"exposure": exposure, "below": max(below)}
         tell_below(max(below), frames.count, report)
-    return np.empty((0,), np.float32)
 
 
 def _show_some(
@@ -171,7 +172,7 @@ def _show_some(
     number: int,
 ) -> NDArray[np.float32]:
     """Write or return images, the first of which has this number among all."""
-    kept_ihwc, pictures = np.empty((0,), np.float32), []
+    kept_ihwc, pictures, n_note = np.empty((0,), np.float32), [], len(report.notes)
     with frames.lend(source, device, report, progress) as (images, transfer), stage(progress, "relighting") as tell:
         for index, image in enumerate(images):
             since, relit = time.perf_counter(), report.seconds.get("relight", 0.0)
@@ -184,7 +185,9 @@ def _show_some(
             else:
                 write_view(names[index], image, how.tonemap, how.transfer or transfer)
                 if unfinished is not None:
-                    unfinished.add(number + index, {name: report.facts[name] for name in _TOLD if name in report.facts})
+                    told = {name: report.facts[name] for name in _TOLD if name in report.facts}
+                    unfinished.add(number + index, {**told, "notes": report.notes[n_note:]})
+                    n_note = len(report.notes)
             if names:  # rows are relit while others are written
                 report.add("write", since + report.seconds.get("relight", 0.0) - relit)
             tell(index + 1, frames.count)

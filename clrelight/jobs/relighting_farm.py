@@ -80,6 +80,7 @@ class SharedFrames:
         if known:
             report.note(tell_known(len(known), count))
             made.below = max(float(facts.get("below", 0.0)) for facts in known.values())
+            made.notes += [note for facts in known.values() for note in facts.get("notes", ())]
             if exposure is None:
                 exposure = next(iter(known.values()))["exposure"]
         if exposure is None:  # that of the first picture is that of all
@@ -118,7 +119,8 @@ class SharedFrames:
                     with replacing(self.names[number]) as part:
                         part.write(content.tobytes())
                     if unfinished is not None:
-                        unfinished.add(number, {"exposure": made.exposure, "below": made.below})
+                        facts = {"exposure": made.exposure, "below": made.below, "notes": [] if at else told["notes"]}
+                        unfinished.add(number, facts)
 
     def _do(self, parts: Sequence[tuple[int, int]], exposure: float | None) -> Iterator[Arrays]:
         kind = os.path.splitext(self.names[0])[1]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +17,12 @@ import numpy as np
 from clrelight import __version__
 from clrelight.codec.encoded import Encoded
 from clrelight.dataset import CoefficientMap
-from clrelight.durable import naming, sibling_stem
+from clrelight.durable import naming, replacing, sibling_stem
 from clrelight.lighting.light import Light
 from clrelight.remote import is_remote
 
+Input = tuple[str, int, int]
+"""Where a file is, of how many bytes, and when it was changed."""
 _ENDING = ".done"
 
 
@@ -33,37 +37,40 @@ class Unfinished:
     ----------
     names : sequence of str
         All files, in order.
-    inputs : sequence of str
+    inputs : sequence of Input
         Files that the pictures are made of.
     asked : object
-        All else that they hang on: JSON values, arrays of numbers, and what has a `repr` of all its values.
+        All else that they hang on: JSON values, arrays of numbers, dataclasses of these, and what has a `repr` of all
+        its values.
     """
 
-    def __init__(self, names: Sequence[str], inputs: Sequence[str], asked: object) -> None:
+    def __init__(self, names: Sequence[str], inputs: Sequence[Input], asked: object) -> None:
         self._names = names
         first = Path(names[0])
         self._list = first.with_name(sibling_stem(first.name) + _ENDING)
-        files = [(os.path.realpath(each), *_state(each)) for each in inputs]
-        told = json.dumps([__version__, [os.path.basename(each) for each in names], files, asked], default=_plain)
+        told = json.dumps([__version__, [os.path.basename(each) for each in names], inputs, asked], default=_plain)
         self._key = hashlib.sha256(told.encode()).hexdigest()
-        self.facts = self._read()
+        self.facts: dict[int, Mapping[str, Any]] = {}
         """Of each picture that is whole, by its number: what is known of it."""
-        self._is_begun = False
+        self._lines = [self._key]
+        """Of a list that is not begun; none afterwards."""
+        self._read()
 
-    def _read(self) -> dict[int, Mapping[str, Any]]:
-        found: dict[int, Mapping[str, Any]] = {}
+    def _read(self) -> None:
         try:
+            if not stat.S_ISREG(os.lstat(self._list).st_mode):
+                return
             head, *lines = self._list.read_text("utf-8").splitlines()
-            if head != self._key:
-                return {}
         except (OSError, ValueError):
-            return {}
+            return
+        if head != self._key:
+            return
         for line in lines:
             with suppress(ValueError, TypeError, LookupError, OSError):  # cut short, or its picture is gone
                 number, state, facts = json.loads(line)
                 if tuple(state) == _state(self._names[number]):
-                    found[number] = facts
-        return found
+                    self.facts[number] = facts
+                    self._lines.append(line)
 
     def missing(self, together: int) -> Iterator[tuple[int, int]]:
         """Yield numbers first..end of pictures to make, in parts that begin at multiples of `together`."""
@@ -84,15 +91,15 @@ class Unfinished:
         """Note that a picture is written; InputError where the list cannot be."""
         self.facts[number] = facts
         with naming(self._list):
-            if self._is_begun:
+            line = json.dumps([number, _state(self._names[number]), dict(facts)])
+            if not self._lines:
                 with self._list.open("a", encoding="utf-8") as stream:
-                    stream.write(self._line(number))
-            else:  # the last line of an older list may be cut short
-                self._list.write_text(self._key + "\n" + "".join(map(self._line, self.facts)), "utf-8")
-        self._is_begun = True
-
-    def _line(self, number: int) -> str:
-        return json.dumps([number, _state(self._names[number]), dict(self.facts[number])]) + "\n"
+                    stream.write(line + "\n")
+                return
+        # An older list, whose last line may be cut short, stays until the new one is whole.
+        with replacing(self._list) as part:
+            part.write("".join(f"{each}\n" for each in (*self._lines, line)).encode())
+        self._lines = []
 
     def end(self) -> None:
         """Take the list away: all pictures are there."""
@@ -100,13 +107,21 @@ class Unfinished:
             self._list.unlink()
 
 
-def unfinished_images(names: Sequence[str], sources: Sequence[object], asked: object) -> Unfinished | None:
-    """Return what knows which images are there; None of a single one, or made of what is no file of this machine."""
-    inputs = [os.fsdecode(each) for each in sources if isinstance(each, str | os.PathLike)]
+def seen_inputs(sources: Sequence[object]) -> list[Input] | None:
+    """Return what files look like, before they are read; None where a source is no file of this machine."""
+    paths = [os.fsdecode(each) for each in sources if isinstance(each, str | os.PathLike)]
     has_records = any(isinstance(each, CoefficientMap | Encoded | Light) for each in sources)
-    if len(names) < 2 or has_records or any(map(is_remote, inputs)):
+    if has_records or any(map(is_remote, paths)):
         return None
-    return Unfinished(names, inputs, asked)
+    try:
+        return [(os.path.realpath(each), *_state(each)) for each in paths]
+    except (OSError, ValueError):  # who reads it says what is wrong with it
+        return None
+
+
+def unfinished_images(names: Sequence[str], inputs: Sequence[Input] | None, asked: object) -> Unfinished | None:
+    """Return what knows which images are there; None of a single one, or of inputs that may change unseen."""
+    return None if len(names) < 2 or inputs is None else Unfinished(names, inputs, asked)
 
 
 def tell_known(some: int, count: int) -> str:
@@ -115,6 +130,8 @@ def tell_known(some: int, count: int) -> str:
 
 
 def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)
 
 

@@ -89,6 +89,8 @@ def basis_images(
         raise InputError(f"degree must be within 0 and {DEGREE}, got {wanted}: a matte surface shows hardly more")
     if pictures is not None:
         check_folder(os.fsdecode(pictures))
+        if out is not None and os.path.realpath(pictures) == os.path.realpath(out):
+            raise InputError(f"cannot write {os.fsdecode(out)} twice: the map and the pictures have that name")
     more: dict[str, Any] = {"memory": memory, "device": device, "progress": progress, "report": kept}
     with lend_stack(source, kept) as stack:
         record = FitRecord(wanted, METHOD, stack.peak, stack.transfer, stack.directions_i3, {}, stack.name)

@@ -31,7 +31,10 @@ Signed = dict[str, NDArray[np.float64]]
 
 
 def check_folder(folder: str) -> None:
-    """Raise InputError where something is that is no empty folder, before long work."""
+    """Raise InputError where something is that is no empty folder, or none can be, before long work."""
+    above = os.path.dirname(os.path.abspath(folder))
+    if not os.path.isdir(above):
+        raise InputError(f"cannot write {folder}: there is no folder {above}")
     if os.path.lexists(folder) and not (os.path.isdir(folder) and not os.listdir(folder)):
         raise InputError(f"{folder} is there: pictures go to a new folder")
 

@@ -126,9 +126,7 @@ def normals(
         with stage(progress, "finding normals") as tell:
             found = asked.find(stack, opened, budget, tell, kept)
         if not (found.confidence_hw > 0.0).any():
-            raise InputError(
-                "no pixel tells a normal: wherever the mask has pixels, all is black, clipped, or as no lamp"
-            )
+            raise InputError("no pixel tells a normal: inside the mask all is black, clipped, or as under no lamp")
         _tell(found, stack, asked, kept)
         if out is None:
             return found
