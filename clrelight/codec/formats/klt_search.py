@@ -77,6 +77,7 @@ class StepFinder(TileEncoder):
         self._exact = self._whitening.exact(0)
         self._packed: tuple[Axes, float, bytes] | None = None
         self._of_entropy: tuple[int, float] | None = None
+        self._surely = False
 
     def _mean(self, step: float) -> NDArray[np.int64]:
         return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
