@@ -36,6 +36,10 @@ _STEP_POWER = 0.8
 """Steps grow about with this power of what bytes are to shrink by."""
 
 
+class _NoRoomError(InputError):
+    """A map with some axes takes more bytes than there are."""
+
+
 class Encoder(StepFinder):
     """A map ready to be encoded at any step, or within any number of bytes."""
 
@@ -55,7 +59,7 @@ class Encoder(StepFinder):
         """Return the body that fills a budget of bytes best, and what was found; InputError if none is as small."""
         for surely in (False, True):
             trial = self._find_step(budget, surely=surely)
-            with suppress(InputError):  # axes of few bytes may take more than trials say
+            with suppress(_NoRoomError):  # axes of few bytes may take more than trials say
                 return self._fit(budget, trial)
         none = Axes(trial.axes.entries_jd[:0], trial.axes.scales_j[:0])
         return self._fit(budget, replace(trial, axes=none))
@@ -131,7 +135,9 @@ class Encoder(StepFinder):
 
         search_step(count, float(np.log2(_likely_step(trial, budget))), self._bounds(), budget, _USED)
         if not fitting:
-            raise InputError(f"klt needs {least} bytes for this map even at its coarsest step, the budget is {budget}")
+            raise _NoRoomError(
+                f"klt needs {least} bytes for this map even at its coarsest step, the budget is {budget}"
+            )
         _, body, step = max(fitting, key=lambda each: each[0])
         return body, step
 
@@ -158,7 +164,7 @@ class Encoder(StepFinder):
             if _LEAST_FILLED * budget <= self._used_bytes(axes, step, streams) <= budget:
                 break  # multipliers do little where there are few bytes
         if len(body := self._pack(axes, step, streams)) > budget:
-            raise InputError(f"klt needs {len(body)} bytes for this map at step {step:.3g}, the budget is {budget}")
+            raise _NoRoomError(f"klt needs {len(body)} bytes for this map at step {step:.3g}, the budget is {budget}")
         return body, step
 
     def _fit_multipliers(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
@@ -187,7 +193,7 @@ class Encoder(StepFinder):
             step = self._bounded(step)
             foretold = taken * (before / step) ** (1.0 / power)
         if best is None:
-            raise InputError(f"klt needs {least} bytes for this map at step {step:.3g}, the budget is {budget}")
+            raise _NoRoomError(f"klt needs {least} bytes for this map at step {step:.3g}, the budget is {budget}")
         return best
 
     def _pass_tiles(
