@@ -20,6 +20,12 @@ def coefficient_index(l: int, m: int) -> int:
     return l * (l + 1) + m
 
 
+def degree_and_order(k: int) -> tuple[int, int]:
+    """Return l and m of ``k = l (l + 1) + m``."""
+    l = math.isqrt(k)
+    return l, k - l * (l + 1)
+
+
 def degree_of(n_coeff: int) -> int:
     """Return the degree whose coefficient count is ``n_coeff``; ValueError if there is none."""
     root = math.isqrt(max(n_coeff, 0))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
+from collections.abc import Callable, Sequence, Sized
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -134,7 +133,7 @@ def show_frames(
         made = some(frames, 0, len(names))
     else:
         made = np.empty((0,), np.float32)
-        _show_rest(frames, unfinished.missing(frames.together(source)), unfinished.facts, some, report)
+        _show_rest(frames, unfinished, frames.together(source), some, report)
     if unfinished is not None:
         unfinished.end()
     return made
@@ -142,22 +141,20 @@ def show_frames(
 
 def _show_rest(
     frames: Frames,
-    missing: Iterable[tuple[int, int]],
-    facts: Mapping[int, Mapping[str, Any]],
+    unfinished: Unfinished,
+    together: int,
     some: Callable[[Frames, int, int], object],
     report: Report,
 ) -> None:
     """Write the images that an interrupted job has left out."""
-    known = list(facts.values())
-    report.note(tell_known(len(known), frames.count), *(note for each in known for note in each.get("notes", ())))
-    exposure = known[0].get("exposure")
-    below = [float(each.get("below", 0.0)) for each in known]
-    for first, end in list(missing):  # of what is there now
+    report.note(tell_known(len(unfinished.facts), frames.count), *unfinished.notes)
+    exposure, below = unfinished.exposure, unfinished.below
+    for first, end in list(unfinished.missing(together)):  # of what is there now
         some(frames.only(first, end, exposure), first, end)
-        below.append(float(report.facts.get("below", 0.0)))
+        below = max(below, float(report.facts.get("below", 0.0)))
     if isinstance(frames, LightFrames):
-        report.facts |= {"exposure": exposure, "below": max(below)}
-        tell_below(max(below), frames.count, report)
+        report.facts |= {"exposure": exposure, "below": below}
+        tell_below(below, frames.count, report)
 
 
 def _show_some(

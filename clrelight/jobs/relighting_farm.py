@@ -77,12 +77,10 @@ class SharedFrames:
         """Have all pictures made but those that an interrupted job left, and write them."""
         since, count, made = time.perf_counter(), frames.count, _Made([], [], 0.0)
         first, known = 0, {} if unfinished is None else unfinished.facts
-        if known:
+        if unfinished is not None and known:
             report.note(tell_known(len(known), count))
-            made.below = max(float(facts.get("below", 0.0)) for facts in known.values())
-            made.notes += [note for facts in known.values() for note in facts.get("notes", ())]
-            if exposure is None:
-                exposure = next(iter(known.values()))["exposure"]
+            made.below, made.notes = unfinished.below, unfinished.notes
+            exposure = unfinished.exposure if exposure is None else exposure
         if exposure is None:  # that of the first picture is that of all
             self._put(self._do([(0, 1)], None), [0], made, unfinished)
             exposure, first = made.exposure, 1

@@ -72,6 +72,21 @@ class Unfinished:
                     self.facts[number] = facts
                     self._lines.append(line)
 
+    @property
+    def notes(self) -> list[str]:
+        """What was said of the pictures that are whole."""
+        return [note for facts in self.facts.values() for note in facts.get("notes", ())]
+
+    @property
+    def exposure(self) -> float | None:
+        """What all pictures are shown at, where one that is whole tells it."""
+        return next((facts["exposure"] for facts in self.facts.values() if "exposure" in facts), None)
+
+    @property
+    def below(self) -> float:
+        """The greatest share of pixels below black of those that are whole."""
+        return max((float(facts.get("below", 0.0)) for facts in self.facts.values()), default=0.0)
+
     def missing(self, together: int) -> Iterator[tuple[int, int]]:
         """Yield numbers first..end of pictures to make, in parts that begin at multiples of `together`."""
         count = len(self._names)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from clrelight.fit.cls import plan_constrained
 from clrelight.fit.plan import Lighting
+from clrelight.harmonics.index import degree_and_order
 from clrelight.reproduction import exact
 from clrelight.speed.tables import markdown_table
 from datasets_synth.ring import render_ring
@@ -43,8 +43,8 @@ def prose(text: str) -> str:
 
 def name_of(k: int) -> str:
     """Return y_lm's name of an index, as in ``y10``."""
-    l = math.isqrt(k)
-    return f"y{l}{k - l * (l + 1)}".replace("-", "₋")
+    l, m = degree_and_order(k)
+    return f"y{l}{m}".replace("-", "₋")
 
 
 @functools.cache

@@ -12,6 +12,7 @@ from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.durable import replacing_folder
 from clrelight.errors import InputError
 from clrelight.harmonics.basis import evaluate_basis
+from clrelight.harmonics.index import degree_and_order
 from clrelight.images import write_image
 from clrelight.passes import stack_rows
 from clrelight.surface import Surface
@@ -125,8 +126,8 @@ def pictures_of_map(held: CoefficientMap) -> Signed:
 
 
 def _harmonic(k: int) -> str:
-    l = int(np.sqrt(k))
-    return f"harmonic_{l}_{k - l * (l + 1)}"
+    l, m = degree_and_order(k)
+    return f"harmonic_{l}_{m}"
 
 
 def _grey(stack: LightStack, rows: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
