@@ -10,6 +10,7 @@ from clrelight.codec.entropy.units import Window, list_units
 from clrelight.codec.formats.klt import Klt
 from clrelight.codec.formats.klt_encode import Encoder
 from clrelight.codec.formats.klt_fill import MULTIPLIER_POWER, _choose, _take, fill
+from clrelight.codec.formats.klt_steer import steer
 from clrelight.codec.streams import ArraySource
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.pixels import Pixels
@@ -97,7 +98,38 @@ def test_no_piece_is_coded_twice_at_a_step(device, monkeypatch):
     encoder.encode_within(int(0.05 * coeffs.size / 8))
     assert len(tried) == len(set(tried)) > 1
     assert len(encoder._windows) > 1
-    assert len({pieces for pieces, _, _ in tried}) == 2  # of four groups, the map being one tile
+    assert len({pieces for pieces, _, _ in tried}) == 2  # few at first, then more with them
+
+
+@pytest.mark.parametrize("power", [0.2, 0.35])
+@pytest.mark.parametrize("miss", [-0.02, 0.0, 0.02, 0.5])
+def test_a_budget_is_filled_while_the_last_units_are_coded(miss, power):
+    """By units that take what their parents foretell but for some noise, and far from even in one corner."""
+    units, usual, rng = list_units(900, 1300), 0.15, np.random.default_rng(4)
+    sample_t = np.array([135 * unit.side**2 for unit in units])
+    rough = np.array([2.0 if unit.row << (unit.level or 5) < 512 else 0.7 for unit in units])
+    size_t = sample_t * rough * [0.02 if unit.level == 1 else 0.03 for unit in units]
+    size_t *= rng.normal(1.0, 0.03, len(units))
+    budget, turns = (1.0 - miss) * size_t.sum(), []
+
+    def encode(chosen, multiplier):
+        turns.append((list(chosen), multiplier))
+        return [bytes(int(size_t[t] * (multiplier / usual) ** -power)) for t in chosen]
+
+    streams = steer(encode, units, sample_t, usual, lambda size_t: budget - size_t.sum())
+    order = [t for chosen, _ in turns for t in chosen]
+    assert sorted(order) == list(range(len(units)))
+    assert all(list(chosen) == sorted(chosen) for chosen, _ in turns)
+    coarse = {t for t, unit in enumerate(units) if unit.level != 1}
+    assert coarse <= set(turns[0][0])  # on which others hang
+    assert turns[0][1] == usual
+    within = 0.003 if abs(miss) < 0.1 else 1.0
+    assert abs(sum(map(len, streams)) - budget) < within * budget
+    assert all(usual / 1.61 < multiplier < usual * 1.61 for _, multiplier in turns)
+    few = list_units(400, 500)
+    streams = steer(encode, few, sample_t, usual, lambda size_t: 0.0)
+    assert turns[-1] == (list(range(len(few))), usual)
+    assert len(streams) == len(few)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

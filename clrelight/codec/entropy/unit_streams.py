@@ -136,7 +136,7 @@ def encode_streams(
     """
     batches = layout.batches()
     n_plane, n_stream = values.shape[0], len(layout.part_t4)
-    samples = _samples(layout)
+    samples = samples_of(layout)
     most = max(end - begin for begin, end in batches)
     workers = min((1 if device.style == "cpu" else 4) * device.info.compute_units, most)
     items = int(samples.max()) * 5 // 4 + (1 << 12)  # samples, and flags of cells and bands
@@ -182,7 +182,7 @@ def encode_streams(
     )
 
 
-def _samples(layout: Layout) -> NDArray[np.int64]:
+def samples_of(layout: Layout) -> NDArray[np.int64]:
     """Return the samples that each stream holds."""
     fields = np.maximum(layout.unit_uf, 0).astype(np.int64)
     of_unit = (fields[:, 4:7] * fields[:, 7:10]).sum(axis=1)

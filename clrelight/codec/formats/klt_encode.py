@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.unit_index import index_bytes
-from clrelight.codec.entropy.unit_streams import Coded
+from clrelight.codec.entropy.unit_streams import Coded, samples_of
 from clrelight.codec.entropy.units import Tile, list_tiles, whole_tile
 from clrelight.codec.formats.klt_fill import MULTIPLIER_POWER, change_multiplier, fill
 from clrelight.codec.formats.klt_last import Last, LastElsewhere, LastHere
-from clrelight.codec.formats.klt_search import NEAR, StepFinder
+from clrelight.codec.formats.klt_search import NEAR, StepFinder, likely_step
+from clrelight.codec.formats.klt_steer import steer
 from clrelight.codec.formats.klt_tiles import MULTIPLIER, encode_elsewhere
-from clrelight.codec.formats.klt_trials import Trial, foretell, search_step
+from clrelight.codec.formats.klt_trials import STEP_POWER, Trial, foretell, search_step
 from clrelight.codec.formats.klt_units import Head, count_streams, is_together, pack_body
 from clrelight.codec.transforms.principal import STEP_RANGE, Axes
 from clrelight.codec.transforms.strips import Strips
@@ -25,15 +26,15 @@ from clrelight.errors import InputError
 
 _USED = (0.992, 0.997, 1.0)
 """Parts of a budget where a search for the step of one stream ends, and aims; it ends at the last, too."""
-_SLACK = 0.004
+_SLACK = 0.005
 """Part of a budget that they may leave."""
+_STEERED = 0.9975
+"""Part of a budget at which what is steered aims: it ends within the slack, mostly."""
 _LEAST_FILLED, _AIM = 0.99, 0.997
 _ENOUGH = (3, _LEAST_FILLED), (6, 0.9), (16, 0.0)
 """Before so many passes over all tiles, which part of a budget ends them; the last go on until anything fits."""
 _CHANGE = 1.02
 """Times by which a step then changes more than is foretold."""
-_STEP_POWER = 0.8
-"""Steps grow about with this power of what bytes are to shrink by."""
 
 
 class _NoRoomError(InputError):
@@ -133,7 +134,7 @@ class Encoder(StepFinder):
                 fitting.append((len(body), body, exact))
             return len(body)
 
-        search_step(count, float(np.log2(_likely_step(trial, budget))), self._bounds(), budget, _USED)
+        search_step(count, float(np.log2(likely_step(trial, budget))), self._bounds(), budget, _USED)
         if not fitting:
             raise _NoRoomError(
                 f"klt needs {least} bytes for this map even at its coarsest step, the budget is {budget}"
@@ -143,18 +144,32 @@ class Encoder(StepFinder):
 
     def _fit_streams(self, budget: int, trial: Trial, tile: Tile) -> tuple[bytes, float]:
         """Return the body of a map that is one tile of many streams, and its step."""
-        axes, planes, exact = trial.axes, self._whitening.solved(trial.axes), 0.0
+        axes, planes, exact, is_steered = trial.axes, self._whitening.solved(trial.axes), 0.0, True
         self._pieces, self._prepared = {}, 0  # their memory is that of the tile now
         part, streams = self.take_part(tile.window, tile, planes, lent=True), [b""] * count_streams(self._shape)
 
         def count(place: float) -> float:
             nonlocal exact
             exact = float(np.float32(2.0**place))
-            self._collect(streams, tile, self.encode_part(part, exact, keep=True).streams)
+            last = LastHere(self, part, exact)
+            if is_steered:
+                room = _STEERED * budget - self._table_bytes(axes, exact)
+                coded: Sequence[bytes] = steer(
+                    last.again,
+                    tile.units,
+                    samples_of(part.layout),
+                    MULTIPLIER,
+                    lambda size_t: room - float(size_t.sum()) - index_bytes(size_t.astype(np.int64).tolist()),
+                )
+            else:
+                coded = last.code(MULTIPLIER).streams
+            self._collect(streams, tile, coded)
             return self._used_bytes(axes, exact, streams)
 
-        step = _likely_step(trial, budget)
+        step = likely_step(trial, budget)
+        self._tables(axes, float(np.float32(step)))  # while the device makes planes
         for aims in (NEAR, _USED):
+            is_steered = aims is NEAR
             place = search_step(count, float(np.log2(step)), self._bounds(), budget, aims)
             step = float(np.float32(2.0**place))
             if step != exact:
@@ -172,7 +187,7 @@ class Encoder(StepFinder):
         rows, step = [(each.top + each.bottom) // 2 for each in self._windows], self._bounded(trial.step)
         foretold, usual = foretell(rows, trial.of_pixel, tiles), np.full(len(tiles), MULTIPLIER)
         best: tuple[bytes, float] | None = None
-        least, power, wanted, fine, coarse = 0, _STEP_POWER, 0.0, 0.0, STEP_RANGE[1]
+        least, power, wanted, fine, coarse = 0, STEP_POWER, 0.0, 0.0, STEP_RANGE[1]
         for number in range(_ENOUGH[-1][0] - 1):
             body, taken, usual = self._pass_tiles(budget, step, trial.axes, tiles, foretold, usual)
             least, used = len(body), len(body) / max(budget, 1)
@@ -185,7 +200,7 @@ class Encoder(StepFinder):
             # How bytes hang on the multiplier is another thing for each map: now it is to be as it was.
             more, before = float(np.log(taken.sum() / (_AIM * budget))), step
             if wanted and wanted != more:
-                power = min(max(power * wanted / (wanted - more), _STEP_POWER / 2.0), 4.0 * _STEP_POWER)
+                power = min(max(power * wanted / (wanted - more), STEP_POWER / 2.0), 4.0 * STEP_POWER)
             step, wanted = step * float(np.exp(power * more)), more
             if number + 1 >= _ENOUGH[0][0] or not fine <= step <= coarse:  # some bytes fall faster than any power
                 between = fine > 0.0 and coarse < STEP_RANGE[1]
@@ -253,8 +268,3 @@ class Encoder(StepFinder):
 
     def _bounded(self, step: float) -> float:
         return float(np.float32(min(max(step, self._finest), STEP_RANGE[1])))
-
-
-def _likely_step(trial: Trial, budget: int) -> float:
-    """Return the step at which a budget is likely filled, by a trial near it."""
-    return trial.step * float(trial.size / max(NEAR[1] * budget, 1.0)) ** _STEP_POWER

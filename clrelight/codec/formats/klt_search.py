@@ -12,7 +12,7 @@ from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.units import Window, is_one_tile
 from clrelight.codec.formats.klt_pieces import Pieces, Tried
 from clrelight.codec.formats.klt_tiles import TileEncoder
-from clrelight.codec.formats.klt_trials import Trial, list_pieces, search_step
+from clrelight.codec.formats.klt_trials import STEP_POWER, Trial, list_pieces, search_step
 from clrelight.codec.formats.klt_units import HEAD_SIZE, count_streams, pack_axes
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
 from clrelight.codec.transforms.pixels import Pixels
@@ -21,18 +21,27 @@ from clrelight.codec.transforms.whitening import whitening_of
 from clrelight.codec.workspace import Progress
 from clrelight.memory import ARRAY_MEMORY
 
+_FIRST_STEP = 2.0**-5
 _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
 _AXIS_MULTIPLIER = 0.1
 """Squared steps of error that a bit of an axis must save: the faintest planes may be what lights from one side show."""
-_NEARLY, _FOUND, _FEW = (0.93, 0.97, 1.0), (0.95, 0.99, 1.04), 4
-"""Parts of a budget where a search on every n-th piece ends, and aims; and those of one on all."""
+_ROUGHLY, _NEARLY, _FOUND = (0.7, 0.98, 1.4), (0.93, 0.97, 1.0), (0.95, 0.99, 1.04)
+"""Parts of a budget where a search on few pieces ends, and aims; those of one that tells surely; and of the last."""
+_FEW, _MANY, _AT_ONCE = 3, 16, 16
+"""Pieces of the first search, those of the last where the map itself is coded until it fits, and those that lie in
+memory together."""
+_FIRST = 3
+"""Of the numbers by which pieces are chosen, the first: 0 would take a corner."""
+_MORE_PLANES = 1.1
+"""Times by which pieces have more planes than are asked for: finer steps ask for more."""
 NEAR = (0.9, 0.997, 1.1)
 """The same where what comes after makes up for the rest."""
 _FEW_ENTRIES = 4096
 """Values of axes whose coded tables a trial weighs; of more it reckons them."""
-_PIECES_COST = 1.05
-"""What pieces take of what a map does for each of their pixels: 1.03 to 1.07."""
+_COST = 0.1, -0.45
+"""Of the bytes of pieces, this part is what they take more than a map does, times this power of the bits of a pixel:
+their streams learn the same from fewer samples."""
 
 
 class StepFinder(TileEncoder):
@@ -71,7 +80,7 @@ class StepFinder(TileEncoder):
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
         self._finest = max(STEP_RANGE[0], 1.01 * largest * MEAN_STEPS / MAX_ENTRY)
         self._windows: list[Window] = []
-        self._pieces: dict[int, Pieces] = {}
+        self._pieces: dict[tuple[int, ...], Pieces] = {}
         self._prepared = 0
         self._tried: dict[tuple[float, int], dict[int, Tried]] = {}
         self._exact = self._whitening.exact(0)
@@ -92,20 +101,24 @@ class StepFinder(TileEncoder):
         self._tried, self._exact = {}, self._whitening.exact(count)
         self._prepared = count
 
-    def _try(self, step: float, every: int = 1) -> Trial:
-        """Return about the bytes at a step, and the axes that are worth theirs, by every n-th piece."""
-        count = int((self._whitening.deviation_j > _TRIED * step).sum())
+    def _count(self, step: float) -> int:
+        """Return the planes that are tried at a step."""
+        return int((self._whitening.deviation_j > _TRIED * step).sum())
+
+    def _try(self, step: float, most: int | None = None) -> Trial:
+        """Return about the bytes at a step, and the axes that are worth theirs, by so many pieces or all."""
+        count = self._count(step)
         self._prepare(count)
         vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
         axes = quantise_axes(vectors, deviation, self._n_pixel, step, self._whitening.root_nn)
         streams, sizes, axis_bits = 0.0, np.zeros(0), 0.0
         if count:
-            # Every second piece, or each, is also every fourth.
-            chosen = range(len(self._windows))[_FEW // 2 % every :: every] or range(len(self._windows))
+            chosen = _spread(len(self._windows), most)
             tried = self._try_pieces(chosen, step, count)
             sizes, areas = np.array([each.size for each in tried]), np.array([self._windows[n].n_pixel for n in chosen])
-            # Streams of a piece's coarse levels are shorter than those of a map, and learn as much anew.
-            share = self._n_pixel / areas.sum() / (_PIECES_COST if len(self._windows) > 1 else 1.0)
+            share = self._n_pixel / areas.sum()
+            if len(self._windows) > 1:
+                share /= 1.0 + _COST[0] * max(8.0 * sizes.sum() / areas.sum(), 0.1) ** _COST[1]
             bits_j = np.sum([each.bits_j for each in tried], axis=0) * share
             energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
             saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
@@ -130,12 +143,22 @@ class StepFinder(TileEncoder):
                     missing, elsewhere.try_pieces(windows, planes, self._pixels.transfer, step, count), strict=True
                 )
             return [found[n] for n in chosen]
-        for group in sorted({number % _FEW for number in missing}):
-            if group not in self._pieces:
-                self._pieces[group] = self.take_pieces(self._windows[group::_FEW], planes)
-            tried = self.try_pieces(self._pieces[group], step, count)
-            found |= zip(range(group, len(self._windows), _FEW), tried, strict=True)
+        for numbers in self._groups(missing):
+            pieces = self._pieces.get(numbers)
+            if pieces is None or pieces.values.shape[0] < count:
+                held = min(int(_MORE_PLANES * count), len(planes[1]))
+                self._pieces.pop(numbers, None)
+                pieces = self.take_pieces([self._windows[n] for n in numbers], (planes[0][:held], planes[1][:held]))
+                self._pieces[numbers] = pieces
+            found |= zip(numbers, self.try_pieces(pieces, step, count), strict=True)
         return [found[n] for n in chosen]
+
+    def _groups(self, missing: Sequence[int]) -> list[tuple[int, ...]]:
+        """Return pieces in groups that are tried together: those that lie in memory, and of the others some at once."""
+        held = [numbers for numbers in self._pieces if set(numbers) <= set(missing)]
+        others = [n for n in missing if not any(n in numbers for numbers in held)]
+        many = -(-len(others) // _AT_ONCE)
+        return held + [tuple(others[i::many]) for i in range(many)]
 
     def _fixed_bytes(self, axes: Axes, step: float, streams: float) -> float:
         """Return the bytes beside those of streams, which take about so many."""
@@ -171,22 +194,39 @@ class StepFinder(TileEncoder):
         Trials that are to tell `surely` take longer, and are not above the budget.
         """
         self._surely = surely
-        place, trials = -5.0, dict[float, Trial]()
+        step = _FIRST_STEP
+        self._prepare(self._count(step))
+        if len(self._windows) > 1:
+            step = likely_step(self._search(budget, step, _ROUGHLY, _FEW), budget)
         _, height, width, _ = self._shape
-        for stage in range(2):
-            # One tile is coded until its bytes fit.
-            one = is_one_tile(height, width, self._prepared, self._memory)
-            every, aims = (2 if one else 1, _FOUND) if stage else (_FEW, _NEARLY)
-            aims, trials = _NEARLY if surely else NEAR if one else aims, {}
+        # One tile is coded until its bytes fit.
+        one = is_one_tile(height, width, self._prepared, self._memory)
+        aims = _NEARLY if surely else NEAR if one else _FOUND
+        return self._search(budget, step, aims, _MANY if one and not surely else None)
 
-            def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
-                trials[place] = self._try(2.0**place, every)
-                return trials[place].size
+    def _search(self, budget: int, step: float, aims: tuple[float, float, float], most: int | None) -> Trial:
+        """Return the trial of so many pieces that ends a search from a step on."""
+        trials: dict[float, Trial] = {}
 
-            place = search_step(count, place, self._bounds(), budget, aims)
-            if len(self._windows) <= 1:
-                break
-        return trials[place]
+        def count(place: float) -> float:
+            trials[place] = self._try(2.0**place, most)
+            return trials[place].size
+
+        return trials[search_step(count, float(np.log2(step)), self._bounds(), budget, aims)]
 
     def _bounds(self) -> tuple[float, float]:
         return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))
+
+
+def likely_step(trial: Trial, budget: int) -> float:
+    """Return the step at which a budget is likely filled, by a trial near it."""
+    return trial.step * float(trial.size / max(NEAR[1] * budget, 1.0)) ** STEP_POWER
+
+
+def _spread(count: int, most: int | None) -> list[int]:
+    """Return which pieces are tried, some that lie all over a map or all; where they are more, all of the fewer are."""
+    if most is None or count <= most:
+        return list(range(count))
+    # What multiples of the golden ratio leave over is spread, whatever the number.
+    left = (np.arange(count) + _FIRST) * (5**0.5 - 1) / 2 % 1.0
+    return sorted(np.argsort(left)[:most].tolist())

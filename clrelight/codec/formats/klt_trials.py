@@ -23,6 +23,9 @@ _MAX_TRIALS = 24
 _STEP_SLOPE = 1.05
 """By how much the logarithm of 2 of a step falls, about, where that of e of the bytes rises by 1."""
 
+STEP_POWER = 0.8
+"""Steps grow about with this power of what bytes are to shrink by."""
+
 
 @dataclass(frozen=True)
 class Part:
