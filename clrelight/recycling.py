@@ -20,6 +20,8 @@ _KEPT = ARRAY_MEMORY // 2
 """Bytes that lie unused at most, see `kept_within`: what a codec needs of a map in memory and needs again for the next.
 What was given back first goes first."""
 
+_LINE = 64
+"""Bytes of a line of the caches, and of the longest vectors."""
 _SHARE = 4
 """Of a budget of memory, this part of it may lie unused."""
 
@@ -52,7 +54,7 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
     dtype = np.dtype(dtype)
     size = math.prod(shape) * dtype.itemsize
     if not is_kept(size):
-        return np.empty(shape, dtype)
+        return _aligned(size).view(dtype).reshape(shape) if size > _KEPT else np.empty(shape, dtype)
     block = _take(_class_of(size))
     lease = (ctypes.c_ubyte * size).from_buffer(block.data)
     weakref.finalize(lease, _give_back, block).atexit = False
@@ -97,7 +99,13 @@ def _take(size: int) -> NDArray[np.uint8]:
             _unused.rotate(-looked_at)  # what was given back first is to go first, as ever
             return block
         _unused.appendleft(block)
-    return np.empty(size, np.uint8)
+    return _aligned(size)
+
+
+def _aligned(size: int) -> NDArray[np.uint8]:
+    """Return new memory that begins where a line of the caches does: a kernel's vectors lie in one then, not in two."""
+    block = np.empty(size + _LINE, np.uint8)
+    return block[-block.ctypes.data % _LINE :][:size]
 
 
 def _give_back(block: NDArray[np.uint8]) -> None:

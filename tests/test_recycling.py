@@ -32,6 +32,12 @@ def test_an_array_is_as_numpys_own():
     assert (array == 7.0).all()
 
 
+@pytest.mark.parametrize("size", [recycling._LEAST, (1 << 20) + 12, recycling._KEPT + 4])
+def test_vectors_lie_in_one_line_of_the_caches(size):
+    for array in (recycling.empty((size // 4,), np.float32), recycling.empty((size // 4,), np.float32)):
+        assert address(array) % 64 == 0
+
+
 def test_memory_is_used_again():
     first = recycling.empty((1 << 20,), np.uint8)
     place = address(first)
