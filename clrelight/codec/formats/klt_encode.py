@@ -48,6 +48,8 @@ class Encoder(StepFinder):
         step = float(np.float32(step))
         if step < self._finest:
             raise InputError(f"klt step must be {self._finest:.3g} or more for this map, got {step:g}")
+        if count := self._matter(step):
+            self._turn(self._cells(count)[0], step)
         axes = self._try(step).axes
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         tiles = self._tiles(axes)

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
-from clrelight.codec.entropy.units import Window, is_one_tile
+from clrelight.codec.entropy.units import LEVELS, Window, is_one_tile
 from clrelight.codec.formats.klt_pieces import Pieces, Tried
 from clrelight.codec.formats.klt_tiles import TileEncoder
-from clrelight.codec.formats.klt_trials import Trial, list_pieces, search_step
+from clrelight.codec.formats.klt_trials import Trial, list_pieces, list_samples, search_step
 from clrelight.codec.formats.klt_units import HEAD_SIZE, count_streams, pack_axes
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
+from clrelight.codec.transforms.local_axes import cut_cells, guess_step, turn_axes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
 from clrelight.codec.transforms.whitening import whitening_of
@@ -25,6 +26,10 @@ _TRIED = 0.08
 """An axis along which pixels deviate less than this part of a step is not tried."""
 _AXIS_MULTIPLIER = 0.1
 """Squared steps of error that a bit of an axis must save: the faintest planes may be what lights from one side show."""
+_FIRST, _FINE, _GUESSES = -5.0, -6.0, 3
+"""Logarithms of the first step that is tried where nothing is known, and of that by whose planes a step is guessed;
+times that it is guessed, by the planes that the guess before asks for.
+"""
 _NEARLY, _FOUND, _FEW = (0.93, 0.97, 1.0), (0.95, 0.99, 1.04), 4
 """Parts of a budget where a search on every n-th piece ends, and aims; and those of one on all."""
 NEAR = (0.9, 0.997, 1.1)
@@ -78,6 +83,7 @@ class StepFinder(TileEncoder):
         self._packed: tuple[Axes, float, bytes] | None = None
         self._of_entropy: tuple[int, float] | None = None
         self._surely = False
+        self._begun: float | None = None
 
     def _mean(self, step: float) -> NDArray[np.int64]:
         return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
@@ -87,14 +93,46 @@ class StepFinder(TileEncoder):
         if count <= self._prepared:
             return
         _, height, width, _ = self._shape
-        count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
+        # The next step may be finer.
+        count = min(max(count * 9 // 8 + 1, self._prepared * 3 // 2), len(self._whitening.deviation_j))
         self._windows, self._pieces = list_pieces(height, width, count, self._memory), {}
         self._tried, self._exact = {}, self._whitening.exact(count)
         self._prepared = count
 
+    def _matter(self, step: float) -> int:
+        """Return the number of axes that may be worth their bits at a step."""
+        return int((self._whitening.deviation_j > _TRIED * step).sum())
+
+    def _cells(self, count: int) -> tuple[NDArray[np.float32], float]:
+        """Return cells of the first planes of a part of the map, and how many times its pixels the map has."""
+        windows = list_samples(self._shape[1], self._shape[2], count)
+        planes_jnyx = self.take_pieces(windows, self._whitening.exact(count)).host_planes(self.device)
+        return cut_cells(planes_jnyx, LEVELS), self._n_pixel / sum(window.n_pixel for window in windows)
+
+    def _turn(self, cells_jsc: NDArray[np.float32], step: float) -> None:
+        """Turn the axes that matter at a step."""
+        self._whitening = self._whitening.turned(turn_axes(cells_jsc[: self._matter(step)], step))
+        self._begun, self._pieces, self._prepared = float(np.log2(step)), {}, 0
+
+    def _begin(self, budget: int) -> float:
+        """Return the logarithm of a step that takes about a budget, and turn the axes, once."""
+        if self._begun is None:
+            least, largest = self._bounds()
+            self._begun, loudest = _FIRST, float(self._whitening.deviation_j[0])
+            if 0.0 < loudest < np.inf:
+                place = min(max(min(_FINE, float(np.log2(loudest))), least), largest)
+                for _ in range(_GUESSES):
+                    count = max(self._matter(2.0**place), 1)
+                    cells_jsc, share = self._cells(count)
+                    place = guess_step(cells_jsc, share, 8.0 * budget, (least, largest))
+                    if self._matter(2.0**place) <= count:
+                        break
+                self._turn(cells_jsc, 2.0**place)
+        return self._begun
+
     def _try(self, step: float, every: int = 1) -> Trial:
         """Return about the bytes at a step, and the axes that are worth theirs, by every n-th piece."""
-        count = int((self._whitening.deviation_j > _TRIED * step).sum())
+        count = self._matter(step)
         self._prepare(count)
         vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
         axes = quantise_axes(vectors, deviation, self._n_pixel, step, self._whitening.root_nn)
@@ -171,22 +209,27 @@ class StepFinder(TileEncoder):
         Trials that are to tell `surely` take longer, and are not above the budget.
         """
         self._surely = surely
-        place, trials = -5.0, dict[float, Trial]()
+        place = self._begin(budget)
         _, height, width, _ = self._shape
         for stage in range(2):
             # One tile is coded until its bytes fit.
             one = is_one_tile(height, width, self._prepared, self._memory)
             every, aims = (2 if one else 1, _FOUND) if stage else (_FEW, _NEARLY)
-            aims, trials = _NEARLY if surely else NEAR if one else aims, {}
-
-            def count(place: float, every: int = every, trials: dict[float, Trial] = trials) -> float:
-                trials[place] = self._try(2.0**place, every)
-                return trials[place].size
-
-            place = search_step(count, place, self._bounds(), budget, aims)
+            place, trial = self._search(budget, place, every, _NEARLY if surely else NEAR if one else aims)
             if len(self._windows) <= 1:
                 break
-        return trials[place]
+        return trial
+
+    def _search(self, budget: int, place: float, every: int, aims: tuple[float, float, float]) -> tuple[float, Trial]:
+        """Return the logarithm of a step, and its trial on every n-th piece; `aims` as of `search_step`."""
+        trials = dict[float, Trial]()
+
+        def count(place: float) -> float:
+            trials[place] = self._try(2.0**place, every)
+            return trials[place].size
+
+        place = search_step(count, place, self._bounds(), budget, aims)
+        return place, trials[place]
 
     def _bounds(self) -> tuple[float, float]:
         return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))
