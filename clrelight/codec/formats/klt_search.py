@@ -17,7 +17,7 @@ from clrelight.codec.formats.klt_units import HEAD_SIZE, count_streams, pack_axe
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
 from clrelight.codec.transforms.local_axes import cut_cells, guess_step, turn_axes
 from clrelight.codec.transforms.pixels import Pixels
-from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
+from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes, round_jointly
 from clrelight.codec.transforms.whitening import whitening_of
 from clrelight.codec.workspace import Progress
 from clrelight.memory import ARRAY_MEMORY
@@ -86,7 +86,7 @@ class StepFinder(TileEncoder):
         self._begun: float | None = None
 
     def _mean(self, step: float) -> NDArray[np.int64]:
-        return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
+        return round_jointly(self._whitening.mean_d * (MEAN_STEPS / step), self._whitening.root_nn)
 
     def _prepare(self, count: int) -> None:
         """List pieces of which so many planes can be tried."""

@@ -19,10 +19,11 @@ _FLOOR = 0.2
 """Squared steps that a sample's energy is seen above: what is far below a step takes no bits, however it is turned."""
 _LOUD = 0.3
 """Squared steps that some plane of a cell must hold; the others stay 0, whatever the rotation."""
-_VALUES, _FOR_A_PAIR = 1 << 20, 32
-"""Samples of all planes that a rotation is found by, at most; and for each pair of planes, if these are more."""
-_FIRST, _PASSES, _LAST = 1 << 18, 10, 4
-"""Samples that the first passes look at, at least; how many of them there are, and how many look at all."""
+_VALUES, _FIRST_VALUES, _FOR_A_PAIR = 1 << 20, 1 << 18, 32
+"""Samples of all planes that a rotation is found by, and that its first passes look at, at most; and for each pair of
+planes, if these are more."""
+_PASSES, _LAST = 16, 4
+"""How many passes look at few samples, and how many at all."""
 _PART, _MOMENTUM, _LEAST_CURVATURE, _LARGEST_TURN = 0.6, 0.6, 0.05, 0.3
 _COARSE, _ENERGIES, _HALVINGS = 0.14, 1 << 16, 12
 """Squared steps below which energies hardly take bits; energies that tell a step, and how often its range is halved."""
@@ -74,20 +75,21 @@ def turn_axes(cells_jsc: NDArray[np.float32], step: float) -> NDArray[np.float64
     with np.errstate(over="ignore"):  # infinite where values are near float32's end
         loudest_c = np.square(cells_jsc).sum(axis=1).max(axis=0)
     loud = np.flatnonzero((loudest_c > _LOUD * step**2) & np.isfinite(loudest_c))
-    most = max(_VALUES, _FOR_A_PAIR * count**2)
+    first, most = (max(each, _FOR_A_PAIR * count**2) for each in (_FIRST_VALUES, _VALUES))
     every = max(-(-len(loud) * count * samples // most), 1)
     chosen_jsc = cells_jsc[:, :, loud[every // 2 :: every]] / np.float32(step)
     if count < 2 or not chosen_jsc.shape[2]:
         return np.eye(count)
     with on_one_thread():
         turn_jj, moved_jj = np.eye(count), np.zeros((count, count))
-        for few, passes in ((max(chosen_jsc.size // _FIRST, 1), _PASSES), (1, _LAST)):
+        for few, passes in ((max(chosen_jsc.size // first, 1), _PASSES), (1, _LAST)):
             some_jsc = np.ascontiguousarray(chosen_jsc[:, :, ::few])
             for _ in range(passes):
                 turned_jsc = _turned(some_jsc, turn_jj)
                 moved_jj = _MOMENTUM * moved_jj + _newton_step(turned_jsc, _energies(turned_jsc))
                 half_jj = np.clip(_PART * moved_jj, -_LARGEST_TURN, _LARGEST_TURN) / 2.0
-                turn_jj = np.linalg.solve(np.eye(count) + half_jj, (np.eye(count) - half_jj) @ turn_jj)  # Cayley's
+                turned_jj = np.linalg.solve(np.eye(count) + half_jj, (np.eye(count) - half_jj) @ turn_jj)  # Cayley's
+                turn_jj = np.asarray(turned_jj, np.float64)
         before, after = (_log_sum(each) for each in (chosen_jsc, _turned(chosen_jsc, turn_jj)))
     return turn_jj if after < before else np.eye(count)
 
