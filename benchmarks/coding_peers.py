@@ -27,7 +27,7 @@ from benchmarks.peer_page import (
     where_behind,
 )
 from benchmarks.peer_stacks import fit_stack, requests
-from benchmarks.peer_ways import RATES, Measurement, Row, measure_stack
+from benchmarks.peer_ways import RATES, WAYS, Measurement, Row, measure_stack
 from clrelight.cli.output import print_facts
 from clrelight.cli.tables import print_table
 from clrelight.device import open_device
@@ -57,6 +57,9 @@ def main(
         chosen = [each for each in requests() if _fits(each.name, patterns)]
         if not chosen:
             raise InputError(f"no stack's name fits {', '.join(patterns)}; there are {', '.join(_names())}")
+        for pattern in ways:
+            if not any(_fits(way, (pattern,)) for way in WAYS):
+                raise InputError(f"no way fits {pattern}; there are {'; '.join(WAYS)}")
         if markdown is not None and ways:
             raise InputError("--markdown replaces rows of all ways: it takes no --way")
         if markdown is not None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+NAMES = ("JPEG 2000", "HTJ2K", "JPEG XL", "SPERR")
 SCALES = 8
 """Bytes of what a plane's codes mean: value of code 0 and step, float32."""
 _CODES = 65535
@@ -46,12 +47,13 @@ def plane_coders() -> list[PlaneCoder]:
     """Return the codecs; ImportError without imagecodecs."""
     import imagecodecs
 
-    return [
-        PlaneCoder("JPEG 2000", *_jpeg2000(imagecodecs), _after_headers, _headers),
-        PlaneCoder("HTJ2K", *_htj2k(imagecodecs), _after_headers, _headers),
-        PlaneCoder("JPEG XL", *_jpeg_xl(imagecodecs)),
-        PlaneCoder("SPERR", *_sperr(imagecodecs)),
-    ]
+    made = (
+        (*_jpeg2000(imagecodecs), _after_headers, _headers),
+        (*_htj2k(imagecodecs), _after_headers, _headers),
+        _jpeg_xl(imagecodecs),
+        _sperr(imagecodecs),
+    )
+    return [PlaneCoder(name, *functions) for name, functions in zip(NAMES, made, strict=True)]
 
 
 def _headers(stream: bytes) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.peer_coders import plane_coders
+from benchmarks.peer_coders import NAMES, plane_coders
 from benchmarks.peer_planes import PlanePeer, PlaneSet, principal_planes, raw_planes
 from benchmarks.peer_search import CODING, HELD_OUT, SEEN, Match, Point, match
 from benchmarks.peer_stacks import FittedStack
@@ -25,6 +25,14 @@ RATES = (0.02, 0.1, 0.3)
 KLT, RTI = "klt", "RTI planes, JPEG"
 _RAW = ("JPEG 2000", "HTJ2K")
 """Codecs that get the raw maps too, which take several times the bytes of principal planes with any."""
+_OF_PHOTOGRAPHS = (*(f"{name} video" for name in FORMATS), "SPERR volume")
+WAYS = (
+    *(f"{name}, principal planes" for name in NAMES),
+    *(f"{name}, raw planes" for name in _RAW),
+    RTI,
+    *(way for name in _OF_PHOTOGRAPHS for way in (name, f"{name}, between lights")),
+)
+"""All that klt is compared with."""
 _QUALITIES = (5, 100)
 _PART = 544
 """Side of a part that klt codes as it does a whole map of so many pixels or more: in several units."""
@@ -153,7 +161,7 @@ def _plane_rows(
     try:
         coders = plane_coders()
     except ImportError:
-        measurement.left_out["JPEG 2000, HTJ2K, JPEG XL, SPERR"] = "imagecodecs is not installed"
+        measurement.left_out[", ".join(NAMES)] = "imagecodecs is not installed"
         return
 
     def find(peer: PlanePeer, rate: float) -> Match:

@@ -14,7 +14,7 @@ from benchmarks.peer_page import where_behind
 from benchmarks.peer_search import CODING, HELD_OUT, SEEN, Point, match
 from benchmarks.peer_stacks import FittedStack
 from benchmarks.peer_video import from_frames, shortest_path, to_frames
-from benchmarks.peer_ways import KLT, Measurement, Row, measure_stack
+from benchmarks.peer_ways import KLT, WAYS, Measurement, Row, measure_stack
 from clrelight.dataset import LightStack
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.sampling import make_pattern
@@ -129,6 +129,7 @@ def test_every_way_has_its_row_at_equal_quality(stack, device):
         *((f"{name}, between lights", HELD_OUT) for name in ("HEVC video", "AV1 video", "SPERR volume")),
     }
     assert len(told) == len(RATES) * len(ways)
+    assert {KLT, *WAYS} == {way for way, _ in ways}
     klt = {row.rate: row for row in told if row.way == KLT}
     for row in told:
         assert row.byte_count > 0
@@ -196,6 +197,10 @@ def test_the_page_is_filled_and_says_where_klt_does_not_lead(tmp_path, stack, mo
     [
         (["--stack", "nothing"], "no stack's name fits nothing; there are"),
         (["--stack", "ring", "--markdown", "docs/peers.md", "--way", "JPEG*"], "--markdown replaces rows of all ways"),
+        (
+            ["--stack", "ring", "--way", "JPEG XL*", "--way", "nothing"],
+            "no way fits nothing; there are JPEG 2000, principal",
+        ),
         (["--stack", "ring", "--markdown", "absent.md"], "absent.md: no such file"),
         (["--stack", "ring", "--device", "no such"], "no such"),
     ],

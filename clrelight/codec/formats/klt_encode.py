@@ -49,6 +49,8 @@ class Encoder(StepFinder):
         step = float(np.float32(step))
         if step < self._finest:
             raise InputError(f"klt step must be {self._finest:.3g} or more for this map, got {step:g}")
+        if count := self._count(step):
+            self._turn(self._cells(count)[0], step)
         axes = self._try(step).axes
         planes, streams = self._whitening.solved(axes), [b""] * count_streams(self._shape)
         tiles = self._tiles(axes)
@@ -265,6 +267,3 @@ class Encoder(StepFinder):
         """Return the bytes of a body of streams."""
         sizes = [len(stream) for stream in streams]
         return self._table_bytes(axes, step) + index_bytes(sizes) + sum(sizes)
-
-    def _bounded(self, step: float) -> float:
-        return float(np.float32(min(max(step, self._finest), STEP_RANGE[1])))

@@ -13,6 +13,7 @@ from clrelight.codec.entropy.units import LEVELS, Layout, Window, lay_out, list_
 from clrelight.codec.transforms.lifting import padded_width, transform_planes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.whitening import Planes, reshaped
+from clrelight.device import Device
 from clrelight.opencl.arguments import DeviceArray
 
 
@@ -50,12 +51,15 @@ class Pieces:
         Of which piece each stream is.
     energy_nj : ndarray, shape (n_piece, n_plane), float64
         Sums of squares.
+    sides : tuple of int
+        Height and width of a piece.
     """
 
     values: DeviceArray
     layout: Layout
     piece_t: NDArray[np.int64]
     energy_nj: NDArray[np.float64]
+    sides: tuple[int, int]
 
     @classmethod
     def of(cls, pixels: Pixels, windows: Sequence[Window], planes: Planes, together: bool) -> Pieces:
@@ -72,7 +76,12 @@ class Pieces:
         energy_nj = np.array([np.einsum("jp,jp->j", piece, piece) for piece in pieces])  # float32 tells which axes pay
         layout, piece_t = _lay_out((height, width), many, pitch, count, together)
         finite_nj = np.minimum(energy_nj, np.finfo(np.float32).max)  # errors of such values are infinite
-        return cls(values, layout, piece_t, finite_nj.astype(np.float64))
+        return cls(values, layout, piece_t, finite_nj.astype(np.float64), (height, width))
+
+    def host_planes(self, device: Device) -> NDArray[np.float32]:
+        """Return the values, (n_plane, n_piece, height, width), which may be the pieces' own memory."""
+        (count, _, pitch), (height, width) = self.values.shape, self.sides
+        return device.download(self.values).reshape(count, -1, height, pitch)[..., :width]
 
     def share(self, coded: Coded, count: int) -> list[Tried]:
         """Return what each piece has of the streams of the first planes."""

@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
-from clrelight.codec.entropy.units import Window, is_one_tile
+from clrelight.codec.entropy.units import LEVELS, Window, is_one_tile
 from clrelight.codec.formats.klt_pieces import Pieces, Tried
 from clrelight.codec.formats.klt_tiles import TileEncoder
-from clrelight.codec.formats.klt_trials import STEP_POWER, Trial, list_pieces, search_step
+from clrelight.codec.formats.klt_trials import STEP_POWER, Trial, list_pieces, list_samples, search_step
 from clrelight.codec.formats.klt_units import HEAD_SIZE, count_streams, pack_axes
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
+from clrelight.codec.transforms.local_axes import cut_cells, guess_step, turn_axes
 from clrelight.codec.transforms.pixels import Pixels
-from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes
+from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes, round_jointly
 from clrelight.codec.transforms.whitening import whitening_of
 from clrelight.codec.workspace import Progress
 from clrelight.memory import ARRAY_MEMORY
@@ -35,6 +36,8 @@ _FIRST = 3
 """Of the numbers by which pieces are chosen, the first: 0 would take a corner."""
 _MORE_PLANES = 1.1
 """Times by which pieces have more planes than are asked for: finer steps ask for more."""
+_FINE_STEP, _GUESSES = 2.0**-6, 3
+"""A step by whose planes another is guessed; times that it is guessed, by the planes that the guess before asks for."""
 NEAR = (0.9, 0.997, 1.1)
 """The same where what comes after makes up for the rest."""
 _FEW_ENTRIES = 4096
@@ -87,23 +90,51 @@ class StepFinder(TileEncoder):
         self._packed: tuple[Axes, float, bytes] | None = None
         self._of_entropy: tuple[int, float] | None = None
         self._surely = False
+        self._begun: float | None = None
 
     def _mean(self, step: float) -> NDArray[np.int64]:
-        return np.rint(self._whitening.mean_d * (MEAN_STEPS / step)).astype(np.int64)
+        return round_jointly(self._whitening.mean_d * (MEAN_STEPS / step), self._whitening.root_nn)
 
     def _prepare(self, count: int) -> None:
         """List pieces of which so many planes can be tried."""
         if count <= self._prepared:
             return
         _, height, width, _ = self._shape
-        count = min(max(count, self._prepared * 3 // 2), len(self._whitening.deviation_j))
+        # The next step may be finer.
+        count = min(max(count * 9 // 8 + 1, self._prepared * 3 // 2), len(self._whitening.deviation_j))
         self._windows, self._pieces = list_pieces(height, width, count, self._memory), {}
         self._tried, self._exact = {}, self._whitening.exact(count)
         self._prepared = count
 
     def _count(self, step: float) -> int:
-        """Return the planes that are tried at a step."""
+        """Return the number of axes that may be worth their bits at a step."""
         return int((self._whitening.deviation_j > _TRIED * step).sum())
+
+    def _cells(self, count: int) -> tuple[NDArray[np.float32], float]:
+        """Return cells of the first planes of a part of the map, and how many times its pixels the map has."""
+        windows = list_samples(self._shape[1], self._shape[2], count)
+        planes_jnyx = self.take_pieces(windows, self._whitening.exact(count)).host_planes(self.device)
+        return cut_cells(planes_jnyx, LEVELS), self._n_pixel / sum(window.n_pixel for window in windows)
+
+    def _turn(self, cells_jsc: NDArray[np.float32], step: float) -> None:
+        """Turn the axes that matter at a step."""
+        self._whitening = self._whitening.turned(turn_axes(cells_jsc[: self._count(step)], step))
+        self._begun, self._pieces, self._prepared = step, {}, 0
+
+    def _begin(self, budget: int) -> float:
+        """Return a step that takes about a budget, and turn the axes, once."""
+        if self._begun is None:
+            self._begun, loudest = _FIRST_STEP, float(self._whitening.deviation_j[0])
+            if 0.0 < loudest < np.inf:
+                step = self._bounded(min(_FINE_STEP, loudest))
+                for _ in range(_GUESSES):
+                    count = max(self._count(step), 1)
+                    cells_jsc, share = self._cells(count)
+                    step = 2.0 ** guess_step(cells_jsc, share, 8.0 * budget, self._bounds())
+                    if self._count(step) <= count:
+                        break
+                self._turn(cells_jsc, step)
+        return self._begun
 
     def _try(self, step: float, most: int | None = None) -> Trial:
         """Return about the bytes at a step, and the axes that are worth theirs, by so many pieces or all."""
@@ -113,7 +144,7 @@ class StepFinder(TileEncoder):
         axes = quantise_axes(vectors, deviation, self._n_pixel, step, self._whitening.root_nn)
         streams, sizes, axis_bits = 0.0, np.zeros(0), 0.0
         if count:
-            chosen = _spread(len(self._windows), most)
+            chosen = _choose(len(self._windows), most)
             tried = self._try_pieces(chosen, step, count)
             sizes, areas = np.array([each.size for each in tried]), np.array([self._windows[n].n_pixel for n in chosen])
             share = self._n_pixel / areas.sum()
@@ -194,7 +225,7 @@ class StepFinder(TileEncoder):
         Trials that are to tell `surely` take longer, and are not above the budget.
         """
         self._surely = surely
-        step = _FIRST_STEP
+        step = self._begin(budget)
         self._prepare(self._count(step))
         if len(self._windows) > 1:
             step = likely_step(self._search(budget, step, _ROUGHLY, _FEW), budget)
@@ -217,13 +248,16 @@ class StepFinder(TileEncoder):
     def _bounds(self) -> tuple[float, float]:
         return float(np.log2(self._finest)), float(np.log2(STEP_RANGE[1]))
 
+    def _bounded(self, step: float) -> float:
+        return float(np.float32(min(max(step, self._finest), STEP_RANGE[1])))
+
 
 def likely_step(trial: Trial, budget: int) -> float:
     """Return the step at which a budget is likely filled, by a trial near it."""
     return trial.step * float(trial.size / max(NEAR[1] * budget, 1.0)) ** STEP_POWER
 
 
-def _spread(count: int, most: int | None) -> list[int]:
+def _choose(count: int, most: int | None) -> list[int]:
     """Return which pieces are tried, some that lie all over a map or all; where they are more, all of the fewer are."""
     if most is None or count <= most:
         return list(range(count))

@@ -19,6 +19,8 @@ _WHOLE = 1 << 19
 _PIECE, _PIECES = 128, 48
 _LEAST_TRIED, _MAX_TRIED = 1 << 22, 1 << 26
 """Values of the planes that are tried at once: what bounds memory, of which they take an eighth."""
+_SAMPLE, _SAMPLES, _SAMPLED = 64, 16, 1 << 23
+"""Side and number of the pieces by which axes are turned, and values of all their planes at most."""
 _MAX_TRIALS = 24
 _STEP_SLOPE = 1.05
 """By how much the logarithm of 2 of a step falls, about, where that of e of the bytes rises by 1."""
@@ -112,8 +114,21 @@ def list_pieces(height: int, width: int, count: int, memory: int) -> list[Window
     tried = min(max(memory // 8, _LEAST_TRIED), _MAX_TRIED)
     if height * width <= _WHOLE and height * width * count <= tried:
         return [Window(0, 0, height, width)]
-    side_h, side_w = min(_PIECE, height), min(_PIECE, width)
-    most = max(min(_PIECES, tried // (side_h * side_w * max(count, 1))), 1)
+    most = max(min(_PIECES, tried // (min(_PIECE, height) * min(_PIECE, width) * max(count, 1))), 1)
+    return _spread(height, width, _PIECE, most)
+
+
+def list_samples(height: int, width: int, count: int) -> list[Window]:
+    """Return what of a map says how axes are turned: all of a small one, or small pieces that lie all over it."""
+    most = max(min(_SAMPLES, _SAMPLED // (_SAMPLE**2 * count)), 1)
+    if height * width <= most * _SAMPLE**2:
+        return [Window(0, 0, height, width)]
+    return _spread(height, width, _SAMPLE, most)
+
+
+def _spread(height: int, width: int, side: int, most: int) -> list[Window]:
+    """Return at most so many pieces of a map."""
+    side_h, side_w = min(side, height), min(side, width)
     across = min(max(round((most * width / height) ** 0.5), 1), most, max(width // side_w, 1))
     down = max(min(most // across, height // side_h), 1)
     tops = [int((height - side_h) * (i + 0.5) / down) & ~31 for i in range(down)]

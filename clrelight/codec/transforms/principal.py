@@ -61,21 +61,28 @@ def quantise_axes(
 
     An error e of an entry of axis j adds ``n_pixel deviation_j^2 e^2`` to the squared error, one of a plane's sample
     adds e^2: equal slopes of distortion and bits ask for ``step / (deviation sqrt(n_pixel))``. An axis may come out as
-    zeros. Where errors e of a channel's components cost ``|root e|^2``, each entry makes up for what those after it
-    were rounded by, as far as it can (Babai's nearest plane): `root_nn` is upper triangular.
+    zeros. Errors e of a channel's components cost ``|root e|^2``: see `round_jointly`.
     """
-    diagonal_n = np.diag(root_nn)
-    ratio = deviation_j * np.sqrt(n_pixel * np.mean(diagonal_n**2)) / (_COARSER * step)
+    ratio = deviation_j * np.sqrt(n_pixel * np.mean(np.diag(root_nn) ** 2)) / (_COARSER * step)
     scales = np.clip(np.rint(SCALES_PER_OCTAVE * np.log2(np.maximum(ratio, 1.0))), 0, 80).astype(np.uint8)
     exact = vectors_jd * np.exp2(scales[:, None] / SCALES_PER_OCTAVE)
-    # One component of all axes and channels in a row.
-    wanted_nr = exact.reshape(-1, len(root_nn)).T.copy()
+    return Axes(round_jointly(exact, root_nn, _ROUNDING), scales)
+
+
+def round_jointly(exact_jd: NDArray[np.float64], root_nn: NDArray[np.float64], part: float = 0.5) -> NDArray[np.int64]:
+    """Return whole numbers near to rows of one part for each channel, whose errors e cost ``|root e|^2``.
+
+    Each makes up for what those after it were rounded by, as far as it can (Babai's nearest plane): `root_nn` is upper
+    triangular. A fraction is rounded up that is more than 1 less `part`.
+    """
+    # One component of all rows and channels in a row.
+    wanted_nr = exact_jd.reshape(-1, len(root_nn)).T.copy()
     rounded_nr = np.empty_like(wanted_nr)
-    after_nn = np.triu(root_nn, 1) / diagonal_n[:, None]
+    after_nn = np.triu(root_nn, 1) / np.diag(root_nn)[:, None]
     for n in range(len(root_nn) - 1, -1, -1):
         value = wanted_nr[n] + after_nn[n, n + 1 :] @ (wanted_nr[n + 1 :] - rounded_nr[n + 1 :])
-        rounded_nr[n] = np.sign(value) * np.floor(np.abs(value) + _ROUNDING)
-    return Axes(rounded_nr.T.reshape(exact.shape).astype(np.int64), scales)
+        rounded_nr[n] = np.sign(value) * np.floor(np.abs(value) + part)
+    return rounded_nr.T.reshape(exact_jd.shape).astype(np.int64)
 
 
 def make_operator(

@@ -42,7 +42,7 @@ class Whitening:
         The division, the hemisphere's metric and the rotation.
     mean_d : ndarray, float64
     vectors_jd : ndarray, float64
-        Axes by the deviation of the pixels along them, of unit length in the metric of `root_nn`.
+        Axes by the deviation of the pixels along them, orthonormal in the metric of `root_nn`.
     deviation_j : ndarray, float64
         Standard deviations, descending.
     root_nn : ndarray, shape (n_component, n_component), float64
@@ -66,6 +66,16 @@ class Whitening:
         vectors = _each_channel(axes.vectors_jd, self.root_nn.T)
         # The axes being near orthonormal, their Gram matrix is near the identity, and far smaller than they are.
         return self._made(np.linalg.pinv(vectors @ vectors.T, hermitian=True) @ vectors)
+
+    def turned(self, turn_jj: NDArray[np.float64]) -> Whitening:
+        """Return the same with the first axes turned: rows of a rotation are the new ones in terms of the old."""
+        count = len(turn_jj)
+        variance_j = np.square(turn_jj) @ np.square(self.deviation_j[:count])
+        order = np.argsort(-variance_j, kind="stable")
+        vectors_jd, deviation_j = self.vectors_jd.copy(), self.deviation_j.copy()
+        vectors_jd[:count] = turn_jj[order] @ self.vectors_jd[:count]
+        deviation_j[:count] = np.sqrt(variance_j[order])
+        return replace(self, vectors_jd=vectors_jd, deviation_j=deviation_j)
 
     def cost_j(self, errors_jd: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what errors of axes cost for each squared unit of their planes."""
