@@ -39,9 +39,9 @@ def device(request, monkeypatch):
 def no_long_calls():
     """Look at every program that a test of this process builds: see `tests.calls`."""
     from clrelight.device import Device
-    from tests.calls import check_calls
+    from tests.calls import check_calls, check_spelt
 
-    build = Device._program
+    build, compile_whole = Device._program, Device._compile_whole
 
     def build_and_look(self, file, defines):
         known = len(self._programs)
@@ -50,8 +50,14 @@ def no_long_calls():
             check_calls(self, file, defines, name)
         return program, name
 
+    def compile_whole_and_look(self, source, options):
+        program = compile_whole(self, source, options)
+        check_spelt(self, source)
+        return program
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Device, "_program", build_and_look)
+        patch.setattr(Device, "_compile_whole", compile_whole_and_look)
         yield
 
 
