@@ -97,6 +97,10 @@ class Device:
         return self.info.style
 
     @property
+    def _options(self) -> tuple[str, ...]:
+        return "-cl-kernel-arg-info", "-cl-std=CL1.2"
+
+    @property
     def shares_memory(self) -> bool:
         """Whether arrays stay in host memory (CPU devices, unless they are to be used like a GPU)."""
         return self.info.kind == self.info.style == "cpu"
@@ -240,7 +244,7 @@ class Device:
         """Return a built program and its name in the cache."""
         key = (file, tuple(sorted(defines.items())))
         if key not in self._programs:
-            options = ["-cl-kernel-arg-info", "-cl-std=CL1.2", *(f"-D{k}={v}" for k, v in sorted(defines.items()))]
+            options = [*self._options, *(f"-D{k}={v}" for k, v in sorted(defines.items()))]
             source = read_kernel_source(file)
             try:
                 with self._cache.building(source, options) as name, interrupts_wait(), warnings.catch_warnings():

@@ -62,6 +62,25 @@ def no_long_calls():
 
 
 @pytest.fixture(autouse=True, scope="session")
+def no_optimiser_for_gpus():
+    """Have a CPU compile kernels that are for GPUs as they stand, in a fifth of the time: none runs them fast there.
+
+    In processes of their own they are optimised: the test of the device, before any other, is such.
+    """
+    from clrelight.device import Device
+
+    usual = Device._options.fget
+
+    def options(self):
+        as_written = self.style == "gpu" and self.info.kind == "cpu"
+        return (*usual(self), *(["-cl-opt-disable"] if as_written else []))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Device, "_options", property(options))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def data_variable():
     """Return what ``CLRELIGHT_DATA`` was; only `real_data` hands it to tests: no other is to hang on what is there."""
     with pytest.MonkeyPatch.context() as patch:
