@@ -1,3 +1,4 @@
+import functools
 import os
 import subprocess
 import sys
@@ -77,6 +78,17 @@ def no_optimiser_for_gpus():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Device, "_options", property(options))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_ring_scene():
+    """Have the tree of the ring scene's triangles made once a process, where many tests render it small."""
+    from datasets_synth import ring
+
+    make = functools.cache(ring.TorusTracer)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ring, "TorusTracer", lambda tori: make(tuple(tori)))
         yield
 
 
