@@ -18,6 +18,7 @@ from clrelight.errors import DeviceError, KernelBuildError, telling_line
 from clrelight.kernel_source import kernel_for, read_kernel_source
 from clrelight.opencl.arguments import DeviceArray, check_arguments
 from clrelight.opencl.child import circumstances
+from clrelight.opencl.declarations import GUARD, declare_called
 from clrelight.opencl.devices import DeviceInfo, check_process, choose_device, interrupts_wait, loaded_devices
 from clrelight.opencl.kernel_cache import KernelCache
 from clrelight.opencl.probe import machine_identity
@@ -94,6 +95,10 @@ class Device:
     def style(self) -> str:
         """Which kernels this device gets, one of `STYLES`."""
         return self.info.style
+
+    @property
+    def _options(self) -> tuple[str, ...]:
+        return "-cl-kernel-arg-info", "-cl-std=CL1.2"
 
     @property
     def shares_memory(self) -> bool:
@@ -239,7 +244,7 @@ class Device:
         """Return a built program and its name in the cache."""
         key = (file, tuple(sorted(defines.items())))
         if key not in self._programs:
-            options = ["-cl-kernel-arg-info", "-cl-std=CL1.2", *(f"-D{k}={v}" for k, v in sorted(defines.items()))]
+            options = [*self._options, *(f"-D{k}={v}" for k, v in sorted(defines.items()))]
             source = read_kernel_source(file)
             try:
                 with self._cache.building(source, options) as name, interrupts_wait(), warnings.catch_warnings():
@@ -261,9 +266,21 @@ class Device:
                 return self._build_bitcode(kept, options)
             self._cache.forget(name)
         with self._cache.compiling(source, name) as more:
-            program = self._cl.Program(self._context, source).build([*options, *more], cache_dir=False)
+            program = self._compile(source, [*options, *more])
         made = self._cache.bitcode(name)
         return program if made is None else self._build_bitcode(made, options)
+
+    def _compile(self, source: str, options: list[str]) -> Any:
+        """Return a program of its source: with what it calls declared, where that can be known, else with all."""
+        declared = declare_called(source) if self.info.packaged else None
+        if declared is not None:
+            with suppress(self._cl.RuntimeError):  # what is wrong the driver tells of the source alone
+                program = self._cl.Program(self._context, declared + source)
+                return program.build([*options, f"-D{GUARD}"], cache_dir=False)
+        return self._compile_whole(source, options)
+
+    def _compile_whole(self, source: str, options: list[str]) -> Any:
+        return self._cl.Program(self._context, source).build(options, cache_dir=False)
 
     def _build_bitcode(self, bitcode: bytes, options: list[str]) -> Any:
         program = self._cl.Program(self._context, self._context.devices, [bitcode])

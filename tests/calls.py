@@ -3,6 +3,7 @@
 import re
 
 from clrelight.opencl import kernel_cache
+from clrelight.opencl.declarations import declare_called
 
 _BITS = {b"c": 8, b"h": 8, b"s": 16, b"t": 16, b"i": 32, b"j": 32, b"f": 32, b"l": 64, b"m": 64, b"d": 64}
 _TYPE_BITS = {b"char": 8, b"short": 16, b"int": 32, b"float": 32, b"long": 64, b"double": 64}
@@ -32,3 +33,10 @@ def check_calls(device, file, defines, name):
     for program in device._cache._programs.get(name, ()):
         found = find_long_calls((folder / program / "program.bc").read_bytes())
         assert not found, f"{file} {defines} calls {sorted(found)}: see kernels/common/calls.clh"
+
+
+def check_spelt(device, source):
+    """Raise where a program builds with the driver's whole header alone: the driver has complained before."""
+    if device.info.packaged and declare_called(source) is not None:
+        file = re.search(r'#line 1 "(.*)"', source)
+        raise AssertionError(f"{file[1] if file else source} calls a function whose name it does not spell")

@@ -1,3 +1,4 @@
+import functools
 import os
 import subprocess
 import sys
@@ -39,9 +40,9 @@ def device(request, monkeypatch):
 def no_long_calls():
     """Look at every program that a test of this process builds: see `tests.calls`."""
     from clrelight.device import Device
-    from tests.calls import check_calls
+    from tests.calls import check_calls, check_spelt
 
-    build = Device._program
+    build, compile_whole = Device._program, Device._compile_whole
 
     def build_and_look(self, file, defines):
         known = len(self._programs)
@@ -50,8 +51,44 @@ def no_long_calls():
             check_calls(self, file, defines, name)
         return program, name
 
+    def compile_whole_and_look(self, source, options):
+        program = compile_whole(self, source, options)
+        check_spelt(self, source)
+        return program
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Device, "_program", build_and_look)
+        patch.setattr(Device, "_compile_whole", compile_whole_and_look)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_optimiser_for_gpus():
+    """Have a CPU compile kernels that are for GPUs as they stand, in a fifth of the time: none runs them fast there.
+
+    In processes of their own they are optimised: the test of the device, before any other, is such.
+    """
+    from clrelight.device import Device
+
+    usual = Device._options.fget
+
+    def options(self):
+        as_written = self.style == "gpu" and self.info.kind == "cpu"
+        return (*usual(self), *(["-cl-opt-disable"] if as_written else []))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Device, "_options", property(options))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_ring_scene():
+    """Have the tree of the ring scene's triangles made once a process, where many tests render it small."""
+    from datasets_synth import ring
+
+    make = functools.cache(ring.TorusTracer)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ring, "TorusTracer", lambda tori: make(tuple(tori)))
         yield
 
 

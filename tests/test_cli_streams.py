@@ -20,6 +20,17 @@ def stack(tmp_path_factory):
     return path
 
 
+LIGHT = ("light", "o.h5", "--cap", "0,0,1,30")
+"""A command that writes a file soon."""
+
+
+@pytest.fixture(scope="module")
+def light(tmp_path_factory):
+    path = tmp_path_factory.mktemp("streams") / "light.h5"
+    succeed(LIGHT[0], path, *LIGHT[2:])
+    return path.read_bytes()
+
+
 def shell(redirection, *words, folder):
     """Run a command of a shell; return its exit code, and what came through a pipe on each side."""
     line = f'"$@" {redirection}'
@@ -34,11 +45,11 @@ def shell(redirection, *words, folder):
 
 
 @pytest.mark.parametrize("redirection", [">&-", "2>&-", "<&-", "<&- >&-", "<&- >&- 2>&-", "2>/dev/full"])
-def test_closed_streams_change_nothing_else(stack, tmp_path, redirection):
-    done = shell(redirection, "synth", "ring", "o.h5", "--size", 8, "--lights", 4, folder=tmp_path)
+def test_closed_streams_change_nothing_else(light, tmp_path, redirection):
+    done = shell(redirection, *LIGHT, folder=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     # The same bytes: nothing of ours had the number of a stream that somebody prints to.
-    assert (tmp_path / "o.h5").read_bytes() == stack.read_bytes()
+    assert (tmp_path / "o.h5").read_bytes() == light
     done = shell(redirection, "info", "none.h5", folder=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == ("" if "2>" in redirection else "clrelight: there is no file none.h5\n")
@@ -80,10 +91,9 @@ def test_a_full_standard_output_is_said(stack, tmp_path, words):
     assert shell(">/dev/full 2>/dev/full", *words, folder=tmp_path).returncode == 2
 
 
-def test_a_result_stands_although_nothing_can_be_printed(stack, tmp_path):
-    done = shell(">/dev/full", "synth", "ring", "o.h5", "--size", 8, "--lights", 4, folder=tmp_path)
-    assert done.returncode == 2
-    assert (tmp_path / "o.h5").read_bytes() == stack.read_bytes()
+def test_a_result_stands_although_nothing_can_be_printed(light, tmp_path):
+    assert shell(">/dev/full", *LIGHT, folder=tmp_path).returncode == 2
+    assert (tmp_path / "o.h5").read_bytes() == light
     assert os.listdir(tmp_path) == ["o.h5"]
 
 

@@ -1,6 +1,7 @@
 """What may import what: a lower floor never knows of a higher one, so that each part can be read, and used, alone."""
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -57,25 +58,32 @@ MOST_LINES, MOST_LINES_OF_A_FUNCTION = 300, 60
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 
 
+@functools.cache
+def read_trees():
+    """Return the syntax tree of each file."""
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in ROOT.rglob("*.py")}
+
+
+def statements(node, *, for_types=True):
+    """Yield all statements within a node, those that are for type checkers alone where asked for."""
+    for block in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for inner in getattr(node, block, ()):
+            if for_types or not (isinstance(inner, ast.If) and getattr(inner.test, "id", "") == "TYPE_CHECKING"):
+                yield inner
+                yield from statements(inner, for_types=for_types)
+
+
+@functools.cache
 def read_imports():
     """Return the modules of clrelight that each of its modules imports, at any time."""
     files = {
         ".".join(path.relative_to(ROOT.parent).with_suffix("").parts).removesuffix(".__init__"): path
-        for path in ROOT.rglob("*.py")
+        for path in read_trees()
     }
     imports = {}
     for module, path in files.items():
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        for_types = {
-            id(inner)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
-            for inner in ast.walk(node)
-        }
         found = imports[module] = set()
-        for node in ast.walk(tree):
-            if id(node) in for_types:
-                continue
+        for node in statements(read_trees()[path], for_types=False):
             if isinstance(node, ast.Import):
                 found.update(alias.name for alias in node.names if alias.name in files)
             elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "clrelight":
@@ -85,22 +93,19 @@ def read_imports():
     return imports
 
 
-IMPORTS = read_imports()
-
-
 def room_of(module):
     """Return the package or module right under clrelight; None for clrelight itself, whose names are lazy."""
     return module.split(".")[1] if "." in module else None
 
 
 def test_every_room_has_a_floor():
-    assert {room_of(module) for module in IMPORTS} - {None} == set(FLOOR_OF)
+    assert {room_of(module) for module in read_imports()} - {None} == set(FLOOR_OF)
 
 
 def test_no_room_knows_of_a_higher_floor():
     upward = [
         f"{module} imports {other}"
-        for module, others in IMPORTS.items()
+        for module, others in read_imports().items()
         for other in others
         if room_of(module) and room_of(other) and FLOOR_OF[room_of(other)] > FLOOR_OF[room_of(module)]
     ]
@@ -108,7 +113,7 @@ def test_no_room_knows_of_a_higher_floor():
 
 
 def test_no_circle_of_modules():
-    left = {module: set(others) - {module, "clrelight"} for module, others in IMPORTS.items()}
+    left = {module: set(others) - {module, "clrelight"} for module, others in read_imports().items()}
     while free := [module for module, others in left.items() if not others & left.keys()]:
         for module in free:
             del left[module]
@@ -122,8 +127,8 @@ def test_files_are_short():
 
 def test_functions_are_short():
     long = {}
-    for path in ROOT.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for path, tree in read_trees().items():
+        for node in statements(tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 text = node.body[0] if ast.get_docstring(node) is not None else None
                 lines = node.end_lineno - node.lineno + 1 - (text.end_lineno - text.lineno + 1 if text else 0)
@@ -144,7 +149,9 @@ def test_mathematics_and_images_load_no_files_or_devices(module):
 
 
 def test_the_verbs_know_no_command_line():
-    below = [module for module in IMPORTS if room_of(module) and FLOOR_OF[room_of(module)] <= FLOOR_OF["experiment"]]
+    below = [
+        module for module in read_imports() if room_of(module) and FLOOR_OF[room_of(module)] <= FLOOR_OF["experiment"]
+    ]
     for module in below:
         path = ROOT.parent / Path(*module.split("."))
         text = (path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_text(encoding="utf-8")

@@ -137,6 +137,18 @@ def test_planes_are_those_of_coefficients(device, transfer, coded, method, dtype
             np.testing.assert_allclose(made[:, :, :28], wanted[:, 2:9, 3:31], atol=2e-5 * scale)
 
 
+def test_one_program_is_for_any_number_of_coefficients(device):
+    stack = LightStack(make_images(), make_pattern("uniform", 20), 255.0)
+    programs = []
+    for degree in (1, 3):
+        with fitted_source(prepare_fit(stack, "spline", degree, device=device), Workspace()) as source:
+            operator = np.ones((2, 3 * (degree + 1) ** 2))
+            Pixels(source, "linear").planes((0, 2), (0, 5), (operator, np.zeros(2)))
+        device.finish()
+        programs.append({name for name in device._programs if name[0] == "codec/planes.cl"})
+    assert programs[0] == programs[1] != set()
+
+
 def test_scattered_pixels_keep_to_a_budget(device, monkeypatch):
     """They are fitted some places at a time, with the bits of all at once."""
     stack = LightStack(make_images(), make_pattern("uniform", 20), 255.0)

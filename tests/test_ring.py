@@ -236,5 +236,6 @@ def test_absent_ray_tracer_is_named(monkeypatch):
     for name in [m for m in sys.modules if m.split(".")[0] == "embreex"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "embreex", None)
+    monkeypatch.setattr("datasets_synth.ring.TorusTracer", TorusTracer)  # no scene that was made before: conftest.py
     with pytest.raises(InputError, match=r"pip install 'clrelight\[synth\]'"):
         render_ring(size=8, lights=1)

@@ -94,7 +94,7 @@ def is_packaged(platform_version: str, record: int) -> bool:
         return True
     # Installers link files, or folders, to where they keep them.
     forms = (Path.absolute, Path.resolve)
-    return any(form(library).is_relative_to(form(place)) for place in _package_folders() for form in forms)
+    return any(form(library).is_relative_to(form(place)) for place in package_folders() for form in forms)
 
 
 class _Found(ctypes.Structure):
@@ -121,7 +121,7 @@ def library_of(record: int) -> Path | None:
 
 
 @functools.cache
-def _package_folders() -> tuple[Path, ...]:
+def package_folders() -> tuple[Path, ...]:
     """Return where wheels put the library: beside pyopencl, which carries it, or in the folder of its own package."""
     specs = map(importlib.util.find_spec, ("pyopencl", "pocl_binary_distribution"))
     places = (place for spec in specs if spec is not None for place in spec.submodule_search_locations or ())

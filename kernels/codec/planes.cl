@@ -11,7 +11,7 @@
  *
  *   BEND    1 where v are code values of radiance, 0 where they are sums as they are
  *   TILE    pixels of a row that a work-item makes; CHUNK, DEPTH see row_blocks.clh
- *   ROOM    C N
+ *   ROOM    C N at most
  *
  * Global size: (tiles of a row, H).
  */
@@ -74,5 +74,5 @@ __kernel void make_planes_jyx(__global float *restrict plane_jyx, __global const
 #endif
     }
     store_planes(plane_jyx + (long)(row + y) * size_x + x, (long)size_y * size_x, values, last_e, heights_d, offset_j,
-                 ROOM, size_d, count, sums);
+                 size_c * count_n, size_d, count, sums);
 }

@@ -223,6 +223,8 @@ class _Fused:
     sample_type: np.dtype
     device: Device
     tile: int
+    room: int
+    """Values of a pixel that there is memory for: as many as there can be, lest each number of them has its program."""
     bends: bool
 
     @classmethod
@@ -235,11 +237,12 @@ class _Fused:
         values = math.prod(chain.last.shape[1:])
         least = 2 * device.info.lanes
         for tile in (256, 128, 64, 32, 16, 8):
-            if tile >= least and 4 * tile * (values + _chunk(linear) + 8) <= device.info.local_memory_bytes // 2:
+            room = device.info.local_memory_bytes // (2 * 4 * tile) - _chunk(linear) - 8
+            if tile >= least and room >= values:
                 last_jcn = np.ascontiguousarray(chain.last.transpose(0, 2, 1)).reshape(len(chain.last), -1)
                 packed = pack_operator(device, chain.first), pack_operator(device, last_jcn)
                 table, offset = device.upload(linear.curve.table(dtype)), device.upload(offset_j.astype(np.float32))
-                return cls(*packed, table, offset, linear, dtype, device, tile, chain.bends)
+                return cls(*packed, table, offset, linear, dtype, device, tile, room, chain.bends)
         return None
 
     def rows_at_once(self, width: int, channel: int) -> int:
@@ -249,7 +252,7 @@ class _Fused:
     def run(self, made: DeviceArray, source: Source, rows: Span, columns: Span, at: int) -> None:
         """Queue planes; the next samples are read while the device computes."""
         device, curve, channel = self.device, self.linear.curve, source.shape[3]
-        width, room = columns[1] - columns[0], self.last.shape[1]
+        width = columns[1] - columns[0]
         heights = [operator.heights_b for operator in (self.first, self.last) if operator.heights_b is not None]
         step = self.rows_at_once(width, channel)
         for top in range(*rows, step):
@@ -272,7 +275,7 @@ class _Fused:
                     "DEPTH": _DEPTH,
                     "CURVE": curve.mode(self.sample_type),
                     "BEND": int(self.bends),
-                    "ROOM": room,
+                    "ROOM": self.room,
                 },
             )
 
