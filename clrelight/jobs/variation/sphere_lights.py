@@ -12,6 +12,7 @@ from scipy import optimize
 
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, stage
+from clrelight.jobs.variation.light_doubts import doubts
 from clrelight.jobs.variation.light_frames import Frames
 from clrelight.jobs.variation.sphere_rims import inner_circle, rim_of, seen_by_rim, uncertainty
 from clrelight.variation.circles import Circle, refine_circle
@@ -47,6 +48,8 @@ class SphereLights:
     degrees_a_pixel_i : ndarray, shape (n_light,), float64
     uncertain_i : ndarray, shape (n_light,), float64
         Degrees, one standard deviation, that outline and highlight leave a lamp; NaN where they do not tell how much.
+    doubts : tuple of str
+        Why a lamp is not to be trusted; "" without a reason.
     """
 
     circle: Circle
@@ -55,6 +58,7 @@ class SphereLights:
     residual_i: NDArray[np.float64]
     degrees_a_pixel_i: NDArray[np.float64]
     uncertain_i: NDArray[np.float64]
+    doubts: tuple[str, ...]
 
 
 def pictures_of(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.floating]]:
@@ -152,7 +156,8 @@ def lights_of_sphere(
     report.add("highlights" if not is_matte else "shading", since)
     worth_i = np.array([sphere.degrees_a_pixel(light_3) for light_3 in lights_i3])
     uncertain_i = uncertainty(sphere, highlights, worth_i, rim, factor)
-    return SphereLights(circle, lights_i3, highlights, residual_i, worth_i, uncertain_i)
+    told = doubts(highlights, lights_i3, uncertain_i, rim is not None)
+    return SphereLights(circle, lights_i3, highlights, residual_i, worth_i, uncertain_i, told)
 
 
 def _matte_lights(
@@ -251,12 +256,16 @@ def _disc(shape_hw: tuple[int, int], circle: Circle) -> NDArray[np.bool_]:
 def agree(spheres: Sequence[SphereLights]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return each lamp's mean over the spheres that tell of it, and how far these are apart in degrees (NaN of one).
 
-    Of three and more, those far off the one in the middle are left out.
+    Of three and more, those far off the one in the middle are left out; of any, those in doubt beside others that are
+    not.
     """
     lights_si3 = np.stack([each.lights_i3 for each in spheres])
+    doubted_si = np.array([[bool(each) for each in sphere.doubts] for sphere in spheres])
     mean_i3, apart_i = np.zeros(lights_si3.shape[1:]), np.full(lights_si3.shape[1], np.nan)
     for i in range(lights_si3.shape[1]):
-        told_s3 = lights_si3[np.any(lights_si3[:, i] != 0.0, axis=1), i]
+        tells_s: NDArray[np.bool_] = np.any(lights_si3[:, i] != 0.0, axis=1)
+        sure_s = tells_s & ~doubted_si[:, i]
+        told_s3 = lights_si3[sure_s if sure_s.any() else tells_s, i]
         if not len(told_s3):
             continue
         off_ss = np.degrees(np.arccos(np.clip(told_s3 @ told_s3.T, -1.0, 1.0)))

@@ -13,6 +13,9 @@ from clrelight.variation.highlights import Highlight
 from clrelight.variation.rims import Rim, fit_rim
 from clrelight.variation.spheres import SphereView, flat_view, view_sphere
 
+_OF_SPREAD = 0.1
+"""Share of its pixels' spread by which a highlight's middle is off where no lobe tells it."""
+
 
 def inner_circle(circle: Circle, factor: float, corner: tuple[int, int]) -> Circle:
     """Return a circle of the photographs in the pixels of a part: the way back of `Circle.scaled`."""
@@ -59,13 +62,17 @@ def uncertainty(
     rim: Rim | None,
     factor: float,
 ) -> NDArray[np.float64]:
-    """Return degrees that a lamp is uncertain by: centre, radius and highlight, each independent of the others."""
+    """Return degrees that a lamp is uncertain by: centre, radius and highlight, each independent of the others.
+
+    The mean of a highlight's pixels is off by a share of its width.
+    """
     uncertain_i = np.full(len(worth_i), np.nan)
     if rim is None:
         return uncertain_i
     for i, each in enumerate(highlights):
-        if each is not None and np.isfinite(each.off):
+        if each is not None:
             away = np.hypot(each.x - sphere.circle.x, each.y - sphere.circle.y) / sphere.circle.radius
             centre, radius = rim.centre_off * factor, rim.radius_off * factor * away
-            uncertain_i[i] = worth_i[i] * np.sqrt(centre**2 + radius**2 + each.off**2)
+            middle = worth_i[i] * each.off if np.isfinite(each.off) else _OF_SPREAD * each.spread
+            uncertain_i[i] = np.hypot(worth_i[i] * np.hypot(centre, radius), middle)
     return uncertain_i
