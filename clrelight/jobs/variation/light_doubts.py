@@ -11,7 +11,7 @@ from clrelight.variation.highlights import Highlight
 
 RIVAL = 0.5
 """Share of the brightest highlight's light from which on a second one is told of."""
-_WIDER, _DIMMER, _RIVALS, _DEGREES = 1.6, 0.2, 0.7, 1.0
+_WIDER, _DIMMER, _RIVALS, _DEGREES = 1.6, 0.2, 0.7, 2.0
 """How much wider than usual a highlight is that has run into something else; how much of the usual height is little;
 share of the brightest from which on either may be the lamp; degrees of standard deviation that are many."""
 
