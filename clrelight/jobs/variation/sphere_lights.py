@@ -25,6 +25,8 @@ _AROUND = 1.35
 _SHARP_RADIUS = 250.0
 """Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
 LEAST_OUTLINE, _MEAN_SHARE, _WHOLE = 0.5, 0.75, 0.95
+_SINGLE = 8
+"""Photographs that are looked at one by one, at most."""
 _INSIDE = 0.97
 """Share of a matte sphere's radius within which its shading counts."""
 _STRAY = 6.0
@@ -91,6 +93,21 @@ def outlined(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[C
     return mean if mean[0].outline >= _MEAN_SHARE * best[0].outline else best
 
 
+def outlined_by_all(samples_ihw: NDArray[np.float32], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
+    """Return `outlined`, by the photographs one by one where no picture of all shows most of the outline.
+
+    A ball casts its shadow on what it lies on: an edge beside it, elsewhere in each photograph, that pictures of all
+    mix with the outline, which stays.
+    """
+    circle, points_n2 = outlined(pictures_of(samples_ihw), start)
+    if not LEAST_OUTLINE <= circle.outline < _WHOLE:
+        return circle, points_n2
+    step = -(-len(samples_ihw) // _SINGLE)
+    found, found_n2 = refine_circle(list(samples_ihw[::step]), circle)
+    # Edges of many photographs leave no gap, so how much of the outline is seen is the pictures' to tell.
+    return (replace(found, outline=circle.outline), found_n2) if found.outline > circle.outline else (circle, points_n2)
+
+
 def window_of(circle: Circle, shape_hw: tuple[int, int]) -> tuple[int, int, int, int]:
     """Return column, row, width and height of what is read around a sphere."""
     reach = _AROUND * circle.radius + 2.0
@@ -127,7 +144,7 @@ def lights_of_sphere(
     since = report.add("read", since)
     corner = window[0], window[1]
     inside = inner_circle(start, factor, corner)
-    refined, outline_n2 = outlined(pictures_of(part_ihw), inside)
+    refined, outline_n2 = outlined_by_all(part_ihw, inside)
     away = np.hypot(refined.x - inside.x, refined.y - inside.y) + abs(refined.radius - inside.radius)
     if refined.outline < LEAST_OUTLINE or (is_given and away > 0.1 * inside.radius):
         if is_given:
