@@ -148,9 +148,9 @@ class HighlightSearch:
         # Where most photographs have one lamp, its highlight is the median's, and missing from the others: no hollow.
         still_hw = samples_hw - moved_hw
         kept_hw = self._blurred(still_hw, narrow) - self._blurred(still_hw, 0.16 * self.circle.radius)
-        within_hw = self._within(bumps_hw)
+        within_hw, tops_hw = self._within(bumps_hw)
         deepest = -float((bumps_hw + np.maximum(kept_hw, 0.0))[within_hw].min(initial=0.0))
-        bumps_hw[~within_hw] = -np.inf
+        bumps_hw[~tops_hw] = -np.inf
         tops: list[tuple[float, float, Highlight, NDArray[np.bool_]]] = []
         for _ in range(_LOOKED_AT):
             row, column = np.unravel_index(int(bumps_hw.argmax()), bumps_hw.shape)
@@ -175,17 +175,17 @@ class HighlightSearch:
         rival = max((each[1] for each in alike if each[2] is not best), default=0.0) / light
         return replace(best, rival=rival), blob_hw, sharpest / max(deepest, 1e-3 * sharpest)
 
-    def _within(self, bumps_hw: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return where bumps are looked for: in front, if there is one."""
+    def _within(self, bumps_hw: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return where bumps are looked for, in front if there is one, and where there their tops may be."""
         front_hw = self.inside_hw & self.front_hw
-        if not front_hw.any():
-            return self.inside_hw
-        row, column = np.unravel_index(int(np.where(front_hw, bumps_hw, -np.inf).argmax()), bumps_hw.shape)
-        reach = int(np.ceil(0.06 * self.circle.radius)) + 1
-        around = slice(max(0, row - reach), row + reach + 1), slice(max(0, column - reach), column + reach + 1)
-        top, most = float(bumps_hw[row, column]), float(bumps_hw[self.inside_hw].max())
-        is_own_top = top >= float(bumps_hw[around].max(where=self.inside_hw[around], initial=-np.inf))
-        return front_hw if is_own_top and top >= _BESIDE * most > 0.0 else self.inside_hw
+        within_hw = np.where(self.inside_hw, bumps_hw, -np.inf)
+        reach = 2 * int(np.ceil(0.06 * self.circle.radius)) + 3
+        # Not the flanks of what lies beyond.
+        tops_hw = front_hw & (within_hw == ndimage.maximum_filter(within_hw, reach))
+        most = float(within_hw.max())
+        if tops_hw.any() and bumps_hw[tops_hw].max() >= _BESIDE * most > 0.0:
+            return front_hw, tops_hw
+        return self.inside_hw, self.inside_hw
 
     def _blurred(self, values_hw: NDArray[np.floating], sigma: float) -> NDArray[np.float64]:
         """Return the mean over the neighbours inside the disc."""
@@ -199,7 +199,8 @@ class HighlightSearch:
         """Return the pixels of a highlight, what they are above its edge, and what surrounds it."""
         y_hw, x_hw = np.ogrid[: moved_hw.shape[0], : moved_hw.shape[1]]
         away_hw = np.hypot(x_hw - column, y_hw - row)
-        ring_hw = self.inside_hw & (away_hw > 0.2 * self.circle.radius) & (away_hw < 0.4 * self.circle.radius)
+        around_hw = self.inside_hw & self.front_hw if self.front_hw[row, column] else self.inside_hw
+        ring_hw = around_hw & (away_hw > 0.2 * self.circle.radius) & (away_hw < 0.4 * self.circle.radius)
         base = float(np.median(moved_hw[ring_hw])) if ring_hw.any() else 0.0
         near_hw = self.inside_hw & (away_hw <= max(1.5, 0.015 * self.circle.radius))
         peak = max(float(moved_hw[near_hw].max()), base + top)

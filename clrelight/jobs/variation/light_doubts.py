@@ -11,9 +11,10 @@ from clrelight.variation.highlights import Highlight
 
 RIVAL = 0.5
 """Share of the brightest highlight's light from which on a second one is told of."""
-_WIDER, _DIMMER, _RIVALS, _DEGREES = 1.6, 0.2, 0.7, 2.0
+_WIDER, _DIMMER, _RIVALS, _OFTEN, _DEGREES = 1.6, 0.2, 0.7, 0.25, 2.0
 """How much wider than usual a highlight is that has run into something else; how much of the usual height is little;
-share of the brightest from which on either may be the lamp; degrees of standard deviation that are many."""
+share of the brightest from which on either may be the lamp;
+share of photographs with a second highlight from which on two lamps burn; degrees of standard deviation that are many."""
 
 
 def doubts(
@@ -39,6 +40,8 @@ def doubts(
     if not seen:
         return ("",) * len(lights_i3)
     spread, height = (float(np.median([getattr(each, name) for each in seen])) for name in ("spread", "height"))
+    # A lamp that moves with the first is not always the dimmer one, nor always seen beside it.
+    two_lamps = np.mean([each.rival > RIVAL for each in seen]) > _OFTEN
     told = []
     for each, light_3, uncertain in zip(highlights, lights_i3, uncertain_i, strict=True):
         reasons = {
@@ -46,6 +49,7 @@ def doubts(
             "wide": each is not None and each.spread > _WIDER * spread,
             "dim": each is not None and each.height < _DIMMER * height,
             "second highlight": each is not None and each.rival > _RIVALS,
+            "two lamps": bool(two_lamps),
             "below the horizon": bool(light_3[2] < 0.0),
             "uncertain": bool(uncertain > _DEGREES),
         }
