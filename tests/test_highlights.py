@@ -5,10 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
+from clrelight.jobs.variation.light_doubts import doubts
+from clrelight.jobs.variation.sphere_lights import outlined, outlined_by_all, pictures_of
 from clrelight.variation import lobes
+from clrelight.variation.beside_highlights import Ball
 from clrelight.variation.circles import Circle
 from clrelight.variation.error_law import ErrorLaw
-from clrelight.variation.highlights import find_highlights
+from clrelight.variation.highlights import Highlight, find_highlights
 from clrelight.variation.spheres import view_sphere
 from tests.reference.spheres import lamps, photograph_spheres
 
@@ -64,3 +67,88 @@ def test_samples_count_by_how_far_such_bright_ones_are_off(monkeypatch):
     weighted = off()
     monkeypatch.setattr(lobes, "_LEAST_LOBES", 100)
     assert weighted < 0.7 * off()
+
+
+def ball(side, x, y, radius):
+    """Return where a ball is, and its normals."""
+    y_hw, x_hw = np.mgrid[:side, :side]
+    u_hw, v_hw = (x_hw - x) / radius, (y - y_hw) / radius
+    depth_hw = 1.0 - u_hw**2 - v_hw**2
+    normals_hw3 = np.stack([u_hw, v_hw, np.sqrt(np.maximum(depth_hw, 0.0))], axis=2)
+    return depth_hw > 0.01, np.where(depth_hw[..., None] > 0.01, normals_hw3, 0.0)
+
+
+def half_way(lights_i3):
+    half_i3 = lights_i3 + np.array([0.0, 0.0, 1.0])
+    return half_i3 / np.linalg.norm(half_i3, axis=1, keepdims=True)
+
+
+def test_what_stays_and_shading_are_told_from_highlights():
+    inside_hw, normals_hw3 = ball(49, 24.2, 23.7, 20.0)
+    lights_i3 = lamps(9, 2, least=0.3)
+    rays_hw3 = 2.0 * normals_hw3[..., 2:] * normals_hw3 - [0.0, 0.0, 1.0]
+    still_hw = np.where(inside_hw, np.random.default_rng(0).random((49, 49)), 0.0)
+    beside_ihw = still_hw + 0.4 * np.maximum(np.einsum("ia,hwa->ihw", lights_i3, normals_hw3), 0.0) * inside_hw
+    # A highlight of its own 8 degrees wide, which the median of all nine photographs would hold in places.
+    shine_ihw = 3.0 * np.exp(-np.sum((half_way(lights_i3)[:, None, None] - normals_hw3) ** 2, axis=3) / 0.07**2)
+    told = Ball(normals_hw3, np.where(inside_hw[..., None], rays_hw3, 0.0), 20.0)
+    found_ihw = told.beside(beside_ihw + shine_ihw * inside_hw, lights_i3, np.full(9, 8.0), np.inf)
+    front_hw = inside_hw & (normals_hw3[..., 2] > 0.5)
+    assert np.abs(found_ihw - beside_ihw)[:, front_hw].max() < 0.03
+    plain_hw = np.median(beside_ihw + shine_ihw, axis=0)
+    assert np.abs(plain_hw - beside_ihw)[:, front_hw].max() > 0.2
+
+
+def test_a_bright_rim_and_shading_around_are_not_the_lamp():
+    """The table shows in the rim, brighter than the lamp but where the ball's shadow lies; lit sides are bright."""
+    inside_hw, normals_hw3 = ball(65, 32.3, 31.6, 28.0)
+    lights_i3, circle = lamps(8, 3, least=0.35), Circle(32.3, 31.6, 28.0)
+    samples_ihw = 0.5 * np.maximum(np.einsum("ia,hwa->ihw", lights_i3, normals_hw3), 0.0)
+    samples_ihw += 0.4 * np.exp(-np.sum((half_way(lights_i3)[:, None, None] - normals_hw3) ** 2, axis=3) / 0.06**2)
+    behind_ihw = np.einsum("ia,hwa->ihw", lights_i3[:, :2], normals_hw3[..., :2]) < -0.3
+    samples_ihw = np.where((normals_hw3[..., 2] < 0.5) & ~behind_ihw, samples_ihw + 0.9, samples_ihw) * inside_hw
+    found = find_highlights(samples_ihw, circle, view_sphere(circle, (65, 65)), 1.0, (0, 0))
+    off_i = [np.degrees(np.arccos(each.light_3 @ light_3)) for each, light_3 in zip(found, lights_i3, strict=True)]
+    assert max(off_i) < 2.0
+
+
+def test_a_shadow_beside_a_ball_does_not_move_its_outline():
+    """It touches the ball, and lies elsewhere in each photograph, always on the same side."""
+    inside_hw, normals_hw3 = ball(60, 30.0, 30.0, 18.0)
+    y_hw, x_hw = np.mgrid[:60, :60]
+    grain_hw = np.random.default_rng(1).uniform(0.2, 0.5, (60, 60))
+    photographs = []
+    for turn in np.radians(np.arange(-40, 41, 10)):
+        light_3 = np.array([np.sin(turn) * 0.6, -0.6 * np.cos(turn), 0.8])
+        light_3 /= np.linalg.norm(light_3)
+        right_hw, up_hw = (x_hw - 30.0) / 18.0, (30.0 - y_hw) / 18.0
+        along_hw = right_hw * light_3[0] + up_hw * light_3[1] - light_3[2]
+        in_shadow_hw = (right_hw**2 + up_hw**2 + 1.0 - along_hw**2 < 1.0) & (along_hw < 0.0)
+        table_hw = np.where(in_shadow_hw, 0.0, grain_hw * light_3[2])
+        photographs.append(np.where(inside_hw, 0.3 * np.maximum(normals_hw3 @ light_3, 0.0), table_hw))
+    samples_ihw = np.array(photographs, np.float32)
+    start = Circle(31.0, 29.0, 17.5)
+
+    def off(circle):
+        return abs(circle.x - 30.0) + abs(circle.y - 30.0) + abs(circle.radius - 18.0)
+
+    assert off(outlined_by_all(samples_ihw, start)[0]) < 0.5 < 0.5 * off(outlined(pictures_of(samples_ihw), start)[0])
+
+
+def test_doubts_name_their_reasons():
+    def seen(**changed):
+        return Highlight(**{"x": 0.0, "y": 0.0, "light_3": None, "height": 1.0, "spread": 5.0, "rival": 0.0} | changed
+                         | {"clipped": False})  # fmt: skip
+
+    highlights = [seen(), seen(), seen(), seen(spread=9.0), seen(height=0.1), seen(rival=0.8), None, seen(), seen()]
+    lights_i3 = np.tile([0.0, 0.0, 1.0], (9, 1))
+    lights_i3[6], lights_i3[7] = 0.0, [0.9, 0.0, -0.436]
+    uncertain_i = np.array([0.1] * 8 + [2.5])
+    told = doubts(highlights, lights_i3, uncertain_i, is_outlined=True)
+    assert told == ("", "", "", "wide", "dim", "second highlight", "", "below the horizon", "uncertain")
+    told = doubts(highlights, lights_i3, uncertain_i, is_outlined=False)
+    assert told[:4] == (*("no sure outline",) * 3, "no sure outline, wide")
+    assert told[6] == ""
+    two = doubts([seen(rival=0.6)] * 3 + [seen()], lights_i3[:4], uncertain_i[:4], is_outlined=True)
+    assert two == ("two lamps",) * 4
+    assert doubts([None], lights_i3[:1], uncertain_i[:1], is_outlined=False) == ("",)

@@ -18,6 +18,8 @@ _WINDOWS = (0.16, 0.10, 0.06, 0.04, 0.03, 0.03)
 _NEAR = 0.02
 """Share of the radius by which an edge may be off the circle and still be of its outline."""
 _LEAST_PIXELS = 1.0
+_APART = 3.0
+"""Pixels of place and radius that circles differ by at least: of small ones too."""
 _FLOOR = 1e-9
 
 
@@ -84,7 +86,9 @@ def find_circles(pictures: Sequence[NDArray[np.floating]], radii: tuple[float, f
         radius += max(1.0, 0.03 * radius)
     kept: list[Circle] = []
     for _, x, y, radius in sorted(found, reverse=True):
-        if all(np.hypot(x - each.x, y - each.y) + abs(radius - each.radius) > 0.25 * radius for each in kept):
+        if all(
+            np.hypot(x - each.x, y - each.y) + abs(radius - each.radius) > max(0.25 * radius, _APART) for each in kept
+        ):
             kept.append(Circle(x, y, radius))
         if len(kept) == count:
             break

@@ -19,6 +19,7 @@ from clrelight.images import write_image
 from clrelight.jobs.inputs import StackLike, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for
+from clrelight.jobs.variation.light_doubts import RIVAL
 from clrelight.jobs.variation.light_frames import Frames, lend_frames
 from clrelight.jobs.variation.light_pictures import draw_spheres
 from clrelight.jobs.variation.object_lights import lights_of_object
@@ -35,7 +36,8 @@ KINDS = ("glossy", "matte")
 _NAMED = 6
 _LEAST_LOOKED_AT = 4
 """Photographs below which little tells a sphere that is looked for from other things that are round."""
-_UNSURE = 0.5
+_APART, _MOST_APART = "spheres apart", 2.0
+"""What is told of a lamp that spheres place elsewhere, and degrees off their mean from which on."""
 Path = str | os.PathLike[str]
 
 
@@ -197,13 +199,16 @@ def _rows(told: Sequence[SphereLights], kind: str) -> tuple[NDArray[np.float64],
         seen = [each for each in marks if each is not None]
         best = max(seen, key=lambda each: each.height) if seen else None
         row: dict = {"confidence": 0.0, "degrees_a_pixel": None, "apart": None, "residual": None}
-        row["uncertain"] = None
+        row |= {"uncertain": None, "doubt": None}
         if light_3.any():
             row["degrees_a_pixel"] = float(np.min([each.degrees_a_pixel_i[i] for each in told]))
             row["apart"] = None if np.isnan(apart_i[i]) else float(apart_i[i])
             row["residual"] = float(np.nanmin([each.residual_i[i] for each in told]))
-            offs = [each.uncertain_i[i] for each in told if np.isfinite(each.uncertain_i[i])]
+            telling = [each for each in told if each.lights_i3[i].any()]
+            sure = [each for each in telling if not each.doubts[i]] or telling
+            offs = [each.uncertain_i[i] for each in sure if np.isfinite(each.uncertain_i[i])]
             row["uncertain"] = float(np.min(offs)) if offs else None
+            row["doubt"] = sure[0].doubts[i] or (_APART if apart_i[i] > _MOST_APART else None)
             row["confidence"] = 1.0 - row["residual"] if best is None else 1.0 - best.rival
         if kind == "glossy":
             row |= {
@@ -234,9 +239,7 @@ def _tell(found: FoundLights, frames: Frames, by: str, kind: str, told: Sequence
     if missing:
         what = "no highlight" if told and kind == "glossy" else "too little light"
         report.note(f"{what} in {_some(missing)}: left out of the lights")
-    unsure = [name for name, row in zip(found.names, found.rows, strict=True) if (row.get("rival") or 0.0) > _UNSURE]
-    if unsure:
-        report.note(f"more than one bright highlight in {_some(unsure)}: the brightest is taken")
+    _note_doubts(found, report)
     below = int(np.count_nonzero(directions_i3[:, 2] < 0.0))
     if below:
         report.note(f"{below} lights are below the horizon: ingest takes them with --allow-below")
@@ -253,6 +256,19 @@ def _tell(found: FoundLights, frames: Frames, by: str, kind: str, told: Sequence
         cosine_i = np.sum(directions_i3 * frames.stack.directions_i3, axis=1)[seen_i]
         off_i = np.degrees(np.arccos(np.clip(cosine_i, -1.0, 1.0)))
         report.facts["off_known"] = {"median": float(np.median(off_i)), "most": float(off_i.max())}
+
+
+def _note_doubts(found: FoundLights, report: Report) -> None:
+    """Name the lights that are not to be trusted, by the reason."""
+    by_reason: dict[str, list[str]] = {}
+    for name, row in zip(found.names, found.rows, strict=True):
+        if row.get("doubt"):
+            by_reason.setdefault(row["doubt"], []).append(name)
+    unsure = [name for name, row in zip(found.names, found.rows, strict=True) if (row.get("rival") or 0.0) > RIVAL]
+    if unsure:
+        report.note(f"more than one bright highlight in {_some(unsure)}: the brightest is taken")
+    for reason, names in by_reason.items():
+        report.note(f"not to be trusted ({reason}): {_some(names)}")
 
 
 def _some(names: Sequence[str]) -> str:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.conventions import linear_to_srgb
+from clrelight.jobs.variation.light_doubts import RIVAL
 from clrelight.jobs.variation.light_frames import Frames
 from clrelight.jobs.variation.sphere_lights import SphereLights
 
 _SIDE = 1600
 _OUTLINE, _MARK, _UNSURE = (255, 160, 0), (0, 200, 255), (255, 0, 90)
-_RIVAL = 0.5
 
 
 def draw_spheres(frames: Frames, spheres: Sequence[SphereLights], budget: int) -> NDArray[np.uint8]:
@@ -38,7 +38,7 @@ def draw_spheres(frames: Frames, spheres: Sequence[SphereLights], budget: int) -
         for each in sphere.highlights:
             if each is not None:
                 arm_n = np.arange(-3, 4) * factor
-                colour = _UNSURE if each.rival > _RIVAL else _MARK
+                colour = _UNSURE if each.rival > RIVAL else _MARK
                 _put(picture_hwc, each.x + arm_n, np.full(7, each.y), factor, colour)
                 _put(picture_hwc, np.full(7, each.x), each.y + arm_n, factor, colour)
     return picture_hwc

@@ -12,6 +12,7 @@ from scipy import optimize
 
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, stage
+from clrelight.jobs.variation.light_doubts import doubts
 from clrelight.jobs.variation.light_frames import Frames
 from clrelight.jobs.variation.sphere_rims import inner_circle, rim_of, seen_by_rim, uncertainty
 from clrelight.variation.circles import Circle, refine_circle
@@ -24,6 +25,8 @@ _AROUND = 1.35
 _SHARP_RADIUS = 250.0
 """Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
 LEAST_OUTLINE, _MEAN_SHARE, _WHOLE = 0.5, 0.75, 0.95
+_SINGLE = 8
+"""Photographs that are looked at one by one, at most."""
 _INSIDE = 0.97
 """Share of a matte sphere's radius within which its shading counts."""
 _STRAY = 6.0
@@ -47,6 +50,8 @@ class SphereLights:
     degrees_a_pixel_i : ndarray, shape (n_light,), float64
     uncertain_i : ndarray, shape (n_light,), float64
         Degrees, one standard deviation, that outline and highlight leave a lamp; NaN where they do not tell how much.
+    doubts : tuple of str
+        Why a lamp is not to be trusted; "" without a reason.
     """
 
     circle: Circle
@@ -55,6 +60,7 @@ class SphereLights:
     residual_i: NDArray[np.float64]
     degrees_a_pixel_i: NDArray[np.float64]
     uncertain_i: NDArray[np.float64]
+    doubts: tuple[str, ...]
 
 
 def pictures_of(samples_ihw: NDArray[np.float32]) -> list[NDArray[np.floating]]:
@@ -85,6 +91,21 @@ def outlined(pictures: Sequence[NDArray[np.floating]], start: Circle) -> tuple[C
     if odd[0].outline >= _WHOLE and mean[0].outline < _WHOLE * odd[0].outline:
         return odd
     return mean if mean[0].outline >= _MEAN_SHARE * best[0].outline else best
+
+
+def outlined_by_all(samples_ihw: NDArray[np.float32], start: Circle) -> tuple[Circle, NDArray[np.float64]]:
+    """Return `outlined`, by the photographs one by one where no picture of all shows most of the outline.
+
+    A ball casts its shadow on what it lies on: an edge beside it, elsewhere in each photograph, that pictures of all
+    mix with the outline, which stays.
+    """
+    circle, points_n2 = outlined(pictures_of(samples_ihw), start)
+    if not LEAST_OUTLINE <= circle.outline < _WHOLE:
+        return circle, points_n2
+    step = -(-len(samples_ihw) // _SINGLE)
+    found, found_n2 = refine_circle(list(samples_ihw[::step]), circle)
+    # Edges of many photographs leave no gap, so how much of the outline is seen is the pictures' to tell.
+    return (replace(found, outline=circle.outline), found_n2) if found.outline > circle.outline else (circle, points_n2)
 
 
 def window_of(circle: Circle, shape_hw: tuple[int, int]) -> tuple[int, int, int, int]:
@@ -123,7 +144,7 @@ def lights_of_sphere(
     since = report.add("read", since)
     corner = window[0], window[1]
     inside = inner_circle(start, factor, corner)
-    refined, outline_n2 = outlined(pictures_of(part_ihw), inside)
+    refined, outline_n2 = outlined_by_all(part_ihw, inside)
     away = np.hypot(refined.x - inside.x, refined.y - inside.y) + abs(refined.radius - inside.radius)
     if refined.outline < LEAST_OUTLINE or (is_given and away > 0.1 * inside.radius):
         if is_given:
@@ -152,7 +173,8 @@ def lights_of_sphere(
     report.add("highlights" if not is_matte else "shading", since)
     worth_i = np.array([sphere.degrees_a_pixel(light_3) for light_3 in lights_i3])
     uncertain_i = uncertainty(sphere, highlights, worth_i, rim, factor)
-    return SphereLights(circle, lights_i3, highlights, residual_i, worth_i, uncertain_i)
+    told = doubts(highlights, lights_i3, uncertain_i, rim is not None)
+    return SphereLights(circle, lights_i3, highlights, residual_i, worth_i, uncertain_i, told)
 
 
 def _matte_lights(
@@ -251,12 +273,16 @@ def _disc(shape_hw: tuple[int, int], circle: Circle) -> NDArray[np.bool_]:
 def agree(spheres: Sequence[SphereLights]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return each lamp's mean over the spheres that tell of it, and how far these are apart in degrees (NaN of one).
 
-    Of three and more, those far off the one in the middle are left out.
+    Of three and more, those far off the one in the middle are left out; of any, those in doubt beside others that are
+    not.
     """
     lights_si3 = np.stack([each.lights_i3 for each in spheres])
+    doubted_si = np.array([[bool(each) for each in sphere.doubts] for sphere in spheres])
     mean_i3, apart_i = np.zeros(lights_si3.shape[1:]), np.full(lights_si3.shape[1], np.nan)
     for i in range(lights_si3.shape[1]):
-        told_s3 = lights_si3[np.any(lights_si3[:, i] != 0.0, axis=1), i]
+        tells_s: NDArray[np.bool_] = np.any(lights_si3[:, i] != 0.0, axis=1)
+        sure_s = tells_s & ~doubted_si[:, i]
+        told_s3 = lights_si3[sure_s if sure_s.any() else tells_s, i]
         if not len(told_s3):
             continue
         off_ss = np.degrees(np.arccos(np.clip(told_s3 @ told_s3.T, -1.0, 1.0)))

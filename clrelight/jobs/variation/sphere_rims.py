@@ -13,6 +13,10 @@ from clrelight.variation.highlights import Highlight
 from clrelight.variation.rims import Rim, fit_rim
 from clrelight.variation.spheres import SphereView, flat_view, view_sphere
 
+_OF_SPREAD, _OF_EXCESS = 0.1, 0.5
+"""Shares of its pixels' spread, and of what that is beyond the usual, by which a highlight is off where no lobe tells
+its middle."""
+
 
 def inner_circle(circle: Circle, factor: float, corner: tuple[int, int]) -> Circle:
     """Return a circle of the photographs in the pixels of a part: the way back of `Circle.scaled`."""
@@ -59,13 +63,21 @@ def uncertainty(
     rim: Rim | None,
     factor: float,
 ) -> NDArray[np.float64]:
-    """Return degrees that a lamp is uncertain by: centre, radius and highlight, each independent of the others."""
+    """Return degrees that a lamp is uncertain by: centre, radius and highlight, each independent of the others.
+
+    The mean of a highlight's pixels is off by a share of its width, and by half of what it is wider than usual, as two
+    that have run together are.
+    """
     uncertain_i = np.full(len(worth_i), np.nan)
-    if rim is None:
+    if rim is None or not any(highlights):
         return uncertain_i
+    usual = float(np.median([each.spread for each in highlights if each is not None]))
     for i, each in enumerate(highlights):
-        if each is not None and np.isfinite(each.off):
+        if each is not None:
             away = np.hypot(each.x - sphere.circle.x, each.y - sphere.circle.y) / sphere.circle.radius
             centre, radius = rim.centre_off * factor, rim.radius_off * factor * away
-            uncertain_i[i] = worth_i[i] * np.sqrt(centre**2 + radius**2 + each.off**2)
+            wider = np.sqrt(max(each.spread**2 - usual**2, 0.0))
+            of_mean = np.hypot(_OF_SPREAD * each.spread, _OF_EXCESS * wider)
+            middle = worth_i[i] * each.off if np.isfinite(each.off) else of_mean
+            uncertain_i[i] = np.hypot(worth_i[i] * np.hypot(centre, radius), middle)
     return uncertain_i

@@ -7,8 +7,17 @@ from numpy.typing import NDArray
 
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, stage
+from clrelight.jobs.variation.light_doubts import RIVAL
 from clrelight.jobs.variation.light_frames import Frames
-from clrelight.jobs.variation.sphere_lights import LEAST_OUTLINE, outlined, pictures_of, shaded_lights, window_of
+from clrelight.jobs.variation.sphere_lights import (
+    LEAST_OUTLINE,
+    outlined,
+    outlined_by_all,
+    pictures_of,
+    shaded_lights,
+    window_of,
+)
+from clrelight.jobs.variation.sphere_rims import rim_of
 from clrelight.variation.circles import Circle, find_circles
 from clrelight.variation.highlights import find_highlights
 from clrelight.variation.spheres import view_sphere
@@ -17,9 +26,14 @@ _SIDE, _MOST_LOOKED_AT = 640, 96
 """Pixels of the longer side, and photographs, in which spheres are looked for."""
 _LEAST_RADIUS, _MOST_RADIUS = 6.0, 0.48
 """Of a sphere that is looked for, in those pixels, and as a share of the shorter side."""
-_CANDIDATES = 10
-_LEAST_SCORE = 0.35
-_COMPACT, _RIVAL = 25.0, 0.5
+_CANDIDATES, _SAME = 10, 0.3
+"""Circles that are tried; pixels of place and radius within which two have come to the same."""
+_LEAST_SCORE, _LEAST_TRIED, _CLEAR = 0.35, 0.1, 0.95
+"""What a sphere scores at least; what a circle does whose outline is looked for in single photographs, and the share of
+it beyond which that is of no use."""
+_COMPACT, _WITH_RIVAL, _UNEXPLAINED, _UNSURE = 25.0, 0.6, 0.25, 0.6
+"""Degrees of spread of a highlight; what counts less: one with a rival, lights that shade nothing else, a circle that
+the photographs do not tell to be a sphere's outline, where there is another."""
 _LEAST_TOLD, _SCENE_PIXELS = 8, 4000
 
 
@@ -45,11 +59,21 @@ def look_for_spheres(frames: Frames, count: int, is_matte: bool, progress: Progr
     if radii[1] <= radii[0]:
         raise InputError(f"photographs of {width}×{height} pixels are too small for a sphere to be found in them")
     scored: list[tuple[float, Circle]] = []
+    tried: list[Circle] = []
     for start in find_circles(pictures, radii, _CANDIDATES):
         circle, _ = outlined(pictures, start)
-        if circle.outline >= LEAST_OUTLINE:
+        is_new = all(np.hypot(circle.x - o.x, circle.y - o.y) + abs(circle.radius - o.radius) > _SAME for o in tried)
+        tried.append(circle)
+        if circle.outline >= LEAST_OUTLINE and is_new:
             judge = _matte_share if is_matte else _highlight_share
-            scored.append((circle.outline * judge(samples_ihw, circle), circle))
+            score = circle.outline * judge(samples_ihw, circle)
+            if score > _LEAST_TRIED and circle.outline < _CLEAR:
+                part_ihw, inner, corner = _cut(samples_ihw, circle)
+                circle = outlined_by_all(part_ihw, inner)[0].scaled(1.0, *corner)
+                score = circle.outline * judge(samples_ihw, circle)
+            scored.append((score, circle))
+    if not is_matte and len({round(circle.x) for score, circle in scored if score >= _LEAST_SCORE}) > 1:
+        scored = [(score * (1.0 if _is_outlined(samples_ihw, each) else _UNSURE), each) for score, each in scored]
     scored.sort(key=lambda each: each[0], reverse=True)
     kept: list[Circle] = []
     for score, circle in scored:
@@ -69,14 +93,21 @@ def _highlight_share(samples_ihw: NDArray[np.float32], circle: Circle) -> float:
     part_ihw, inner, corner = _cut(samples_ihw, circle)
     sphere = view_sphere(circle, samples_ihw.shape[1:])
     found = find_highlights(part_ihw, inner, sphere, 1.0, corner)
-    told = [i for i, each in enumerate(found) if each is not None and each.spread < _COMPACT and each.rival < _RIVAL]
+    told = [i for i, each in enumerate(found) if each is not None and each.spread < _COMPACT]
     sound = [each for i, each in enumerate(found) if each is not None and i in told]
     if not sound:
         return 0.0
     places = np.array([(each.x, each.y) for each in sound])
     moved = float(np.hypot(*places.std(axis=0)) / circle.radius) if len(samples_ihw) > 1 else 1.0
-    share = len(sound) / len(samples_ihw) * min(1.0, moved / 0.1)
-    return share * (0.5 + 0.5 * _explained(samples_ihw[told], np.array([each.light_3 for each in sound])))
+    # A fill lamp leaves a second highlight on a sphere; many things that are none have several.
+    share = sum(1.0 if each.rival < RIVAL else _WITH_RIVAL for each in sound) / len(samples_ihw) * min(1.0, moved / 0.1)
+    explained = _explained(samples_ihw[told], np.array([each.light_3 for each in sound]))
+    return share * (_UNEXPLAINED + (1.0 - _UNEXPLAINED) * explained)
+
+
+def _is_outlined(samples_ihw: NDArray[np.float32], circle: Circle) -> bool:
+    part_ihw, inner, corner = _cut(samples_ihw, circle)
+    return rim_of(part_ihw, inner, view_sphere(circle, samples_ihw.shape[1:]), 1.0, corner) is not None
 
 
 def _explained(samples_ihw: NDArray[np.float32], lights_i3: NDArray[np.float64]) -> float:
