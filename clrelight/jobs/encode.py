@@ -150,7 +150,7 @@ def encode(
         if out is not None and wanted.byte_budget is not None:
             shape = tuple(coefficients.coeffs_khwc.shape)
             overhead = container_bytes(FitRecord.of(coefficients), shape)
-            wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead, shape))
+            wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead, shape, str(wanted.codec)))
         encoded = _Encode(coefficients, wanted, opened, workspace, limit, kept, progress).run(stack)
         if out is None:
             return replace(encoded, body=encoded.body[:], record=FitRecord.of(coefficients))
