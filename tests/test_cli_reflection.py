@@ -342,3 +342,11 @@ def test_orders_beat_earlier_methods(made):
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < min(found["texture"], found["icosahedron"])
     assert found["orders"][5]["share"] > 0.99
+
+
+@pytest.mark.parametrize("table", ["phong", "peers", "codecs"])
+def test_a_black_map_has_no_errors_to_measure(tmp_path, table):
+    write_image(tmp_path / "black.exr", np.zeros((8, 16, 3), np.float32))
+    ended = call("shrm", "bench", tmp_path / "black.exr", "--table", table)
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert "the map is black" in ended.err

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -155,6 +157,18 @@ def test_single_pixel(device):
 def test_rate_below_the_side_tables_is_refused(device):
     with pytest.raises(InputError, match="side tables alone take 14"):
         encode(np.ones((1, 1, 1, 1), np.float32).repeat(4, 0), Wavelet(rate=4.0), device)
+
+
+@pytest.mark.parametrize("shape", [(4, 19, 23, 3), (4, 19, 23, 1), (9, 1, 2, 3), (1, 2, 3, 3), (4, 40, 1, 1)])
+def test_the_least_size_that_is_told_is_the_least(device, shape):
+    """In bytes, and in bits that are not rounded to fewer."""
+    coeffs = np.random.default_rng(0).standard_normal(shape).astype(np.float32)
+    least = Wavelet.least_bytes(shape)
+    assert encode(coeffs, Wavelet(rate=8.0 * least / coeffs.size), device).encoded_bytes <= least
+    with pytest.raises(InputError, match=rf"\({least - 1} bytes\) are too few") as refused:
+        encode(coeffs, Wavelet(rate=8.0 * (least - 1) / coeffs.size), device)
+    bits, told = re.search(r"alone take (\S+) \((\d+) bytes\)$", str(refused.value)).groups()
+    assert int(told) == least == int(float(bits) * coeffs.size / 8)
 
 
 @pytest.mark.parametrize("options", [{"rate": 0.0}, {"rate": float("nan")}, {"rate": "4"}, {"allocation": "x"}])

@@ -1,5 +1,6 @@
 """Precision as a setting of every fit: float64 against references, float32 without float64, notes and refusals."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from clrelight.errors import InputError, KernelBuildError
 from clrelight.fit import collect_fit, fit_tiles, method_class, prepare_fit
 from clrelight.fit.precision import differing_precisions
 from clrelight.fit.run import rows_per_tile
+from clrelight.fit.scaling import round_coefficients
 from clrelight.jobs.fit import fit
 from clrelight.kernel_source import read_kernel_source
 from clrelight.opencl.devices import loaded_devices
@@ -304,3 +306,17 @@ def test_a_row_of_bench_knows_its_precision(tmp_path):
     assert len(succeed("bench", tmp_path / "double.toml", *out).json["rows"]) == 2
     small = ["--size", 8, "--lights", 30, "--methods", "cls", "--degrees", 2, "--codecs", "none"]
     assert len(succeed("bench", "ring", *small, "--precision", "double", *out).json["rows"]) == 2
+
+
+def test_rounding_takes_no_memory_beside_the_tile():
+    """A tile's bytes are counted, and magnitudes of it would be as much again."""
+    values_kp, out_kp = np.full((9, 1 << 17), -0.1), np.empty((9, 1 << 17), np.float32)
+    tracemalloc.start()
+    round_coefficients(values_kp, out_kp)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < out_kp.nbytes / 8
+    for bad in (np.nan, -np.inf, -1e39):
+        values_kp[3, 5] = bad
+        with pytest.raises(InputError, match="float32"):
+            round_coefficients(values_kp, out_kp)

@@ -4,13 +4,14 @@ import struct
 import subprocess
 import sys
 import zlib
+from contextlib import closing
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 from PIL import Image
 
-from clrelight import images
+from clrelight import image_encoding, images
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.image_encoding import png_rows
 from clrelight.images import read_bands, read_header, read_image, write_image
@@ -467,3 +468,15 @@ def test_a_png_that_loses_its_rows_is_not_there(tmp_path, capfd, message, error)
     assert (tmp_path / "a.png").read_bytes() == b"before"
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
     assert capfd.readouterr() == ("", "")  # encoders are told nothing that they would complain of
+
+
+@pytest.mark.parametrize(("name", "large"), [("a.tif", "none"), ("a.exr", "zip"), ("b.tif", "zip")])
+def test_large_pictures_are_packed_fast(tmp_path, monkeypatch, name, large):
+    """Deflating floats took longer than relighting them; codes of 8 bits still shrink."""
+    values = RGB8 if name == "b.tif" else RGB8.astype(np.float32) / 7
+    for least, expected in ((1, large), (values[..., 0].size + 1, "zip")):
+        monkeypatch.setattr(image_encoding, "_LARGE_PIXELS", least)
+        write_image(tmp_path / name, values)
+        with closing(oiio.ImageInput.open(str(tmp_path / name))) as reader:
+            assert reader.spec()["compression"] == expected
+        np.testing.assert_array_equal(read_image(tmp_path / name), values)

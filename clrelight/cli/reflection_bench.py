@@ -59,6 +59,7 @@ def bench(
       clrelight shrm bench grace.hdr --table peers --brdf phong:32 --brdf krylon_blue.brdf
     """
     from clrelight.device import open_device
+    from clrelight.jobs.reflection.bench import check_lit
     from clrelight.lighting.projection import project_environment
 
     report = make_report(as_json)
@@ -68,6 +69,8 @@ def bench(
         since = time.perf_counter()
         light = project_environment(environment, min(_DEGREE, environment.resolved_degree), device=opened)
         since = report.add("project", since)
+        if table in ("phong", "peers", "codecs"):
+            check_lit(light)
         headers, rows, facts = _measure(table, names, environment, light, opened)
         report.add("measure", since)
     report.facts = {"table": table, "rows": facts}

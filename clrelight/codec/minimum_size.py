@@ -20,6 +20,8 @@ FLOOR = 1024
 _FREE_COEFFICIENTS = 1 << 24
 _COEFFICIENTS_PER_BYTE = 1 << 17
 _COUNT = struct.Struct("<I")
+_BLACK = 21
+"""Bytes of a black view, without those of the rotation of its channels."""
 
 
 def minimum_overhead(shape: Shape) -> int:
@@ -73,3 +75,8 @@ def check_padding(codec: str, body: bytes, end: int, n_value: int) -> None:
     """Raise PayloadError unless the body ends at `end`, or goes on with the zeros of `pad_body`."""
     if len(body) != max(end, least_bytes(n_value)) or any(body[end:]):
         raise PayloadError(f"codec {codec}: the data should end at byte {end}, the body has {len(body)}")
+
+
+def least_payload(shape: Shape) -> int:
+    """Return the fewest bytes that may be asked for a map of this shape: it may be black."""
+    return max(_BLACK + shape[3] ** 2, minimum_bytes(shape))

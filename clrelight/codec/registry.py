@@ -15,6 +15,7 @@ from clrelight.codec.bodies import Body, BodyWriter, MemoryBody
 from clrelight.codec.damage import Damage
 from clrelight.codec.encoded import Encoded, check_shape
 from clrelight.codec.finite import all_finite, check_coefficients
+from clrelight.codec.minimum_size import least_payload
 from clrelight.codec.rate.noise import Noise, second_moments
 from clrelight.codec.streams import ArraySource, ArrayTarget, Source, Target
 from clrelight.codec.transforms.metric import MAX_METRIC_DEGREE
@@ -51,6 +52,11 @@ class Codec(Configurable, ABC):
     def bytes_to_decode(cls, body: Body, shape: tuple[int, int, int, int]) -> int:
         """Return the same of decoding; PayloadError where the body does not say."""
         return int(4 * cls.decoding_holds * math.prod(shape))
+
+    @classmethod
+    def least_bytes(cls, shape: tuple[int, int, int, int]) -> int:
+        """Return the fewest bytes that may be asked for maps of a shape, if they may be black."""
+        return least_payload(shape)
 
     @abstractmethod
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
@@ -115,8 +121,7 @@ class PartsCodec(Codec):
 
     def encode_body(self, coeffs_khwc: NDArray[np.float32], device: Device) -> tuple[bytes, dict[str, float]]:
         """See `Codec`."""
-        body = MemoryBody()
-        info = self.encode_parts(ArraySource(coeffs_khwc, device), body)
+        info = self.encode_parts(ArraySource(coeffs_khwc, device), body := MemoryBody())
         return body.to_bytes(), info
 
     @classmethod

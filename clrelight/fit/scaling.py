@@ -154,7 +154,7 @@ def check_images(coeffs_kx: NDArray) -> None:
     An image is at most a pixel's norm times that of the functions at a light, which is below the root of their number.
     """
     count, most = len(coeffs_kx), float(np.finfo(np.float32).max)
-    largest = float(np.abs(coeffs_kx).max())
+    largest = float(max(coeffs_kx.max(), -coeffs_kx.min()))  # no array of magnitudes: tiles are counted to the byte
     if most / count < largest <= most:  # else no norm is near, or one is beyond
         square_x = np.einsum("k...,k...->...", coeffs_kx, coeffs_kx, dtype=np.float64)
         largest = math.sqrt(count * float(square_x.max()))

@@ -20,6 +20,7 @@ from clrelight.jobs.coding_request import CodingRequest, advise_codecs, read_req
 from clrelight.jobs.inputs import FitLike, StackLike, lend_fit, lend_stack, opened_on, paths_among
 from clrelight.jobs.measure import measure_split
 from clrelight.jobs.outputs import claimed
+from clrelight.jobs.outshining import outshining_notes
 from clrelight.jobs.parts import check_memory, decode_again, encode_source, take_source
 from clrelight.jobs.preview import check_preview, draw_preview, write_preview
 from clrelight.jobs.report import Progress, Report, report_for, stage
@@ -149,7 +150,7 @@ def encode(
         if out is not None and wanted.byte_budget is not None:
             shape = tuple(coefficients.coeffs_khwc.shape)
             overhead = container_bytes(FitRecord.of(coefficients), shape)
-            wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead, shape))
+            wanted = replace(wanted, byte_budget=payload_budget(wanted.byte_budget, overhead, shape, str(wanted.codec)))
         encoded = _Encode(coefficients, wanted, opened, workspace, limit, kept, progress).run(stack)
         if out is None:
             return replace(encoded, body=encoded.body[:], record=FitRecord.of(coefficients))
@@ -216,6 +217,7 @@ class _Encode:
         advice = advise_codecs(codec, shape, self.memory)
         report.note(*check_memory(f"encoding by {codec.id}", needed, self.memory, advice))
         maps = take_source(self.coefficients, codec, self.device, workspace)
+        report.note(*outshining_notes(maps.in_memory))
         since = report.add("read", since)
         with stage(self.progress, f"encoding {codec.id}") as workspace.progress:
             noise = codecs.predict_noise_of(maps, codec)

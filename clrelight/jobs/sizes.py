@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from clrelight.codec import Encoded
-from clrelight.codec.minimum_size import minimum_bytes
+from clrelight.codec import Encoded, codec_class
 from clrelight.codec.workspace import Shape
 from clrelight.errors import InputError
 
@@ -20,13 +19,9 @@ def size_facts(encoded: Encoded) -> dict[str, Any]:
     }
 
 
-_LEAST_PAYLOAD = 21
-"""Bytes of a black view, without those of the rotation of its channels."""
-
-
-def payload_budget(file_bytes: int, overhead: int, shape: Shape) -> int:
+def payload_budget(file_bytes: int, overhead: int, shape: Shape, codec_id: str = "klt") -> int:
     """Return what a file of so many bytes leaves for its payload; InputError where no image takes as little."""
-    least = overhead + max(_LEAST_PAYLOAD + shape[3] ** 2, minimum_bytes(shape))
+    least = overhead + codec_class(codec_id).least_bytes(shape)
     if file_bytes < least:
         raise InputError(
             f"--bytes: a file of these lights and this size takes at least {least} bytes, got {file_bytes}"

@@ -11,7 +11,7 @@ from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.units import LEVELS, Window, is_one_tile
 from clrelight.codec.formats.klt_pieces import Pieces, Tried
-from clrelight.codec.formats.klt_tiles import TileEncoder
+from clrelight.codec.formats.klt_tiles import LARGEST_ERROR, TileEncoder
 from clrelight.codec.formats.klt_trials import STEP_POWER, Trial, list_pieces, list_samples, search_step
 from clrelight.codec.formats.klt_units import HEAD_SIZE, count_streams, pack_axes
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
@@ -152,10 +152,13 @@ class StepFinder(TileEncoder):
                 share /= 1.0 + _COST[0] * max(8.0 * sizes.sum() / areas.sum(), 0.1) ** _COST[1]
             bits_j = np.sum([each.bits_j for each in tried], axis=0) * share
             energy_j = np.sum([each.energy_j for each in tried], axis=0) * share / step**2
-            saved_j = energy_j - np.sum([each.error_j for each in tried], axis=0) * share
+            error_j = np.sum([each.error_j for each in tried], axis=0)
+            saved_j = energy_j - error_j * share
             saved_j -= energy_j * self._whitening.cost_j(axes.vectors_jd - vectors)
             axis_bits_j = np.array([zero_order_bits(np.abs(row)) for row in axes.entries_jd])
             pays = saved_j > _AXIS_MULTIPLIER * (bits_j + axis_bits_j)
+            # Of what was cut off there is no telling: it is coded, and refused there.
+            pays |= ~(error_j < LARGEST_ERROR)
             axes = Axes(axes.entries_jd[pays], axes.scales_j[pays])
             streams, axis_bits = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0), float(axis_bits_j[pays].sum())
             sizes = sizes * share / self._n_pixel * len(areas)

@@ -28,6 +28,7 @@ from clrelight.codec.transforms.lifting import transform_planes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.strips import Strips
 from clrelight.codec.transforms.whitening import Planes, reshaped, with_type
+from clrelight.errors import InputError
 from clrelight.opencl.arguments import DeviceArray
 
 MULTIPLIER = 0.15
@@ -36,6 +37,8 @@ MULTIPLIER = 0.15
 From 0.12 to 0.15 a map's own error hardly tells. Where lights come from a part of the hemisphere, what the fit makes up
 elsewhere looks like noise: at 0.15 it takes far fewer of the bytes.
 """
+LARGEST_ERROR = 2.0**40
+"""Squared steps of a stream that no choice of indices costs: one of them was cut off, or was not finite."""
 PART_PIXELS = 3 << 19
 """Pixels of a part, at most: a second or two of work. Smaller ones have more of what they read in their margins."""
 
@@ -174,8 +177,30 @@ class TileEncoder:
         keep: bool = False,
         index: DeviceArray | None = None,
     ) -> Coded:
-        """Return the streams of a part; its values are lost unless they are to be kept, or `index` gets indices."""
-        return self._encode(part.values, part.layout, step, multiplier, keep, index)
+        """Return the streams of a part; its values are lost unless they are to be kept, or `index` gets indices.
+
+        InputError where the indices of a pixel are larger than streams hold: it would be cut off, and what lies around
+        it would drown in the rounding errors of float32.
+        """
+        coded = self._encode(part.values, part.layout, step, multiplier, keep, index)
+        if not (coded.error_tj < LARGEST_ERROR).all():
+            raise InputError(
+                f"{self._brightest()}, which is too large among the others for klt at step {step:.3g}: "
+                "mask that pixel, or take half with --clamp"
+            )
+        return coded
+
+    def _brightest(self) -> str:
+        """Say which coefficient of the map is the largest."""
+        _, height, width, _ = self._shape
+        largest, told = -1.0, ""
+        for row in range(height):
+            coeffs_khwc = self._pixels.coefficients((row, row + 1), (0, width))
+            place = np.unravel_index(int(np.abs(coeffs_khwc).argmax()), coeffs_khwc.shape)
+            k, _, column, channel = (int(i) for i in place)
+            if (value := float(abs(coeffs_khwc[place]))) > largest:
+                largest, told = value, f"{(k, row, column, channel)} is {float(coeffs_khwc[place]):g}"
+        return f"coefficient (k, row, column, channel) = {told}"
 
     def take_pieces(self, windows: Sequence[Window], planes: Planes) -> Pieces:
         """Return wavelet coefficients of the planes of windows of one size, each a map of its own."""

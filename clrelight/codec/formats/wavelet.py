@@ -12,11 +12,12 @@ from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.damage import Damage
 from clrelight.codec.entropy.units import MARGIN, PRECINCT
 from clrelight.codec.formats.wavelet_encode import Encoder
-from clrelight.codec.formats.wavelet_few import MOST_BYTES, decode_few, encode_few, is_few, least_bytes
+from clrelight.codec.formats.wavelet_few import MOST_BYTES, decode_few, encode_few, is_few
+from clrelight.codec.formats.wavelet_few import least_bytes as least_few
 from clrelight.codec.formats.wavelet_old import decode_maps
 from clrelight.codec.formats.wavelet_units import LEAST_STREAM, is_in_units, parse_body, table_bytes
 from clrelight.codec.formats.wavelet_view import WaveletView
-from clrelight.codec.minimum_size import drop_padding, minimum_overhead, pad_to_minimum
+from clrelight.codec.minimum_size import drop_padding, minimum_bytes, minimum_overhead, pad_to_minimum
 from clrelight.codec.rate.noise import Noise
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.streams import Source, Target
@@ -25,6 +26,8 @@ from clrelight.device import Device
 from clrelight.errors import InputError
 
 ALLOCATIONS = ("map", "global")
+_ROUNDING = 1.0 + 1e-12
+"""Lets a rate that was made of whole bytes be those again."""
 
 
 @register
@@ -88,7 +91,7 @@ class Wavelet(PartsCodec):
 
     def _bound(self, shape: Shape) -> int:
         """Return the bytes asked for."""
-        return int(self.rate * math.prod(shape) / 8)
+        return int(self.rate * math.prod(shape) / 8 * _ROUNDING)
 
     def _encode_few(self, source: Source) -> bytes | None:
         """Return the body that holds each number alone, where so few are asked for that it may be better."""
@@ -126,12 +129,18 @@ class Wavelet(PartsCodec):
         budget = self._bound(shape) - minimum_overhead(shape)
         tables = table_bytes(shape[0]) + LEAST_STREAM
         if budget < tables:
-            tables = min(tables, least_bytes(shape))
+            least, size = self.least_bytes(shape), math.prod(shape)
             raise InputError(
-                f"{self.rate:g} bits per coefficient are too few for maps of shape {shape}: "
-                f"their side tables alone take {8.0 * tables / math.prod(shape):.4g}"
+                f"{self.rate:g} bits per coefficient ({self._bound(shape)} bytes) are too few for maps of {shape}: "
+                f"their side tables alone take {math.ceil(8e4 * least / size) / 1e4:g} ({least} bytes)"
             )
         return Encoder(source, budget, self.allocation == "map")
+
+    @classmethod
+    def least_bytes(cls, shape: Shape) -> int:
+        """See `Codec`."""
+        tables = min(table_bytes(shape[0]) + LEAST_STREAM, least_few(shape))
+        return max(tables + minimum_overhead(shape), minimum_bytes(shape))
 
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:

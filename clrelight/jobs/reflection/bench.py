@@ -16,6 +16,7 @@ from clrelight.brdf.analytic import Microfacet
 from clrelight.brdf.coefficients import BrdfCoefficients, brdf_coefficients
 from clrelight.brdf.radial import Phong
 from clrelight.device import Device
+from clrelight.errors import InputError
 from clrelight.harmonics.index import coefficient_count
 from clrelight.harmonics.latlong import latitude_weights, project_latlong, synthesize_latlong
 from clrelight.lighting.light import Light
@@ -63,6 +64,12 @@ def square_light(light: Light, size: int) -> tuple[NDArray[np.float64], NDArray[
     weights_t = np.repeat(latitude_weights(size) * (2.0 * np.pi / size), size)
     directions_t3 = grid_directions(size, size).reshape(-1, 3)
     return map_hwc, directions_t3, weights_t[:, None] * map_hwc.reshape(size * size, -1)
+
+
+def check_lit(light: Light) -> None:
+    """Raise InputError where a light is black: errors are told as parts of what it sends."""
+    if not np.any(light.coeffs_kc):
+        raise InputError("the map is black, and errors of reflection are parts of its light: take one that is lit")
 
 
 def time_phong(
