@@ -11,6 +11,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from clrelight.errors import InputError
+from clrelight.image_colours import ImageColours, read_colours
 from clrelight.image_parts import Picture
 from clrelight.radiance_header import RadianceHeader
 
@@ -62,6 +63,8 @@ class ImageHeader:
         Codes are only near to what was saved.
     envmap : str
         ``"cube"`` or ``"latlong"`` where an EXR says that it is such an environment map.
+    colours : ImageColours
+        What it says of its colours; nothing is converted.
     stored : str
         Sizes, names and types of what is stored, by which a file that changed is known.
     """
@@ -80,6 +83,7 @@ class ImageHeader:
     radiance: RadianceHeader | None = None
     is_lossy: bool = False
     envmap: str = ""
+    colours: ImageColours = ImageColours()
     stored: str = ""
 
     @property
@@ -109,7 +113,8 @@ class ImageHeader:
         partial = (width, height) != (self.width, self.height)
         window = (f"only {width}×{height} pixels at ({x}, {y}) are stored, black around them",) if partial else ()
         turned = (f"turned as orientation {self.orientation} says",) if self.orientation != 1 else ()
-        return (*self.picture.notes, *window, *turned, *(self.radiance.notes if self.radiance else ()))
+        exposed = self.radiance.notes if self.radiance else ()
+        return (*self.picture.notes, *window, *turned, *exposed, *self.colours.notes)
 
     @property
     def stored_shape(self) -> tuple[int, int]:
@@ -157,6 +162,7 @@ def describe_file(
         radiance=radiance,
         is_lossy=kind == "jpeg" or _LOSSY.match(spec.get_string_attribute("compression")) is not None,
         envmap=_ENVMAPS.get(spec.get_string_attribute("textureformat"), "") if kind == "openexr" else "",
+        colours=read_colours(kind, spec),
         stored=describe_stored(spec),
     )
 

@@ -57,9 +57,11 @@ def check_covers(headers: list[ImageHeader], kept_xywh: tuple[int, int, int, int
     )
 
 
-def describe_headers(headers: list[ImageHeader]) -> Iterator[str]:
-    """Yield how image files were understood, what many have in common once."""
-    counts = Counter(note for header in headers for note in header.notes).most_common()
+def describe_headers(headers: list[ImageHeader], transfer: str | None) -> Iterator[str]:
+    """Yield how image files were understood, read by a curve or, where that is None, the default's; each note once."""
+    curves = (header.colours.curve_note(transfer) for header in headers)
+    noted = (note for header in headers for note in header.notes)
+    counts = Counter([*noted, *(note for note in curves if note is not None)]).most_common()
     for note, count in counts[:_MOST_NOTES]:
         yield f"{'all' if count == len(headers) else count} images: {note}"
     if len(counts) > _MOST_NOTES:

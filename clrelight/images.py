@@ -31,6 +31,12 @@ IMAGE_EXTENSIONS = frozenset(
 )
 """What counts as an image when a folder is listed; a file named by the user is tried whatever it is called."""
 
+_CURES = dict.fromkeys(
+    ".3fr .arw .cr2 .cr3 .dng .iiq .nef .nrw .orf .pef .raf .rw2 .srw .x3f".split(),
+    "is a camera's raw file: only its preview could be read; develop it to 16-bit TIFF with a linear curve",
+) | dict.fromkeys((".heic", ".heif", ".avif"), "is of a format that is not read: save it as 16-bit TIFF or PNG")
+"""What to do about files of formats that people have and that are not read; some raw files are TIFFs by their form."""
+
 MAX_PIXELS = 1 << 31
 BAND_BYTES = 8 << 20
 """Size of a band where the caller gives none: enough for the decoders that use several threads."""
@@ -191,6 +197,8 @@ def _opened(path: Path, *, with_pixels: bool = False) -> Iterator[tuple[oiio.Ima
     """Lend an open file, and what it says where it is a Radiance picture."""
     if not path.is_file():
         raise InputError(f"there is no image {path}")
+    if path.suffix.lower() in _CURES:
+        raise InputError(f"image {path} {_CURES[path.suffix.lower()]}")
     try:
         _check_png(path, with_pixels=with_pixels)
         with open(path, "rb") as file, _plain_radiance(file, path) as (name, radiance):

@@ -39,7 +39,7 @@ def read_mask(
         raise InputError(
             f"mask {path} has {header.width}×{header.height} pixels, but the images {shape_hw[1]}×{shape_hw[0]}"
         )
-    notes = [f"mask {path.name}: {note}" for note in header.notes]
+    notes = [f"mask {path.name}: {note}" for note in header.notes if note not in header.colours.notes]
     if header.camera_orientation != 1:
         notes.append(f"mask {path.name} carries EXIF orientation {header.camera_orientation}, not applied")
     least = default_peak(header.dtype) / 2 if header.is_lossy else 0

@@ -35,6 +35,7 @@ FLOORS = [
             "sampling",
             "image_bands",
             "image_encoding",
+            "image_colours",
             "image_header",
             "image_names",
             "image_parts",

@@ -148,7 +148,7 @@ def read_folder(
     folder: str | os.PathLike[str],
     *,
     lights: str | os.PathLike[str] | None = None,
-    transfer: str = "linear",
+    transfer: str | None = None,
     peak: float | None = None,
     crop: tuple[int, int, int, int] | None = None,
     mask: str | os.PathLike[str] | None = None,
@@ -171,8 +171,8 @@ def read_folder(
         Holds the images: gray or RGB; uint8, uint16, half or float; all alike.
     lights : path, optional
         An ``.lp`` file or a table of N×3 or 3×N numbers; found in the folder by default (see `find_lights`).
-    transfer : str
-        ``"linear"`` or ``"srgb"``: the curve between the code values and linear radiance.
+    transfer : str, optional
+        ``"linear"``, the default, or ``"srgb"``: the curve between the code values and linear radiance.
     peak : float, optional
         Code value of the image files that means 1.0; the largest code of integers and 1.0 of floats by default.
     crop : (x, y, width, height), optional
@@ -213,8 +213,8 @@ def read_folder(
     InputError
         Naming the file, line or light that is wrong.
     """
-    folder = Path(os.fsdecode(folder))
-    check_transfer(transfer)
+    folder, curve = Path(os.fsdecode(folder)), transfer or "linear"
+    check_transfer(curve)
     if peak is not None and not (np.isfinite(peak) and peak > 0):
         raise InputError(f"peak must be a positive number, got {peak}")
     table = find_lights(folder, Path(os.fsdecode(lights)) if lights is not None else None)
@@ -228,17 +228,17 @@ def read_folder(
     headers = read_headers([table.images[i] for i in chosen], layer, upright)
     window = place_crop(headers[0], crop)
     check_covers(headers, (window.left, window.top, *window.shape[::-1]))
-    values = choose_values(table, headers[0], chosen, transfer, peak, divide_intensities)
+    values = choose_values(table, headers[0], chosen, curve, peak, divide_intensities)
     mask_path = Path(os.fsdecode(mask)) if mask is not None else table.mask
     mask_hw, mask_notes = keep_mask(mask_path, headers[0], window, memory_bytes)
     shrink = plan_shrink(*window.shape, downscale, max_side)
     tables = [table.source, *(table.source.parent / name for name in (NAMES_FILE, INTENSITIES_FILE))]
     extremes = [Extremes(values.code_peak) for _ in headers]
-    source = Photographs(headers, window, values, Negatives(clip_negative), mask_hw, extremes, shrink, transfer)
+    source = Photographs(headers, window, values, Negatives(clip_negative), mask_hw, extremes, shrink, curve)
     blank_ihwc = np.broadcast_to(np.zeros((), values.dtype), source.shape_ihwc)
     title = folder.resolve().name if name is None else name
     stack = LightStack(
-        blank_ihwc, directions_i3, values.peak, transfer, None, shrink_mask(shrink, mask_hw, mask_path), title
+        blank_ihwc, directions_i3, values.peak, curve, None, shrink_mask(shrink, mask_hw, mask_path), title
     )
     notes = (
         *table.notes,
@@ -247,7 +247,7 @@ def read_folder(
         *_notes(table, folder, mask_path, values),
         *mask_notes,
         *shrink_notes(shrink, *window.shape, max_side),
-        *describe_headers(headers),
+        *describe_headers(headers, transfer),
     )
     inputs = [*table.images, *tables, *([mask_path] if mask_path is not None else [])]
     return Folder(stack, source, chosen, notes, inputs)

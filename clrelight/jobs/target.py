@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -21,7 +22,7 @@ BEST = 50.0
 """Decibel above which nobody sees what a fit gets wrong: a loss is counted from here."""
 _TYPICAL_SLOPE = 2.0  # dB for twice the step, to make a second guess from
 _MAX_TRIALS = 24
-_ADVICE = "fit with another method or degree (--method auto --degree auto)"
+_ADVICE = "or fit with another method or degree (auto takes what is best at unseen lights)"
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,8 @@ def encode_to_quality(
     place = "at unseen lights" if len(held) else "at the fitted lights"
     target_psnr = best - loss if target_psnr is None else target_psnr
     if best < target_psnr:
-        raise InputError(f"the fit itself reaches {best:.2f} dB {place}, the target is {target_psnr:g} dB: {_ADVICE}")
+        reached, most = f"the fit itself reaches {best:.2f} dB {place}", math.floor(best * 10) / 10
+        raise InputError(f"{reached}, the target is {target_psnr:g} dB: ask for {most:g} dB at most, {_ADVICE}")
     make, bounds, start = _family(codec, coefficients.transfer, metric)
     trials: list[Trial] = []
     found: tuple[Encoded, Trial] | None = None
