@@ -39,7 +39,7 @@ def decode_region(body, parsed, shape, region, device):
     return UnitView(body, parsed, shape).coefficients(region, device)
 
 
-def code(device, values, *, together=True, multiplier=0.0, tables=None):
+def code(device, values, *, together=True, multiplier=0.0, tables=None, finest=True):
     """Encode wavelet coefficients in steps, and return the streams with what they decode to and what was chosen."""
     tables = tables or default_tables()
     count, height, width = values.shape
@@ -47,7 +47,7 @@ def code(device, values, *, together=True, multiplier=0.0, tables=None):
     layout = lay_out(list_units(height, width), (height, width), window, width, together, groups)
     taken = device.empty(values.shape, np.float32, np.ascontiguousarray(values, np.float32))
     index = device.hold(np.zeros(values.shape, np.int32))
-    coded = encode_streams(device, layout, taken, index, tables, multiplier)
+    coded = encode_streams(device, layout, taken, index, tables, multiplier, finest=finest)
     found = device.hold(np.zeros(values.shape, np.float32))
     fault = decode(device, coded.streams, tables, found, together)
     assert not fault.any()
@@ -84,6 +84,18 @@ def test_streams_decode_to_what_was_coded(device, shape, scale, together):
     np.testing.assert_array_equal(found, index)
     assert np.abs(found - values).max() <= 0.5 * (1 + 1e-6 * np.abs(values).max()) + 0.05
     assert len(coded.streams) == (1 if together else len(list_units(*shape[1:])))
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_indices_that_no_unit_hangs_on_need_not_be_written(device, together):
+    values = random_values((2, 141, 90), 1.0)
+    coded, _, _, index = code(device, values, together=together)
+    other, _, _, some = code(device, values, together=together, finest=False)
+    assert other.streams == coded.streams
+    np.testing.assert_array_equal(some[:, :71, :45], index[:, :71, :45])
+    assert not some[:, 71:].any()
+    assert not some[:, :, 45:].any()
+    assert index[:, 71:].any()
 
 
 def test_the_largest_numbers_pass(device):

@@ -13,6 +13,7 @@ typedef struct {
     float multiplier, scale;
     int coarse; /* bits of every magnitude that contexts do not look at */
     int full;
+    int kept; /* whether anybody looks at the unit's indices */
 } encoder_t;
 
 INLINE void put_item(encoder_t *e, const uint begin, const uint size, const uint lane)
@@ -194,7 +195,7 @@ INLINE int choose_cells(encoder_t *e, __global work_t *work, __global const floa
                 work->cell[cells++] = (uchar)(row * CELL + column);
             else {
                 *error += sum_of(squares);
-                for (int y = top; y < bottom; ++y)
+                for (int y = top; e->kept && y < bottom; ++y)
                     clear_row(index + (size_t)y * pitch + left, columns - left);
             }
         }
@@ -244,6 +245,7 @@ INLINE void put_batch(encoder_t *e, __global work_t *work, const int band, __glo
     __global uchar *size = work->size + band * SIZES + PITCH + EDGE;
     __global uint *item = e->item + e->items;
     const uint in_lanes = samples & ~(LANES - 1);
+    const int kept = e->kept;
     int due = 0;
     if (e->items + (uint)samples > e->room) {
         e->full = 1;
@@ -254,7 +256,8 @@ INLINE void put_batch(encoder_t *e, __global work_t *work, const int band, __glo
         const uint begin = work->left[at], width = (work->left[at + 1] - begin) & (ONE - 1);
         const int found = work->chosen[i], magnitude = (found < 0 ? -found : found) >> e->coarse;
         item[i] = begin | width << PRECISION | (i < in_lanes ? i & (LANES - 1) : 0) << 29;
-        index[(size_t)y * pitch + x] = found;
+        if (kept)
+            index[(size_t)y * pitch + x] = found;
         size[y * PITCH + x] = (uchar)LEAST(magnitude, MAX_SIZE);
         if (seen)
             seen[at]++;
@@ -447,15 +450,15 @@ __kernel void place_planes(__global float *value_jyx, __global const float *part
 }
 
 /* Streams of units; global size: workers, of which each takes the next stream of `order_t` from begin to end, until
- * `next_a[batch]` has counted all. Indices may take the place of
- * values: of a band, all values that are needed are read before. */
+ * `next_a[batch]` has counted all. Indices may take the place of values: of a band, all values that are needed are read
+ * before. Those of level 1, at which no other unit looks, are written if `finest`. */
 __kernel void encode_units(__global int *index_jyx, __global const float *value_jyx, __global uchar *stream_b,
                            __global uint *taken_o, __global uint *place_t2, __global float *error_tj,
                            __global float *bits_tj, __global const int *part_t4, __global const int *unit_uf,
                            __global const ushort *count_ms, __global const ushort *flag_q2, __global uchar *work_wd,
                            __global uint *item_wi, __global uchar *raw_wr, __global uint *seen_wn,
                            __global const float *scale_j, __global const int *coarse_jl, __global const int *order_t, volatile __global uint *next_a,
-                           const float multiplier, const int batch, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
+                           const float multiplier, const int finest, const int batch, const int begin, const int end, const ulong size_b, const int size_i, const int size_r,
                            const int size_n, const int size_j, const int size_y, const int size_x)
 {
     const int worker = get_global_id(0);
@@ -465,10 +468,11 @@ __kernel void encode_units(__global int *index_jyx, __global const float *value_
     for (int n; (n = begin + (int)atomic_inc(next_a + batch)) < end;) {
         const int t = order_t[n];
         encoder_t e = {item_wi + (size_t)worker * size_i, 0, size_i, raw_wr + (size_t)worker * size_r, 0, size_r, 0, 0, multiplier,
-                       0.0f, 0, 0};
+                       0.0f, 0, 0, 1};
         begin_tables(work, count_ms, flag_q2, 1);
         for (int u = part_t4[4 * t]; u < part_t4[4 * t + 1]; ++u) {
             __global const int *unit = unit_uf + u * UNIT_FIELDS;
+            e.kept = finest || unit[LEVEL] != 1;
             if (unit[LEVEL] == 0)
                 begin_low(work);
             for (int j = part_t4[4 * t + 2], first = j; j < part_t4[4 * t + 3]; ++j) {

@@ -101,6 +101,7 @@ def encode_streams(
     scale: float | NDArray[np.float32] = 1.0,
     coarse_jl: NDArray[np.int32] | None = None,
     count: bool = False,
+    finest: bool = True,
 ) -> Coded:
     """Encode planes of wavelet coefficients in steps.
 
@@ -123,6 +124,8 @@ def encode_streams(
         Bits of each plane's indices, by level with LL first, that are written as they are; none by default.
     count : bool
         Whether symbols and flags are counted too.
+    finest : bool
+        Whether `index` gets indices of level 1 too, on which no other unit hangs.
 
     Returns
     -------
@@ -152,6 +155,7 @@ def encode_streams(
     while True:
         taken, stream = np.zeros(1, np.uint32), device.empty((room,), np.uint8)
         held = [device.hold(a) for a in (taken, place_t2, error_tj, bits_tj)]
+        sizes = room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape
         seen, next_a = device.hold(seen_wn), device.hold(np.zeros(len(batches), np.uint32))
         for batch, (begin, end) in enumerate(batches):
             device.launch(
@@ -159,7 +163,7 @@ def encode_streams(
                 "encode_units",
                 (min(workers, end - begin),),
                 *(index, values, stream, *held, *given, work, item, raw, seen, scales, coarse, order, next_a),
-                *(multiplier, batch, begin, end, room, items, _RAW_BYTES * items, seen_wn.shape[1], *values.shape),
+                *(multiplier, int(finest), batch, begin, end, *sizes),
             )
         taken, place_t2, error_tj, bits_tj = (device.download(a) for a in held)
         if int(taken[0]) <= room:
@@ -172,14 +176,8 @@ def encode_streams(
     content = device.download(stream)
     streams = [content[at : at + size].tobytes() for at, size in place_t2.tolist()]
     seen_n = device.download(seen).sum(axis=0, dtype=np.int64) if count else np.zeros(_SEEN, np.int64)
-    n_symbol = CONTEXTS * SYMBOLS
-    return Coded(
-        streams,
-        error_tj,
-        bits_tj,
-        seen_n[:n_symbol].reshape(CONTEXTS, SYMBOLS),
-        seen_n[n_symbol:].reshape(FLAGS, 2),
-    )
+    of_symbols, of_flags = np.split(seen_n, [CONTEXTS * SYMBOLS])
+    return Coded(streams, error_tj, bits_tj, of_symbols.reshape(CONTEXTS, SYMBOLS), of_flags.reshape(FLAGS, 2))
 
 
 def samples_of(layout: Layout) -> NDArray[np.int64]:

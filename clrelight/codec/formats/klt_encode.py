@@ -186,8 +186,8 @@ class Encoder(StepFinder):
 
     def _fit_multipliers(self, budget: int, trial: Trial, tiles: list[Tile]) -> tuple[bytes, float]:
         """Return the body of a map of many tiles, and its step; the multiplier saves what tiles take too much."""
-        rows, step = [(each.top + each.bottom) // 2 for each in self._windows], self._bounded(trial.step)
-        foretold, usual = foretell(rows, trial.of_pixel, tiles), np.full(len(tiles), MULTIPLIER)
+        step = self._bounded(trial.step)
+        foretold, usual = foretell(trial.rows, trial.of_pixel, tiles), np.full(len(tiles), MULTIPLIER)
         best: tuple[bytes, float] | None = None
         least, power, wanted, fine, coarse = 0, STEP_POWER, 0.0, 0.0, STEP_RANGE[1]
         for number in range(_ENOUGH[-1][0] - 1):

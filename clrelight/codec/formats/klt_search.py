@@ -142,10 +142,11 @@ class StepFinder(TileEncoder):
         self._prepare(count)
         vectors, deviation = self._whitening.vectors_jd[:count], self._whitening.deviation_j[:count]
         axes = quantise_axes(vectors, deviation, self._n_pixel, step, self._whitening.root_nn)
-        streams, sizes, axis_bits = 0.0, np.zeros(0), 0.0
+        streams, sizes, axis_bits, rows = 0.0, np.zeros(0), 0.0, list[int]()
         if count:
             chosen = _choose(len(self._windows), most)
             tried = self._try_pieces(chosen, step, count)
+            rows = [(self._windows[n].top + self._windows[n].bottom) // 2 for n in chosen]
             sizes, areas = np.array([each.size for each in tried]), np.array([self._windows[n].n_pixel for n in chosen])
             share = self._n_pixel / areas.sum()
             if len(self._windows) > 1:
@@ -163,7 +164,7 @@ class StepFinder(TileEncoder):
             streams, axis_bits = float(sizes.sum() * share - bits_j[~pays].sum() / 8.0), float(axis_bits_j[pays].sum())
             sizes = sizes * share / self._n_pixel * len(areas)
         size = self._about_table_bytes(axes, step, axis_bits) + self._about_index_bytes(streams) + streams
-        return Trial(step, size, axes, sizes)
+        return Trial(step, size, axes, sizes, rows)
 
     def _try_pieces(self, chosen: Sequence[int], step: float, count: int) -> list[Tried]:
         """Return what the first planes of some pieces take at a step."""

@@ -224,5 +224,13 @@ class TileEncoder:
         if index is None:
             index = with_type(self._pixels.lend("index", values.shape) if keep else values, np.int32)
         return encode_streams(
-            self.device, layout, values, index, default_tables(), multiplier, 1.0 / step, count=self._counts
+            self.device,
+            layout,
+            values,
+            index,
+            default_tables(),
+            multiplier,
+            1.0 / step,
+            count=self._counts,
+            finest=False,
         )

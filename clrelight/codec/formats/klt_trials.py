@@ -70,12 +70,15 @@ class Trial:
         Those that are worth their bits.
     of_pixel : ndarray, shape (n_piece,), float64
         Bytes of each piece's streams for one of its pixels.
+    rows : list of int
+        In the middle of each piece.
     """
 
     step: float
     size: float
     axes: Axes
     of_pixel: NDArray[np.float64]
+    rows: list[int]
 
 
 def search_step(
