@@ -15,7 +15,7 @@ from clrelight.codec.formats.klt_tiles import LARGEST_ERROR, TileEncoder
 from clrelight.codec.formats.klt_trials import STEP_POWER, Trial, list_pieces, list_samples, search_step
 from clrelight.codec.formats.klt_units import HEAD_SIZE, count_streams, pack_axes
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
-from clrelight.codec.transforms.local_axes import cut_cells, guess_step, turn_axes
+from clrelight.codec.transforms.local_axes import MOST_TURNED, cut_cells, guess_step, turn_axes
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes, round_jointly
 from clrelight.codec.transforms.whitening import whitening_of
@@ -118,7 +118,8 @@ class StepFinder(TileEncoder):
 
     def _turn(self, cells_jsc: NDArray[np.float32], step: float) -> None:
         """Turn the axes that matter at a step."""
-        self._whitening = self._whitening.turned(turn_axes(cells_jsc[: self._count(step)], step))
+        turned = min(self._count(step), MOST_TURNED)
+        self._whitening = self._whitening.turned(turn_axes(cells_jsc[:turned], step))
         self._begun, self._pieces, self._prepared = step, {}, 0
 
     def _begin(self, budget: int) -> float:

@@ -22,6 +22,8 @@ _LOUD = 0.3
 _VALUES, _FIRST_VALUES, _FOR_A_PAIR = 1 << 20, 1 << 18, 32
 """Samples of all planes that a rotation is found by, and that its first passes look at, at most; and for each pair of
 planes, if these are more."""
+MOST_TURNED = 160
+"""Axes that are turned, the loudest: the time grows with the square of their number, and so do places that tell."""
 _PASSES, _LAST = 16, 4
 """How many passes look at few samples, and how many at all."""
 _PART, _MOMENTUM, _LEAST_CURVATURE, _LARGEST_TURN = 0.6, 0.6, 0.05, 0.3
