@@ -126,7 +126,8 @@ def opened_browser(address="about:blank", **options):
     """Lend a page of a browser of its own, which is ended behind it."""
     folder = tempfile.mkdtemp(prefix="chromium.")
     command = [find_chromium(), *FLAGS, f"--user-data-dir={folder}", "about:blank"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    surroundings = {**os.environ, "TMPDIR": folder}  # where else it would leave its socket
+    process = subprocess.Popen(command, env=surroundings, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         told, end = Path(folder) / "DevToolsActivePort", time.monotonic() + 30
         while not told.exists() or len(told.read_text().splitlines()) < 2:
