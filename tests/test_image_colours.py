@@ -16,7 +16,9 @@ _ADOBE = ((0.6097, 0.3111, 0.0195), (0.2053, 0.6257, 0.0609), (0.1492, 0.0632, 0
 _P3 = ((0.5151, 0.2412, -0.0011), (0.2920, 0.6922, 0.0419), (0.1571, 0.0666, 0.7841))
 
 _GAMMA22, _GAMMA18, _LINEAR = (b"curv" + bytes(4) + tail for tail in (b"\0\0\0\1\2\x33", b"\0\0\0\1\1\xcd", bytes(4)))
-_FORMULA = b"para" + bytes(4) + struct.pack(">HH5i", 3, 0, *(round(x * 65536) for x in (2.4, 0.9479, 0.0521, 0.0774, 0.04)))
+_FORMULA = (
+    b"para" + bytes(4) + struct.pack(">HH5i", 3, 0, *(round(x * 65536) for x in (2.4, 0.9479, 0.0521, 0.0774, 0.04)))
+)
 _TABLE = b"curv" + bytes(4) + struct.pack(">I5H", 5, 0, 3000, 14020, 35000, 65535)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import shutil
 import signal
@@ -16,6 +17,9 @@ from clrelight.opencl.folder import LEAST_ROOM
 
 SPARE_FILES = 24
 """Files that drivers open beside what is open: libraries, pipes to a child, and twelve of their linker's."""
+
+SPARE_ADDRESSES = 448 << 20
+"""Bytes of address space that drivers, their threads and their compiler take: with less, PoCL aborts or waits for ever."""
 
 _LITTLE_MEMORY, _FEW_FILES = 8 << 30, 64
 
@@ -54,6 +58,20 @@ def check_descriptors() -> None:
                 opened.callback(os.close, os.open(os.devnull, os.O_RDONLY))
     except OSError as error:
         raise DeviceError("too few files may be open at once (ulimit -n): allow more, such as ulimit -n 256") from error
+
+
+def check_addresses() -> None:
+    """Raise DeviceError where the address space is limited so far that drivers could not start."""
+    memory, _ = _limits()
+    if memory < 0:
+        return
+    try:
+        mmap.mmap(-1, SPARE_ADDRESSES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, prot=mmap.PROT_READ).close()
+    except OSError as error:
+        raise DeviceError(
+            f"the address space is limited to {memory / 2**30:.2f} GiB (ulimit -v), of which OpenCL's drivers and compiler "
+            f"find less than {SPARE_ADDRESSES >> 20} MiB free: allow more, such as ulimit -v 2000000"
+        ) from error
 
 
 def describe_end(code: int | None, complaint: str, seconds: float) -> str:
