@@ -19,7 +19,7 @@ SPARE_FILES = 24
 """Files that drivers open beside what is open: libraries, pipes to a child, and twelve of their linker's."""
 
 SPARE_ADDRESSES = 448 << 20
-"""Bytes of address space that drivers, their threads and their compiler take: with less, PoCL aborts or waits for ever."""
+"""Bytes of address space that drivers, threads and compiler take: with less, PoCL aborts or waits for ever."""
 
 _LITTLE_MEMORY, _FEW_FILES = 8 << 30, 64
 
@@ -69,8 +69,8 @@ def check_addresses() -> None:
         mmap.mmap(-1, SPARE_ADDRESSES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, prot=mmap.PROT_READ).close()
     except OSError as error:
         raise DeviceError(
-            f"the address space is limited to {memory / 2**30:.2f} GiB (ulimit -v), of which OpenCL's drivers and compiler "
-            f"find less than {SPARE_ADDRESSES >> 20} MiB free: allow more, such as ulimit -v 2000000"
+            f"the address space is limited to {memory / 2**30:.2f} GiB (ulimit -v), of which less than "
+            f"{SPARE_ADDRESSES >> 20} MiB are free for OpenCL's drivers: allow more, such as ulimit -v 2000000"
         ) from error
 
 
