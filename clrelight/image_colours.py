@@ -60,7 +60,8 @@ class ImageColours:
             gamma = math.log(self.half) / math.log(0.5)
             return f"their profile says gamma {gamma:.2g}, read as {transfer or 'linear'}: convert them to sRGB before"
         if told and told != (transfer or "linear"):
-            return f"their profile says that values are {told}, read as {transfer or 'linear'}: is --transfer {told} meant?"
+            taken = transfer or "linear"
+            return f"their profile says that values are {told}, read as {taken}: is --transfer {told} meant?"
         return None
 
 

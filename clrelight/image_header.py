@@ -30,6 +30,7 @@ VALUE_TYPES: dict[str, tuple[np.dtype, Any]] = {
 _LOSSY = re.compile(r"jpeg|dwa|b44|pxr24|webp", re.IGNORECASE)
 _ENVMAPS = {"CubeFace Environment": "cube", "LatLong Environment": "latlong"}
 _FIRST_CHANNEL = Picture(0, (0,))
+_NO_COLOURS = ImageColours()
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class ImageHeader:
     radiance: RadianceHeader | None = None
     is_lossy: bool = False
     envmap: str = ""
-    colours: ImageColours = ImageColours()
+    colours: ImageColours = _NO_COLOURS
     stored: str = ""
 
     @property

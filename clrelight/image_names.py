@@ -6,12 +6,14 @@ import os
 import re
 import unicodedata
 from collections.abc import Callable, Sequence
+from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from clrelight.errors import InputError
 from clrelight.images import IMAGE_EXTENSIONS
 
 _NO_PHOTOGRAPH = re.compile(r"(?:^|[^a-z])(?:mask|normals?|normalmap|albedo|depth|thumb|thumbnail|preview)(?:$|[^a-z])")
+_MOST_PLACES = 100
 _INDEX = re.compile(r"([0-9]{1,9})[\s,;]+(.+)")
 
 
@@ -105,6 +107,8 @@ def resolve_names(
         images.append(path)
     if missing:
         more = f"; {len(missing)} of {len(names)} images are missing" if len(missing) > 1 else ""
+        if len(missing) == len(names):
+            more += _elsewhere(folder, names[0], source)
         wanted = known.wanted(names[missing[0]])
         raise InputError(f"there is no image {wanted}, which {source} names for {label(missing[0])}{more}")
     return tuple(images), [
@@ -116,6 +120,14 @@ def resolve_names(
 def has_image(folder: Path, name: str) -> bool:
     """Tell whether `resolve_names` would find an image."""
     return _Files(folder).find(name)[0] is not None
+
+
+def _elsewhere(folder: Path, name: str, source: Path) -> str:
+    """Return which folder within holds an image, as where a project keeps its light file beside its exports."""
+    plain = PurePosixPath(name.replace("\\", "/")).name
+    places = sorted(islice((path for path in folder.iterdir() if path.is_dir()), _MOST_PLACES))
+    held = (place for place in places if os.path.isfile(place / plain))
+    return next((f"; {place} holds it: give that folder, and --lights {source}" for place in held), "")
 
 
 class _Files:

@@ -32,7 +32,7 @@ IMAGE_EXTENSIONS = frozenset(
 """What counts as an image when a folder is listed; a file named by the user is tried whatever it is called."""
 
 _CURES = dict.fromkeys(
-    ".3fr .arw .cr2 .cr3 .dng .iiq .nef .nrw .orf .pef .raf .rw2 .srw .x3f".split(),
+    (".arw", ".cr2", ".cr3", ".dng", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".srw", ".x3f"),
     "is a camera's raw file: only its preview could be read; develop it to 16-bit TIFF with a linear curve",
 ) | dict.fromkeys((".heic", ".heif", ".avif"), "is of a format that is not read: save it as 16-bit TIFF or PNG")
 """What to do about files of formats that people have and that are not read; some raw files are TIFFs by their form."""

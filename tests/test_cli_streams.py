@@ -128,3 +128,12 @@ def test_a_process_that_may_open_few_files_says_so(stack, tmp_path, count):
         done = subprocess.run(limited, cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=120)
         assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
     assert os.listdir(tmp_path) == []
+
+
+def test_a_process_of_little_address_space_says_so(stack, tmp_path):
+    """PoCL aborts there, or waits for ever."""
+    limited = ["sh", "-c", 'ulimit -v 500000 && exec "$@"', "sh", *command_line("fit", stack, "o.h5", "--degree", 1)]
+    done = subprocess.run(limited, cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "the address space is limited to 0.48 GiB (ulimit -v)" in done.stderr
+    assert os.listdir(tmp_path) == []

@@ -130,3 +130,12 @@ def test_the_one_series_that_fits_is_taken(tmp_path):
     touch(tmp_path, "001.jpg", "002.jpg", "003.jpg")
     with pytest.raises(InputError, match=r"holds 7 images, but t.txt 3 light directions"):
         photographs(tmp_path, 3)
+
+
+def test_images_in_a_folder_within_are_told(tmp_path):
+    """RTIBuilder's projects keep photographs in a folder beside the light file's."""
+    touch(tmp_path, "assembly/x.jpg", "exports/a.jpg", "exports/b.jpg")
+    with pytest.raises(InputError, match=r"missing; .*exports holds it: give that folder, and --lights"):
+        resolve(tmp_path, "C:\\old\\a.jpg", "C:\\old\\b.jpg")
+    with pytest.raises(InputError, match=r"2 of 2 images are missing$"):
+        resolve(tmp_path, "c.jpg", "b.jpg")

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -286,3 +287,10 @@ device.finish()
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert ended.stdout.splitlines() == ["OpenCL was used before this process was "] * 4 + ["7"], ended.stderr
     assert ended.stderr == ""
+
+
+@pytest.mark.skipif(not hasattr(signal, "alarm"), reason="Windows has no alarms")
+def test_a_child_ends_by_itself_where_nobody_ends_it():
+    """Its parent may be killed; a driver that hangs would keep a processor for ever."""
+    code, output, _ = child.run_child("import signal; print(signal.alarm(0))", seconds=7)
+    assert (code, 7 < int(output) <= 12) == (0, True)

@@ -105,8 +105,7 @@ def encode_to_quality(
     place = "at unseen lights" if len(held) else "at the fitted lights"
     target_psnr = best - loss if target_psnr is None else target_psnr
     if best < target_psnr:
-        reached, most = f"the fit itself reaches {best:.2f} dB {place}", math.floor(best * 10) / 10
-        raise InputError(f"{reached}, the target is {target_psnr:g} dB: ask for {most:g} dB at most, {_ADVICE}")
+        raise _too_much(target_psnr, best, place)
     make, bounds, start = _family(codec, coefficients.transfer, metric)
     trials: list[Trial] = []
     found: tuple[Encoded, Trial] | None = None
@@ -139,6 +138,11 @@ def encode_to_quality(
     if found is None:
         raise InputError(f"codec {codec} does not reach {target_psnr:g} dB {place} at its finest setting")
     return found[0], trials, _why_ended(trials, target_psnr, tolerance)
+
+
+def _too_much(target_psnr: float, best: float, place: str) -> InputError:
+    reached, most = f"the fit itself reaches {best:.2f} dB {place}", math.floor(best * 10) / 10
+    return InputError(f"{reached}, the target is {target_psnr:g} dB: ask for {most:g} dB at most, {_ADVICE}")
 
 
 def _why_ended(trials: list[Trial], target: float, tolerance: float) -> str:

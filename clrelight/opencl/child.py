@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import mmap
 import os
 import shutil
 import signal
@@ -17,15 +19,22 @@ from clrelight.opencl.folder import LEAST_ROOM
 SPARE_FILES = 24
 """Files that drivers open beside what is open: libraries, pipes to a child, and twelve of their linker's."""
 
+SPARE_ADDRESSES = 448 << 20
+"""Bytes of address space that drivers, threads and compiler take: with less, PoCL aborts or waits for ever."""
+
 _LITTLE_MEMORY, _FEW_FILES = 8 << 30, 64
 
 
 def run_child(
     code: str, *, seconds: float, environment: Mapping[str, str] | None = None
 ) -> tuple[int | None, str, str]:
-    """Run Python code with this process's module path; return exit code (None: too late), output and complaints."""
+    """Run Python code with this process's module path; return exit code (None: too late), output and complaints.
+
+    Where this process is killed, the child ends by an alarm of its own: a driver that hangs would keep a processor.
+    """
+    alarm = f"import signal; hasattr(signal, 'alarm') and signal.alarm({math.ceil(seconds) + 5}); "
     child = subprocess.Popen(
-        [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"],
+        [sys.executable, "-c", f"{alarm}import sys; sys.path[:] = {sys.path!r}; {code}"],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -54,6 +63,20 @@ def check_descriptors() -> None:
                 opened.callback(os.close, os.open(os.devnull, os.O_RDONLY))
     except OSError as error:
         raise DeviceError("too few files may be open at once (ulimit -n): allow more, such as ulimit -n 256") from error
+
+
+def check_addresses() -> None:
+    """Raise DeviceError where the address space is limited so far that drivers could not start."""
+    memory, _ = _limits()
+    if memory < 0:
+        return
+    try:
+        mmap.mmap(-1, SPARE_ADDRESSES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, prot=mmap.PROT_READ).close()
+    except OSError as error:
+        raise DeviceError(
+            f"the address space is limited to {memory / 2**30:.2f} GiB (ulimit -v), of which less than "
+            f"{SPARE_ADDRESSES >> 20} MiB are free for OpenCL's drivers: allow more, such as ulimit -v 2000000"
+        ) from error
 
 
 def describe_end(code: int | None, complaint: str, seconds: float) -> str:

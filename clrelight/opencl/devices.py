@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from clrelight.errors import DeviceError
-from clrelight.opencl.child import check_descriptors
+from clrelight.opencl.child import check_addresses, check_descriptors
 from clrelight.opencl.drivers import is_packaged, leave_out_drivers, packaged_version
 from clrelight.opencl.kernel_cache import no_pyopencl_cache, own_folder
 from clrelight.opencl.probe import WIDTHS, Verdict, judge_device
@@ -212,6 +212,7 @@ def _match(asked: str | None, infos: list[DeviceInfo], source: str = "") -> int:
 def loaded_devices() -> list[tuple[DeviceInfo, Any]]:
     """Return every device of every driver, untested, with pyopencl's object; drivers are loaded once."""
     check_descriptors()
+    check_addresses()
     leave_out_drivers()
     global _first_process
     _first_process = os.getpid()
