@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.conventions import TRANSFERS
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 
 SAMPLE_DTYPES = ("uint8", "uint16", "float16", "float32")
 """The types that images may have; kernels read each of them without conversion on the host."""
@@ -88,7 +88,7 @@ def check_directions(directions_i3: NDArray, n_light: int | None) -> None:
             f"directions must be float64 of shape (n_light, 3), got {directions_i3.dtype} {directions_i3.shape}"
         )
     if n_light is not None and len(directions_i3) != n_light:
-        raise InputError(f"there are {n_light} images but {len(directions_i3)} light directions")
+        raise InputError(f"there are {counted(n_light, 'image')} but {counted(len(directions_i3), 'light direction')}")
     bad = np.flatnonzero(~(np.abs(np.linalg.norm(directions_i3, axis=1) - 1.0) <= _UNIT_TOLERANCE))
     if bad.size:
         raise InputError(f"light {bad[0]} has direction {directions_i3[bad[0]]}, which is no finite unit vector")

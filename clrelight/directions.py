@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 
 _UNIT_TOLERANCE = 0.01
 _HORIZON_DEGREES = 0.15
@@ -115,7 +115,10 @@ def length_note(directions_i3: NDArray[np.float64]) -> list[str]:
     if not off.size:
         return []
     worst = float(lengths[off][np.argmax(np.abs(lengths[off] - 1.0))])
-    return [f"{off.size} directions were not of unit length (worst {worst:.4g}) and were normalised"]
+    return [
+        f"{counted(off.size, 'direction was', 'directions were')} not of unit length "
+        f"(worst {worst:.4g}), and normalised"
+    ]
 
 
 def are_unit(vectors: NDArray[np.float64]) -> bool:

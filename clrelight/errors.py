@@ -20,6 +20,11 @@ def unknown(what: str, given: object, known: Iterable[str]) -> InputError:
     return InputError(f"unknown {what} {given!r}; known are {', '.join(names)}{meant}")
 
 
+def counted(count: int, one: str, many: str = "") -> str:
+    """Return a number and what there are so many of: ``1 light does``, ``2 lights do``; an s by itself."""
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
 class StoreFormatError(InputError):
     """A file is not one of ours, is damaged, or comes from a newer version."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, LightStack, split_lights
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.light_codes import WITHIN
 from clrelight.sampling import farthest_point_subset
 
@@ -86,8 +86,8 @@ def split_chosen(
         if len(first_g) < min(holdout, len(group_i)):
             hint = f"use at most {len(first_g)}" if len(first_g) > 1 else "one can only be fitted: leave holdout out"
             raise InputError(
-                f"holdout {holdout} keeps none of {len(first_g)} directions out, of which there are {len(group_i)} "
-                f"photographs; {hint}"
+                f"holdout {holdout} keeps none of {counted(len(first_g), 'direction')} out, of which there "
+                f"{'is' if len(group_i) == 1 else 'are'} {counted(len(group_i), 'photograph')}; {hint}"
             )
         chosen = split_lights(len(first_g), holdout)
         if by == "place":
@@ -171,8 +171,8 @@ def describe_distance(directions_i3: NDArray[np.float64], fitted: NDArray[np.int
     """Return how far the lights held out lie from the fitted ones, for people."""
     away_i = distances_to(directions_i3[fitted], directions_i3[held])
     return (
-        f"{len(held)} lights held out, {np.median(away_i):.1f} degrees from the nearest of {len(fitted)} fitted ones "
-        f"in the median, {away_i.max():.1f} at most"
+        f"{counted(len(held), 'light')} held out, {np.median(away_i):.1f} degrees from the nearest of "
+        f"{len(fitted)} fitted ones in the median, {away_i.max():.1f} at most"
     )
 
 

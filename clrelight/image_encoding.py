@@ -14,7 +14,7 @@ import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from clrelight.durable import naming, replacing
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.image_sink import sink_for
 
 _LARGE_PIXELS = 1 << 22  # from so many on a picture is packed fast rather than well
@@ -66,7 +66,7 @@ def encoding(name: str, extension: str, shape_hwc: tuple[int, ...], stored: Any)
         # Closing flushes what is left, so it can fail too.
         closed = writer.close()
     if came < height:
-        raise EncodingError(f"{came} of {height} rows came")
+        raise EncodingError(f"{came} of {counted(height, 'row')} came")
     if not closed or not done:
         raise EncodingError(message or writer.geterror() or "no reason given")
 

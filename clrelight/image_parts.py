@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 
 _MORE_BANDS = "expected gray or R, G, B; images of more bands are read from a stack file of HDF5 (docs/files.md)"
 _RGB = (("R", "G", "B"), ("RED", "GREEN", "BLUE"))
@@ -110,7 +110,7 @@ def _choose_page(what: str, specs: Sequence[Any], layer: str | None) -> Picture:
     notes: tuple[str, ...] = ()
     if layer is not None:
         if not layer.isascii() or not layer.isdigit() or not 1 <= int(layer) <= len(specs):
-            raise InputError(f"{what} has no layer {layer!r}; it has {len(specs)} page(s), counted from 1")
+            raise InputError(f"{what} has no layer {layer!r}; it has {counted(len(specs), 'page')}, counted from 1")
         page = int(layer) - 1
     elif len(specs) > 1:
         notes = (f"of {len(specs)} pages number {page + 1} is read" + (", the largest" if page else ""),)

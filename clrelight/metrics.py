@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device, open_device
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.matmul import PackedOperator, apply_operator, pack_operator, sample_defines, tile_defines
 from clrelight.memory import PIECE_BYTES
 from clrelight.opencl.arguments import DeviceArray
@@ -59,7 +59,7 @@ class Quality:
         """What to say of an infinite mean that is no sign of identical images; empty where there is none."""
         if self.n_identical in (0, len(self.psnr_i)):
             return ""
-        identical = f"{self.n_identical} of {len(self.psnr_i)} images are identical"
+        identical = f"{self.n_identical} of {counted(len(self.psnr_i), 'image is', 'images are')} identical"
         return f"{identical}, {self.psnr_others:.2f} dB mean over the others"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.arrays import check_directions
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 
 PATTERNS = ("uniform", "grid", "scattered")
 """Sampling patterns of noise-resistant-fitting, fig. 2: (a) uniform, (b) regular grid, (c) scattered."""
@@ -94,7 +94,10 @@ def _make_grid(count: int) -> NDArray[np.float64]:
         below = next((n for n in range(count - 1, 0, -1) if _grid_rows(n)), None)
         above = next(n for n in range(count + 1, 4 * (math.isqrt(count) + 1) ** 2 + 1) if _grid_rows(n))
         near = f"{below} and {above}" if below else f"{above}"
-        raise InputError(f"{count} lights make no regular grid of rows x columns; the nearest that do: {near}")
+        raise InputError(
+            f"{counted(count, 'light makes', 'lights make')} no regular grid of rows x columns; "
+            f"the nearest that do: {near}"
+        )
     columns = count // rows
     elevation_i = np.repeat((np.arange(rows) + 0.5) * (0.5 * math.pi / rows), columns)
     azimuth_i = np.tile((np.arange(columns) + 0.5) * (2.0 * math.pi / columns), rows)

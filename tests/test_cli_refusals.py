@@ -252,7 +252,7 @@ def test_constrained_fits_go_on_with_few_lights(made, tmp_path):
 
 def test_half_clamps_where_asked(made, tmp_path):
     ended = call("encode", made / "overflow.h5", tmp_path / "o.h5", "--codec", "half", "--clamp")
-    assert (ended.code, ended.err) == (0, "note: 1 coefficients were clamped\n")
+    assert (ended.code, ended.err) == (0, "note: 1 coefficient was clamped\n")
 
 
 def float_stack(path, mask=None):

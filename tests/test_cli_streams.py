@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 
+import click
 import pytest
 
 from clrelight import __version__
@@ -137,3 +138,23 @@ def test_a_process_of_little_address_space_says_so(stack, tmp_path):
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert "the address space is limited to 0.48 GiB (ulimit -v)" in done.stderr
     assert os.listdir(tmp_path) == []
+
+
+def test_quiet_prints_errors_alone_and_the_object_of_json(stack, tmp_path):
+    before = sys.stdout
+    assert succeed("info", stack).out
+    for words in (("info", stack, "--quiet"), ("--quiet", "info", stack), ("fit", stack, tmp_path / "f.h5", "--quiet")):
+        ended = call(*words, *(["--degree", 1] if words[0] == "fit" else []))
+        assert (ended.code, ended.out, ended.err) == (0, "", "")
+    assert call("info", stack, "--json", "--quiet").json["schema"] == "stack/1"
+    ended = call("info", tmp_path / "none.h5", "--quiet")
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert sys.stdout is before
+
+
+def test_every_command_takes_quiet():
+    def commands(group):
+        for command in group.commands.values():
+            yield from commands(command) if isinstance(command, click.Group) else [command]
+
+    assert not [each.name for each in commands(cli) if [p.name for p in each.params].count("quiet") != 1]

@@ -78,7 +78,7 @@ def test_a_stack_refuses(changed, message):
         (UP * [[1.0], [1.00001]], r"light 1 has direction .* no finite unit vector"),
         (np.array([[np.nan, 0, 0], [0, 0, 1]]), "light 0 has direction"),
         (np.array([[0.0, 0, 1], [np.inf, 0, 0]]), "light 1 has direction"),
-        (UP[:1], "there are 2 images but 1 light directions"),
+        (UP[:1], "there are 2 images but 1 light direction$"),
     ],
 )
 def test_directions(directions, message):

@@ -94,7 +94,7 @@ def test_lights_behind_the_horizon_and_photographs_without_any():
     kept = [0, 1, 2, 4]
     assert off(found_i3[kept], lights_i3[kept]).max() < 0.5
     assert any("no highlight in image0003: left out" in note for note in report.notes)
-    assert any("1 lights are below the horizon" in note for note in report.notes)
+    assert any("1 light is below the horizon" in note for note in report.notes)
 
 
 def test_several_lamps_are_told_of():

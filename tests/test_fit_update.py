@@ -180,7 +180,7 @@ def test_another_mask_is_no_silent_change(device):
     old, new = stack.select(OLD), stack.select(NEW)
     with pytest.raises(InputError, match="leaves out the pixel at row 1, column 2, which the fit has"):
         update_fit(fit(old, "uls", 2), replace(new, mask_hw=mask))
-    with pytest.warns(match="1 pixels are 0 in the fit and not in the new photographs"):
+    with pytest.warns(match="1 pixel is 0 in the fit and not in the new photographs"):
         update_fit(fit(replace(old, mask_hw=mask), "uls", 2), new)
 
 

@@ -270,6 +270,8 @@ def test_other_shells_are_refused():
         ("clrelight rel", 1, {"relight"}),
         ("clrelight info --no", 2, {"--no-thumbnail"}),
         ("clrelight completion z", 2, {"zsh"}),
+        ("clrelight fit s.h5 f.h5 --method ce", 5, {"ceb", "ceb-crossing"}),
+        ("clrelight encode f.h5 e.h5 --codec w", 5, {"wavelet", "whitened"}),
     ],
 )
 def test_a_shell_that_asks_is_answered(words, word, expected):

@@ -139,7 +139,7 @@ def test_what_cannot_be_used_is_dropped_and_what_is_missing_made():
     vertices = [*SHEET.vertices_v3, [0.5, 0, 0], [9, 9, np.nan]]
     found = notes_of(vertices, [*SHEET.faces_f3, *flat])
     assert (found.n_vertex, len(found.faces_f3)) == (4, 2)
-    assert found.notes[0] == "2 faces without area are dropped"
+    assert found.notes[0] == "2 faces without area dropped"
     assert found.notes[1].startswith("2 vertices of no face are dropped")
     assert "it has no normals: they are made from its faces" in found.notes
     normals = np.tile([0, 0, 3.0], (4, 1))

@@ -97,7 +97,7 @@ def test_odd_options_are_one_line(options, message):
 def test_photographs_that_tell_nothing_are_refused(device):
     along = np.linspace(0.3, 2.8, 12)
     in_a_plane = np.stack([np.cos(along), 0.0 * along, np.sin(along)], axis=1)
-    for directions_i3, text in ((upwards(CAP)[:1], "1 light do not"), (in_a_plane, "12 lights do not")):
+    for directions_i3, text in ((upwards(CAP)[:1], "1 light does not"), (in_a_plane, "12 lights do not")):
         with pytest.raises(InputError, match=f"{text}.*and not 4 either$"):
             cr.basis_images(lit(bump(5), directions_i3), report=cr.Report())
     with pytest.raises(InputError, match="nearly in one plane"):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from clrelight.batch.verb import Verb
-from clrelight.errors import InputError, StoreFormatError
+from clrelight.errors import InputError, StoreFormatError, counted
 from clrelight.images import IMAGE_EXTENSIONS
 
 _STORES = (".h5", ".hdf5")
@@ -65,7 +65,9 @@ def list_folder(folder: Path, verb: Verb, out: str | os.PathLike[str] | None = N
             stacks.append(_stack_at(path, folder))
         else:
             others += 1
-    notes = (f"{others} files in {folder} are not of a kind that {verb.id} takes, and left out",) if others else ()
+    notes = (
+        (f"left out {counted(others, 'file')} in {folder} of a kind that {verb.id} does not take",) if others else ()
+    )
     return Listing(tuple(stacks), str(folder), notes=notes)
 
 

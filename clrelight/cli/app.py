@@ -41,6 +41,7 @@ from clrelight.cli import (
     variation,
     view,
 )
+from clrelight.cli.quiet import add_quiet, asked_output, speaking_after
 from clrelight.cli.sections import Sectioned
 from clrelight.errors import InputError, KernelBuildError
 from clrelight.interrupts import end_watch, watch_interrupts
@@ -74,13 +75,14 @@ for module in (
 ):
     for command in module.COMMANDS:
         cli.add_command(command)
+add_quiet(cli)
 
 
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code; what is no user's fault goes on as the exception that it is."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        with watch_interrupts():
+        with watch_interrupts(), speaking_after():
             return _say(*_run(words))
     except KeyboardInterrupt:
         ending = end_watch()
@@ -97,7 +99,7 @@ def _run(words: list[str]) -> tuple[int, str]:
         # Not cli.main, which ends the program by itself at a broken pipe.
         with cli.make_context("clrelight", words) as context:
             cli.invoke(context)
-        sys.stdout.flush()
+        asked_output().flush()
         return 0, ""
     except BaseException as error:
         # What comes after a signal comes of it, whatever it says: an import cut short, say.

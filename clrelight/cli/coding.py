@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.completion import known_codecs
 from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.options import (
     ByteCount,
@@ -30,6 +31,7 @@ from clrelight.cli.psnr import psnr_lines
 @click.argument("out", type=click.Path())
 @click.option(
     "--codec",
+    shell_complete=known_codecs,
     help="half, s3tc, bc6h, uniform, wavelet, jpeg2000, vq, cpca or klt; default: klt where a size or a quality is "
     "asked for (--rate, --step, --bytes, --target-psnr), else s3tc.",
 )

@@ -7,6 +7,21 @@ import os
 import click
 from click.shell_completion import get_completion_class, shell_complete
 
+
+def known_methods(_: click.Context, __: click.Parameter, incomplete: str) -> list[str]:
+    """Return the methods of fit, and auto, that begin so."""
+    from clrelight.fit import method_ids
+
+    return [name for name in ("auto", *method_ids()) if name.startswith(incomplete)]
+
+
+def known_codecs(_: click.Context, __: click.Parameter, incomplete: str) -> list[str]:
+    """Return the codecs that begin so."""
+    from clrelight.codec import codec_ids
+
+    return [name for name in codec_ids() if name.startswith(incomplete)]
+
+
 SHELLS = ("bash", "zsh", "fish")
 VARIABLE = "_CLRELIGHT_COMPLETE"
 """What the script of a shell sets when it asks for completions."""

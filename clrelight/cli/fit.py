@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.completion import known_methods
 from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.options import (
     DegreeType,
@@ -39,6 +40,7 @@ _BESIDE_UPDATE = (*_HOW, "update")
 @click.option(
     "--method",
     default="cls",
+    shell_complete=known_methods,
     show_default=True,
     help="project, uls, sloan, cls, ceb, ceb-crossing, spline, spectrum, spectrum-curve, constrained or auto.",
 )

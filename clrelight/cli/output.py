@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from clrelight.cli.quiet import asked_output, is_quiet
+
 if TYPE_CHECKING:
     from clrelight.jobs.report import Report
 
 
 def print_json(values: Mapping[str, Any]) -> None:
     """Print one JSON object; infinities become the strings ``inf`` and ``-inf``, NaN becomes null."""
-    click.echo(json.dumps(_plain(values)))
+    click.echo(json.dumps(_plain(values)), file=asked_output())
 
 
 def _plain(value: Any) -> Any:
@@ -61,7 +63,7 @@ def _shown(text: str) -> str:
 
 def print_notes(notes: Sequence[str]) -> None:
     """Print notes on standard error, so that they never mix with results."""
-    for note in notes:
+    for note in () if is_quiet() else notes:
         with suppress(OSError):  # nobody may be there to read it
             print(f"note: {note}", file=sys.stderr)  # which a bar keeps above itself; click goes past it
 

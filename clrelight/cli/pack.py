@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from clrelight.cli.completion import known_methods
 from clrelight.cli.engines import engine_options, is_shared, run_shared
 from clrelight.cli.files import reading_options
 from clrelight.cli.options import (
@@ -51,7 +52,11 @@ from clrelight.cli.psnr import psnr_lines
     help="What errors cost: the same in every channel, or what they are in CIELAB.",
 )
 @click.option(
-    "--method", default="auto", show_default=True, help="auto, or a method of fit: spectrum, spline, cls, ..."
+    "--method",
+    shell_complete=known_methods,
+    default="auto",
+    show_default=True,
+    help="auto, or a method of fit: spectrum, spline, cls, ...",
 )
 @click.option("--degree", type=DegreeType(), default="auto", show_default=True, help="Largest SH degree, or auto.")
 @basis_option

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from clrelight.cli.quiet import is_quiet
 from clrelight.interrupts import raise_if_interrupted
 
 _PATIENCE_SECONDS = 1.0
@@ -24,7 +25,7 @@ class ProgressBar:
         # A timer shows the bar also while a long step has nothing to report yet.
         self._timer = threading.Timer(_PATIENCE_SECONDS, self._open)
         self._timer.daemon = True
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not is_quiet():
             self._timer.start()
 
     def __call__(self, done: int, total: int | None, what: str | None = None) -> None:

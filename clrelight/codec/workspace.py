@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.memory import ARRAY_MEMORY
 from clrelight.tiles import PixelArray, Rectangle, read_tile
 
@@ -121,8 +121,8 @@ class BoundedWorkspace(Workspace):
         least = min(multiple, height)
         if rows < least:
             raise InputError(
-                f"{least} row(s) of these coefficients, {PARTS} times, take {PARTS * least * row_bytes} bytes, "
-                f"more than the memory budget {self.memory_bytes}"
+                f"{counted(least, 'row')} of these coefficients, {PARTS} times, take {PARTS * least * row_bytes} "
+                f"bytes, more than the memory budget {self.memory_bytes}"
             )
         return height if rows >= height else rows - rows % multiple
 

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.exchange.pyramid import Cut
 from clrelight.image_sink import named_content
 from clrelight.images import read_bands, read_header, read_image
@@ -167,7 +167,7 @@ def read_tile(place: Place, size: tuple[int, int], channels: int = 3) -> NDArray
 def _checked(file: Path, what: str, size: tuple[int, int], channels: int) -> NDArray[np.uint8]:
     header = read_header(file)  # before the memory that it asks for
     if (header.height, header.width) != size or header.channels != channels or header.dtype != np.uint8:
-        wanted = f"{size[1]} × {size[0]} pixels of {channels} channel(s) in 8 bits"
+        wanted = f"{size[1]} × {size[0]} pixels of {counted(channels, 'channel')} in 8 bits"
         raise InputError(f"{what} has {_sides(header)} of {header.channels} in {header.dtype}, expected {wanted}")
     return read_image(header)
 

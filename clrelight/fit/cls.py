@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.device import Device
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.fit.cls_columns import OnePassFit, fits_one_pass
 from clrelight.fit.cls_float64 import LAMBDA_TOLERANCE, component_rounding, refine_columns
 from clrelight.fit.columns import launch_columns, private_room
@@ -165,7 +165,7 @@ def plan_constrained(lighting: Lighting, degree: int, energy: float, *, complete
     n_light, n_coeff = len(lighting.directions_i3), coefficient_count(degree)
     notes = plan.notes
     if n_light < n_coeff:
-        notes += (f"{n_light} lights for {n_coeff} coefficients: the bound alone settles the others",)
+        notes += (f"{counted(n_light, 'light')} for {n_coeff} coefficients: the bound alone settles the others",)
     # The bound's coefficients are some sqrt(4 pi energy) times the samples, and no larger than least squares'.
     rounding = min(_BOUND_ROUNDING * energy**0.5, IMAGE_ROUNDING * plan.condition)
     if rounding > _NOTED_ROUNDING:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clrelight.bases import SH, basis_of
 from clrelight.dataset import LightStack
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.harmonics.decomposition import decompose
 from clrelight.harmonics.index import coefficient_count
 from clrelight.holdout import group_directions
@@ -195,6 +195,7 @@ def require_lights(method: str, n_light: int, degree: int) -> None:
     if n_light < coefficient_count(degree):
         fitting = int(np.sqrt(n_light)) - 1
         raise InputError(
-            f"{method} at degree {degree} has {coefficient_count(degree)} coefficients but there are {n_light} lights: "
+            f"{method} at degree {degree} has {coefficient_count(degree)} coefficients but there "
+            f"{'is' if n_light == 1 else 'are'} {counted(n_light, 'light')}: "
             f"degree {fitting} is the largest that fits; cls, ceb and spline accept any degree"
         )

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.fit.axial import AxialStep, learn_step
 from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.learning import learn_theta
@@ -162,9 +162,13 @@ def describe(model: KrigingModel, degree: int) -> tuple[str, ...]:
         + (f", {100.0 * model.step.share:g}% of what moments add to the covariance" if model.step is not None else "")
     ]
     if count < FEWEST:
-        notes.append(f"spectrum: {count} light(s) cannot tell how smooth a scene is: it is taken to be as most are")
+        notes.append(
+            f"spectrum: {counted(count, 'light')} cannot tell how smooth a scene is: it is taken to be as most are"
+        )
     if count < photographs:
-        notes.append(f"spectrum: {photographs} photographs of {count} lights; those of one light count as their mean")
+        notes.append(
+            f"spectrum: {photographs} photographs of {counted(count, 'light')}; those of one light count as their mean"
+        )
     if degree > LARGEST_DEGREE:
         notes.append(f"spectrum: coefficients above degree {LARGEST_DEGREE} are 0")
     return tuple(notes)

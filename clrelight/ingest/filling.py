@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.images import BAND_BYTES
 from clrelight.ingest.photographs import Photographs
 
@@ -54,7 +54,7 @@ def plan_memory(source: Photographs, memory_bytes: int) -> Plan:
         return Plan(workers, band_bytes, math.ceil(n_image / n_block))
     if smallest * growth > memory_bytes:
         raise InputError(
-            f"memory of {memory_bytes} bytes cannot hold {row_step} row(s) of {header.path}; "
+            f"memory of {memory_bytes} bytes cannot hold {counted(row_step, 'row')} of {header.path}; "
             f"expected at least {math.ceil(smallest * growth)}"
         )
     return Plan(1, int(memory_bytes / growth), 0)

@@ -15,6 +15,7 @@ from clrelight.codec import Codec, Encoded
 from clrelight.codec.rate.noise import Noise
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device
+from clrelight.errors import counted
 from clrelight.jobs.coding_noise import coding_psnr, predicted_psnr
 from clrelight.jobs.coding_request import CodingRequest, advise_codecs, read_request
 from clrelight.jobs.inputs import FitLike, StackLike, lend_fit, lend_stack, opened_on, paths_among
@@ -184,7 +185,7 @@ class _Encode:
         else:
             encoded, noise = self._by_codec()
         if clamped := int(encoded.info.get("clamped", 0)):
-            report.note(f"{clamped} coefficients were clamped")
+            report.note(f"{counted(clamped, 'coefficient was', 'coefficients were')} clamped")
         report.facts |= {**size_facts(encoded), "config": dict(encoded.config)}
         report.facts["coding_noise"] = predicted_psnr(noise)
         if stack is not None:

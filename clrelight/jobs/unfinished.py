@@ -18,6 +18,7 @@ from clrelight import __version__
 from clrelight.codec.encoded import Encoded
 from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing, sibling_stem
+from clrelight.errors import counted
 from clrelight.lighting.light import Light
 from clrelight.remote import is_remote
 
@@ -141,7 +142,7 @@ def unfinished_images(names: Sequence[str], inputs: Sequence[Input] | None, aske
 
 def tell_known(some: int, count: int) -> str:
     """Return what to say where an interrupted job left some of its images."""
-    return f"{some} of {count} images are there, of this command when it was interrupted"
+    return f"{some} of {counted(count, 'image is', 'images are')} there, of this command when it was interrupted"
 
 
 def _plain(value: Any) -> Any:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.device import Device
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.fit.recursive import Update, plan_update
 from clrelight.jobs.inputs import FitLike, StackLike, lend_fit, lend_stack, opened_on, paths_among
 from clrelight.jobs.measure import measure_split
@@ -88,8 +88,9 @@ def update_fit(
                     tell(first + tile_khwc.shape[1], old.image_shape[0])
             if doubtful:
                 kept.note(
-                    f"{doubtful} pixels are 0 in the fit and not in the new photographs: right where the old ones were "
-                    "black, wrong where a mask left them out: then give the new photographs that mask"
+                    f"{counted(doubtful, 'pixel is', 'pixels are')} 0 in the fit and not in the new photographs: right "
+                    "where the old ones were black, wrong where a mask left them out: then give the new photographs "
+                    "that mask"
                 )
             made = record.to_map(coeffs_khwc if out is None else sink.coeffs_khwc)
             if (out is not None or report is not None) if measure is None else measure:

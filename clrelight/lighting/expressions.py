@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 
 VARIABLES = ("x", "y", "z", "theta", "phi")
 """Of a unit vector: its parts, the angle from z, and the azimuth from x to y in -pi .. pi; angles in radians."""
@@ -148,7 +148,7 @@ def _check_call(node: ast.Call) -> None:
         raise InputError(f"functions are {', '.join(_FUNCTIONS)}, got {name or 'something else'!r}")
     count = _FUNCTIONS[name][1]
     if len(node.args) != count and not (name in ("min", "max") and len(node.args) > count):
-        raise InputError(f"{name} takes {count} argument(s), got {len(node.args)}")
+        raise InputError(f"{name} takes {counted(count, 'argument')}, got {len(node.args)}")
     for each in node.args:
         _check(each)
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from clrelight.errors import counted
 from clrelight.report import paper
 from clrelight.report.charts import figure_7, figure_15
 from clrelight.report.contact_sheet import AMPLIFICATION, MAX_SETTINGS, contact_sheet
@@ -193,7 +194,8 @@ def measured(results: Results) -> Iterator[tuple[str, str]]:
     yield "Commit", f"{_distinct(table['commit'])}; seed: {_distinct(table['seed'].tolist())}"
     if repeated := repeated_rows(results):
         yield (
-            f"{repeated} rows share scene, method, degree, codec and rate with an earlier row",
+            f"{counted(repeated, 'row shares', 'rows share')} scene, method, degree, codec and rate with "
+            "an earlier row",
             "all are in the full table, tables I and III and figure 15 show the first of each",
         )
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clrelight.brdf.centred import CENTRES
 from clrelight.brdf.coefficients import BrdfCoefficients
 from clrelight.brdf.expanded import own_energy
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.shrm.observation import Observations, Terms, make_terms, observation_matrix
 from clrelight.shrm.priors import typical_root
 
@@ -96,7 +96,10 @@ def estimate_brdf(
     terms = make_terms(degree, order, azimuth=azimuth)
     count, channels = seen.radiance_nc.shape
     if count < len(terms):
-        raise InputError(f"{count} points do not tell the {len(terms)} coefficients of F = {degree}, P = {order} apart")
+        raise InputError(
+            f"{counted(count, 'point does', 'points do')} not tell the {len(terms)} coefficients "
+            f"of F = {degree}, P = {order} apart"
+        )
     matrices = matrices_of(seen, light_kc, terms)
     values, errors, ridges, left = [], [], [], 0.0
     root_jj = typical_root(degree, order, azimuth, centre) if prior == "typical" else np.eye(len(terms))

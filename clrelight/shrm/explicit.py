@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.brdf.coefficients import theta_tables
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count
 from clrelight.shrm.record import Shrm
@@ -70,7 +70,8 @@ def fit_maps(maps_thwc: NDArray[np.floating], views_t3: NDArray[np.float64], ord
     basis_tk = evaluate_basis(views_t3, order)
     if len(views_t3) < coefficient_count(order) or np.linalg.cond(basis_tk) > _WORST_CONDITION:
         raise InputError(
-            f"{len(views_t3)} views do not tell the {coefficient_count(order)} coefficients of order {order} apart"
+            f"{counted(len(views_t3), 'view does', 'views do')} not tell the "
+            f"{coefficient_count(order)} coefficients of order {order} apart"
         )
     flat_tx = maps_thwc.reshape(len(maps_thwc), -1)
     maps_kx = np.linalg.pinv(basis_tk).astype(flat_tx.dtype) @ flat_tx

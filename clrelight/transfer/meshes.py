@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.surface import Surface
 
 _FLAT = 1e-12
@@ -147,7 +147,7 @@ def _drop_flat(
         return faces, normals_f3
     if not has_area_f.any():
         raise InputError(f"none of its {len(faces)} faces has an area")
-    told.append(f"{np.count_nonzero(~has_area_f)} faces without area are dropped")
+    told.append(f"{counted(int(np.count_nonzero(~has_area_f)), 'face')} without area dropped")
     return faces[has_area_f], normals_f3[has_area_f]
 
 

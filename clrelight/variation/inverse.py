@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count, degrees_of_coefficients
 from clrelight.variation.subspaces import half_cosine_factors
@@ -195,7 +195,8 @@ def told_degree(directions_i3: NDArray[np.float64], degree: int | None = None) -
     chosen = int(fitting[-1])
     if degree is not None and condition_l[degree] > MOST_CONDITION:
         raise InputError(
-            f"{len(directions_i3)} lights do not tell {coefficient_count(degree)} pictures apart: the condition is "
+            f"{counted(len(directions_i3), 'light does', 'lights do')} not tell {coefficient_count(degree)} pictures "
+            "apart: the condition is "
             f"{condition_l[degree]:.3g}, at most {MOST_CONDITION:g}; degree {chosen} can be had"
         )
     return chosen, condition_l

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clrelight.conventions import SRGB_GAMMA, SRGB_OFFSET, TRANSFERS
 from clrelight.dataset import LightStack
 from clrelight.device import Device
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.variation.gains import LightGains, estimate_gains
 from clrelight.variation.law_choice import Probe, choose_law, held_error
 from clrelight.variation.near_lights import NearLights, places
@@ -151,7 +151,8 @@ def settle(
     tells = stack.n_light >= _LEAST_TOLD_BY
     if transfer == "auto" and not tells:
         raise InputError(
-            f"{stack.n_light} lights do not tell the transfer curve, {_LEAST_TOLD_BY} would: name linear or srgb"
+            f"{counted(stack.n_light, 'light does', 'lights do')} not tell the transfer curve, {_LEAST_TOLD_BY} would: "
+            "name linear or srgb"
         )
     if transfer == "auto" or (is_suspect and tells):
         curves = {name: _curve_error(stack, pixels, name, wanted, device) for name in TRANSFERS}

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.conventions import srgb_to_linear
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 
 RADIANCE, PERCEPTUAL = "radiance", "perceptual"
 METRICS = (RADIANCE, PERCEPTUAL)
@@ -30,7 +30,7 @@ def colour_axes(metric: str, transfer: str) -> NDArray[np.float64] | None:
 def check_metric(metric: str, channel: int) -> None:
     """Raise InputError for images without colours."""
     if metric == PERCEPTUAL and channel != 3:
-        raise InputError(f"metric perceptual is for red, green and blue, the images have {channel} channel(s)")
+        raise InputError(f"metric perceptual is for red, green and blue, the images have {counted(channel, 'channel')}")
 
 
 def to_lab(radiance: NDArray[np.float64]) -> NDArray[np.float64]:

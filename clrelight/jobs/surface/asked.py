@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.jobs.inputs import read_directions, whole
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.surface.meshes import mesh_config
@@ -75,7 +75,8 @@ def _samples(
         found = given_samples(read_directions(lights, report))
         if not found.is_whole:
             report.note(
-                f"{found.count} directions do not cover the sphere: what comes from elsewhere is not in the functions"
+                f"{counted(found.count, 'direction does', 'directions do')} not cover the sphere: what comes "
+                "from elsewhere is not in the functions"
             )
         return found
     if count is None and kind == "unshadowed":

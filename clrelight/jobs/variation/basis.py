@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.harmonics.basis import evaluate_basis
 from clrelight.harmonics.index import coefficient_count
 from clrelight.jobs.fit import fit
@@ -123,8 +123,8 @@ def _told(directions_i3: NDArray[np.float64], degree: int | None) -> tuple[int, 
         return chosen, condition_l.tolist(), None
     count = len(directions_i3)
     text = (
-        f"{count} light{'s' * (count != 1)} do not tell {coefficient_count(DEGREE)} pictures apart: the condition is "
-        f"{condition_l[DEGREE]:.3g}, at most {MOST_CONDITION:g}"
+        f"{counted(count, 'light does', 'lights do')} not tell {coefficient_count(DEGREE)} pictures apart: the "
+        f"condition is {condition_l[DEGREE]:.3g}, at most {MOST_CONDITION:g}"
     )
     tells_normals = count >= LEAST_LIGHTS and np.linalg.cond(directions_i3) <= MOST_CONDITION
     more = "; --by normals makes nine of a convex matte view" if tells_normals else ""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.durable import replacing
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.images import write_image
 from clrelight.jobs.inputs import StackLike, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
@@ -242,7 +242,9 @@ def _tell(found: FoundLights, frames: Frames, by: str, kind: str, told: Sequence
     _note_doubts(found, report)
     below = int(np.count_nonzero(directions_i3[:, 2] < 0.0))
     if below:
-        report.note(f"{below} lights are below the horizon: ingest takes them with --allow-below")
+        report.note(
+            f"{counted(below, 'light is', 'lights are')} below the horizon: ingest takes them with --allow-below"
+        )
     report.facts |= {
         "by": by,
         "kind": kind if by == "sphere" else None,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clrelight.dataset import LightStack
 from clrelight.device import Device
-from clrelight.errors import InputError
+from clrelight.errors import InputError, counted
 from clrelight.images import write_image
 from clrelight.jobs.inputs import StackLike, lend_stack, opened_on, path_text, paths_among, whole
 from clrelight.jobs.outputs import claimed
@@ -251,7 +251,8 @@ def _tell(found: NormalMap, stack: LightStack, asked: _Asked, report: Report) ->
     if asked.method == "auto" and found.method == "quick":
         report.note("large stack: gloss is left out instead of being found (quick); --method robust finds it")
     if found.method == "robust" and stack.n_light < LEAST_GLOSSY:
-        report.note(f"{stack.n_light} lights do not tell gloss, which {LEAST_GLOSSY} would: matte surfaces are assumed")
+        few = counted(stack.n_light, "light does", "lights do")
+        report.note(f"{few} not tell gloss, which {LEAST_GLOSSY} would: matte surfaces are assumed")
     if told.law is not None:
         report.facts |= {"law": told.law.text, "held_errors": told.tried}
     if told.curves:
