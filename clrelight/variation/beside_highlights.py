@@ -103,7 +103,8 @@ class Ball:
         left_ip = samples_ip - shading_ip
         still_p = np.median(left_ip, axis=0)
         told_p = free_ip.sum(axis=0) >= _FEW
-        still_p[told_p] = np.nanmedian(np.where(free_ip, left_ip, np.nan)[:, told_p], axis=0)
+        if told_p.any():
+            still_p[told_p] = np.nanmedian(np.where(free_ip, left_ip, np.nan)[:, told_p], axis=0)
         beside_ihw = np.broadcast_to(np.median(samples_ihw, axis=0), samples_ihw.shape).astype(np.float64)
         beside_ihw[:, is_ball_hw] = still_p + shading_ip
         return beside_ihw
