@@ -104,6 +104,9 @@ def test_several_lamps_are_told_of():
     _, report = find(photographs_ihw)
     assert any("more than one bright highlight in image0002" in note for note in report.notes)
     assert report.facts["lights"][2]["confidence"] < 0.5 < report.facts["lights"][1]["confidence"]
+    assert "second highlight" in report.facts["lights"][2]["doubt"]
+    assert any("not to be trusted (second highlight" in note and "image0002" in note for note in report.notes)
+    assert report.facts["lights"][1]["doubt"] is None
 
 
 def test_two_spheres_are_found_and_agree():

@@ -94,7 +94,8 @@ def test_what_stays_and_shading_are_told_from_highlights():
     told = Ball(normals_hw3, np.where(inside_hw[..., None], rays_hw3, 0.0), 20.0)
     found_ihw = told.beside(beside_ihw + shine_ihw * inside_hw, lights_i3, np.full(9, 8.0), np.inf)
     front_hw = inside_hw & (normals_hw3[..., 2] > 0.5)
-    assert np.abs(found_ihw - beside_ihw)[:, front_hw].max() < 0.03
+    # What a polynomial misses of shading of 0.4, and where all nine photographs have a highlight near.
+    assert np.abs(found_ihw - beside_ihw)[:, front_hw].max() < 0.06
     plain_hw = np.median(beside_ihw + shine_ihw, axis=0)
     assert np.abs(plain_hw - beside_ihw)[:, front_hw].max() > 0.2
 
@@ -143,12 +144,17 @@ def test_doubts_name_their_reasons():
     highlights = [seen(), seen(), seen(), seen(spread=9.0), seen(height=0.1), seen(rival=0.8), None, seen(), seen()]
     lights_i3 = np.tile([0.0, 0.0, 1.0], (9, 1))
     lights_i3[6], lights_i3[7] = 0.0, [0.9, 0.0, -0.436]
-    uncertain_i = np.array([0.1] * 8 + [2.5])
-    told = doubts(highlights, lights_i3, uncertain_i, is_outlined=True)
-    assert told == ("", "", "", "wide", "dim", "second highlight", "", "below the horizon", "uncertain")
-    told = doubts(highlights, lights_i3, uncertain_i, is_outlined=False)
-    assert told[:4] == (*("no sure outline",) * 3, "no sure outline, wide")
-    assert told[6] == ""
-    two = doubts([seen(rival=0.6)] * 3 + [seen()], lights_i3[:4], uncertain_i[:4], is_outlined=True)
-    assert two == ("two lamps",) * 4
-    assert doubts([None], lights_i3[:1], uncertain_i[:1], is_outlined=False) == ("",)
+    uncertain_i, clipped_i = np.array([0.1] * 8 + [2.5]), np.array([0.1, 0.4] + [0.0] * 7)
+
+    def told(which, is_outlined=True, count=9):
+        return doubts(which, lights_i3[:count], uncertain_i[:count], is_outlined, clipped_i[:count])
+
+    plain = ("", "over-exposed", "", "wide", "dim", "second highlight", "", "below the horizon", "uncertain")
+    assert told(highlights) == plain
+    unsure = told(highlights, is_outlined=False)
+    assert unsure[0] == "no sure outline"
+    assert unsure[3] == "no sure outline, wide"
+    assert unsure[6] == ""
+    two = told([seen(rival=0.6), seen(), seen(rival=0.6)], count=3)
+    assert two == ("two lamps", "two lamps, over-exposed", "two lamps")
+    assert told([None], is_outlined=False, count=1) == ("",)

@@ -99,13 +99,15 @@ def _table(lights: list[dict[str, Any]], by: str, kind: str) -> tuple[list[str],
     names |= {"uncertain": "uncertain °"}
     shown = ("confidence", "residual", "degrees_a_pixel", "uncertain", "rival", "apart", "intensity")
     columns = [c for c in shown if any(row.get(c) is not None for row in lights)]
+    doubted = any(row.get("doubt") for row in lights)
     rows = []
     for row in lights:
         vector = ["–"] * 3 if row["direction"] is None else [f"{each:.4f}" for each in row["direction"]]
         angles = ["–" if row[c] is None else f"{row[c]:.1f}" for c in ("elevation", "azimuth")]
         others = ["–" if row[c] is None else f"{row[c]:.3f}" for c in columns]
-        rows.append([row["image"], *vector, *angles, *others])
-    return ["image", "x", "y", "z", "elevation °", "azimuth °", *(names.get(c, c) for c in columns)], rows
+        rows.append([row["image"], *vector, *angles, *others, *([row["doubt"] or ""] if doubted else [])])
+    headers = ["image", "x", "y", "z", "elevation °", "azimuth °", *(names.get(c, c) for c in columns)]
+    return [*headers, *(["doubt"] if doubted else [])], rows
 
 
 def _outline_line(outlines: list[dict[str, float]]) -> dict[str, str]:

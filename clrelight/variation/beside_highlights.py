@@ -6,14 +6,24 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 _TIMES, _LEAST, _MOST = 4.0, 12.0, 60.0
 """Spreads of a highlight, and degrees, at least and at most, off a lamp within which a pixel may show it."""
-_FEW = 3
-"""Photographs without a highlight that tell what a pixel shows beside."""
-_SMOOTH, _FLAT = 0.15, 0.02
-"""Share of the radius over which the matte part is alike; variance of the cosine that pulls it to 0 as strongly."""
+_FEW, _LEAST_FREE = 3, 30
+"""Photographs without a highlight that tell what a pixel shows beside; pixels that tell a photograph's shading."""
+_FITTED, _ROUNDS = 1500, 6
+"""Pixels that a photograph's shading is fitted to at most, and rounds of weights."""
+
+
+def _without_outliers(columns_pk: NDArray[np.float64], values_p: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return least squares of values, those far above the fit counting little: Cauchy's weights, squared above."""
+    weight_p = np.ones_like(values_p)
+    for _ in range(_ROUNDS):
+        found_k = np.linalg.lstsq(columns_pk * weight_p[:, None], values_p * weight_p, rcond=None)[0]
+        off_p = values_p - columns_pk @ found_k
+        off_p /= 2.0 * float(np.median(np.abs(off_p))) + 1e-12
+        weight_p = 1.0 / np.sqrt(1.0 + off_p**2) / (1.0 + np.maximum(off_p, 0.0) ** 2) ** 0.5
+    return np.asarray(found_k, np.float64)
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,33 @@ class Ball:
     mirrored_hw3: NDArray[np.float64]
     radius: float
 
+    def first_guess(self, samples_ihw: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return what photographs show beside highlights whose places are not known yet, (n_light, height, width).
+
+        Matte shading is within a hundredth a polynomial of degree 2 in the normal, whatever the light (Basri and Jacobs
+        2003): that of each photograph by reweighted least squares, for which gloss is an outlier; then the median over
+        the photographs of what it leaves.
+        """
+        beside_ihw = np.broadcast_to(np.median(samples_ihw, axis=0), samples_ihw.shape).astype(np.float64)
+        is_ball_hw: NDArray[np.bool_] = np.any(self.normals_hw3 != 0.0, axis=2)
+        samples_ip = samples_ihw[:, is_ball_hw].astype(np.float64)
+        shading_ip = self._shading(samples_ip, is_ball_hw, np.ones(samples_ip.shape, bool))
+        beside_ihw[:, is_ball_hw] = shading_ip + np.median(samples_ip - shading_ip, axis=0)
+        return beside_ihw
+
+    def _shading(
+        self, samples_ip: NDArray[np.float64], is_ball_hw: NDArray[np.bool_], free_ip: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        x_p, y_p, z_p = self.normals_hw3[is_ball_hw].T
+        products = x_p * y_p, x_p * z_p, y_p * z_p, x_p**2, y_p**2
+        powers_p9 = np.stack([np.ones_like(x_p), x_p, y_p, z_p, *products], axis=1)
+        shading_ip = np.empty_like(samples_ip)
+        for sample_p, free_p, shading_p in zip(samples_ip, free_ip, shading_ip, strict=True):
+            some = np.flatnonzero(free_p) if np.count_nonzero(free_p) > _LEAST_FREE else np.arange(len(free_p))
+            some = some[:: max(1, len(some) // _FITTED)]
+            shading_p[:] = powers_p9 @ _without_outliers(powers_p9[some], sample_p[some])
+        return shading_ip
+
     def beside(
         self,
         samples_ihw: NDArray[np.floating],
@@ -43,9 +80,8 @@ class Ball:
     ) -> NDArray[np.float64]:
         """Return what each photograph shows beside its highlight, (n_light, height, width).
 
-        ``still + k max(n . l, 0)``: k by least squares over the photographs whose highlight is elsewhere, alike in
-        neighbours; `still` is the median of what is left of these. The median of all photographs instead holds tails
-        of highlights, and shading.
+        As `first_guess`, but without the pixels that may show the highlight: else shading takes up a part of a wide
+        one, and where highlights crowd, the median does.
 
         Parameters
         ----------
@@ -58,28 +94,17 @@ class Ball:
         most : float
             Radiance from which on samples are clipped.
         """
-        is_ball_hw = self.normals_hw3.any(axis=2)
-        cosine_ip = np.maximum(lights_i3 @ self.normals_hw3[is_ball_hw].T, 0.0)
+        is_ball_hw: NDArray[np.bool_] = np.any(self.normals_hw3 != 0.0, axis=2)
         reach_i = np.radians(np.clip(_TIMES * spread_i, _LEAST, _MOST))
         samples_ip = samples_ihw[:, is_ball_hw].astype(np.float64)
         free_ip = lights_i3 @ self.mirrored_hw3[is_ball_hw].T < np.cos(reach_i)[:, None]
         free_ip &= samples_ip < most
-        count_p = np.maximum(free_ip.sum(axis=0), 1)
-
-        def off_mean(values_ip: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.asarray(np.where(free_ip, values_ip - np.sum(values_ip * free_ip, axis=0) / count_p, 0.0))
-
-        turned_ip = off_mean(cosine_ip)
-        shared_hw, varied_hw = np.zeros(is_ball_hw.shape), np.zeros(is_ball_hw.shape)
-        shared_hw[is_ball_hw] = np.sum(turned_ip * off_mean(samples_ip), axis=0)
-        varied_hw[is_ball_hw] = np.sum(turned_ip**2, axis=0) + _FLAT
-        near = _SMOOTH * self.radius
-        gain_hw = ndimage.gaussian_filter(shared_hw, near) / ndimage.gaussian_filter(varied_hw + 1e-9, near)
-        shading_ip = np.maximum(gain_hw[is_ball_hw], 0.0) * cosine_ip
+        shading_ip = self._shading(samples_ip, is_ball_hw, free_ip)
         left_ip = samples_ip - shading_ip
         still_p = np.median(left_ip, axis=0)
         told_p = free_ip.sum(axis=0) >= _FEW
-        still_p[told_p] = np.nanmedian(np.where(free_ip, left_ip, np.nan)[:, told_p], axis=0)
+        if told_p.any():
+            still_p[told_p] = np.nanmedian(np.where(free_ip, left_ip, np.nan)[:, told_p], axis=0)
         beside_ihw = np.broadcast_to(np.median(samples_ihw, axis=0), samples_ihw.shape).astype(np.float64)
         beside_ihw[:, is_ball_hw] = still_p + shading_ip
         return beside_ihw

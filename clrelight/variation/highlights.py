@@ -34,9 +34,9 @@ def find_highlights(
 ) -> list[Highlight | None]:
     """Return the brightest highlight of each photograph on a sphere; None where there is none.
 
-    What stays as the lamp moves, such as the room in the sphere, is taken off: the median over the photographs. A
-    highlight is looked for by its size, so that broad shading is none. Of five photographs and more, bumps that are no
-    higher than hollows are deep are noise or texture, and none is a highlight.
+    What stays as the lamp moves, such as the room in the sphere, is taken off, and of five photographs and more matte
+    shading too (`Ball`). A highlight is looked for by its size, so that what is broad is none. Of five photographs and
+    more, bumps that are no higher than hollows are deep are noise or texture, and none is a highlight.
 
     Parameters
     ----------
@@ -55,12 +55,15 @@ def find_highlights(
         looks like it (`LobeFit`), where one does; else it is the mean of its pixels' lights.
     """
     search = HighlightSearch.of(samples_ihw.shape[1:], circle, sphere, factor, corner_xy)
-    still_hw = np.median(samples_ihw, axis=0) if len(samples_ihw) >= _MANY else samples_ihw.min(axis=0)
-    if len(samples_ihw) == 1:
-        still_hw = np.full(still_hw.shape, np.median(samples_ihw[0][search.inside_hw]))
-    still_ihw = np.broadcast_to(still_hw, samples_ihw.shape)
+    is_many = len(samples_ihw) >= _MANY
+    if is_many:
+        still_ihw = search.ball().first_guess(samples_ihw)
+    elif len(samples_ihw) > 1:
+        still_ihw = np.broadcast_to(samples_ihw.min(axis=0), samples_ihw.shape)
+    else:
+        still_ihw = np.full(samples_ihw.shape, np.median(samples_ihw[0][search.inside_hw]))
     seen = search.run_all(samples_ihw, still_ihw, most)
-    if len(samples_ihw) >= _MANY and not _stand_out([each[2] for each in seen if each is not None]):
+    if is_many and not _stand_out([each[2] for each in seen if each is not None]):
         return [None] * len(samples_ihw)
     seen = _high_enough(seen)
     if blur is None or not any(seen):

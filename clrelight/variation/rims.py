@@ -142,6 +142,8 @@ def fit_rim(samples_ihw: NDArray[np.floating], start: Circle, place: Place | Non
 
 def _without_highlights(series_ip: NDArray[np.float64], inside_p: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the photographs in which no highlight lies just inside the outline; all, if these are few."""
+    if not inside_p.any():  # a small circle, a wide blur
+        return series_ip
     low_i, high_i, top_i = np.quantile(series_ip[:, inside_p], (0.25, 0.75, 1.0), axis=1)
     is_calm_i = top_i - high_i <= _OUTSTANDING * (high_i - low_i + 0.02 * high_i.max())
     return series_ip[is_calm_i] if np.count_nonzero(is_calm_i) >= _LEAST_CALM else series_ip

@@ -13,8 +13,11 @@ RIVAL = 0.5
 """Share of the brightest highlight's light from which on a second one is told of."""
 _WIDER, _DIMMER, _RIVALS, _OFTEN, _DEGREES = 1.6, 0.2, 0.7, 0.25, 2.0
 """How much wider than usual a highlight is that has run into something else; how much of the usual height is little;
-share of the brightest from which on either may be the lamp;
-share of photographs with a second highlight from which on two lamps burn; degrees of standard deviation that are many."""
+share of the brightest from which on either may be the lamp; share of photographs with a second highlight from which on
+two lamps burn; degrees of standard deviation that are many."""
+
+_CLIPPED = 0.25
+"""Share of a sphere that a highlight, clipped as it may be, does not fill."""
 
 
 def doubts(
@@ -22,6 +25,7 @@ def doubts(
     lights_i3: NDArray[np.float64],
     uncertain_i: NDArray[np.float64],
     is_outlined: bool,
+    clipped_i: NDArray[np.floating],
 ) -> tuple[str, ...]:
     """Return of each lamp why it is not to be trusted, "" where there is no reason.
 
@@ -35,6 +39,8 @@ def doubts(
         Degrees, NaN where not known.
     is_outlined : bool
         Whether the sphere's outline was told by the photographs.
+    clipped_i : ndarray, shape (n_light,)
+        Share of the sphere that is at the end of the range.
     """
     seen = [each for each in highlights if each is not None]
     if not seen:
@@ -43,13 +49,14 @@ def doubts(
     # A lamp that moves with the first is not always the dimmer one, nor always seen beside it.
     two_lamps = np.mean([each.rival > RIVAL for each in seen]) > _OFTEN
     told = []
-    for each, light_3, uncertain in zip(highlights, lights_i3, uncertain_i, strict=True):
+    for each, light_3, uncertain, clipped in zip(highlights, lights_i3, uncertain_i, clipped_i, strict=True):
         reasons = {
             "no sure outline": not is_outlined,
             "wide": each is not None and each.spread > _WIDER * spread,
             "dim": each is not None and each.height < _DIMMER * height,
             "second highlight": each is not None and each.rival > _RIVALS,
             "two lamps": bool(two_lamps),
+            "over-exposed": bool(clipped > _CLIPPED),
             "below the horizon": bool(light_3[2] < 0.0),
             "uncertain": bool(uncertain > _DEGREES),
         }

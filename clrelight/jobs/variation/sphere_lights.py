@@ -173,7 +173,8 @@ def lights_of_sphere(
     report.add("highlights" if not is_matte else "shading", since)
     worth_i = np.array([sphere.degrees_a_pixel(light_3) for light_3 in lights_i3])
     uncertain_i = uncertainty(sphere, highlights, worth_i, rim, factor)
-    told = doubts(highlights, lights_i3, uncertain_i, rim is not None)
+    clipped_i = np.mean(part_ihw[:, _disc(part_ihw.shape[1:], refined)] >= frames.most(), axis=1)
+    told = doubts(highlights, lights_i3, uncertain_i, rim is not None, clipped_i)
     return SphereLights(circle, lights_i3, highlights, residual_i, worth_i, uncertain_i, told)
 
 
