@@ -70,6 +70,10 @@ def test_no_budget_is_refused_that_the_mean_fits(device):
     with pytest.raises(InputError, match="even at its coarsest step") as refused:
         encode_within(12)
     least = int(re.search(r"needs (\d+) bytes", str(refused.value))[1])
+    coeffs = coeffs[:, :2, :2].copy()
+    with pytest.raises(InputError, match="even at its coarsest step"):
+        encode_within(1)  # at the step that is guessed no axis counts
+    coeffs = rough_map(13, 17)
     for budget in range(least, least + 40, 3):
         assert least <= len(encode_within(budget)) <= budget
 

@@ -51,7 +51,7 @@ def test_what_was_mixed_is_told_apart():
 
 def test_axes_stay_where_nothing_is_to_be_gained():
     cells = sparse_cells(np.random.default_rng(1), 3, 40).astype(np.float32)
-    for still in (cells[:1], np.zeros_like(cells), 1e-4 * cells, np.full_like(cells, 1e30), cells[..., :0]):
+    for still in (cells[:0], cells[:1], np.zeros_like(cells), 1e-4 * cells, np.full_like(cells, 1e30), cells[..., :0]):
         np.testing.assert_array_equal(turn_axes(still, STEP), np.eye(len(still)))
 
 

@@ -74,13 +74,15 @@ def turn_axes(cells_jsc: NDArray[np.float32], step: float) -> NDArray[np.float64
         The identity where no rotation was found that is better.
     """
     count, samples, _ = cells_jsc.shape
+    if count < 2:
+        return np.eye(count)
     with np.errstate(over="ignore"):  # infinite where values are near float32's end
         loudest_c = np.square(cells_jsc).sum(axis=1).max(axis=0)
     loud = np.flatnonzero((loudest_c > _LOUD * step**2) & np.isfinite(loudest_c))
     first, most = (max(each, _FOR_A_PAIR * count**2) for each in (_FIRST_VALUES, _VALUES))
     every = max(-(-len(loud) * count * samples // most), 1)
     chosen_jsc = cells_jsc[:, :, loud[every // 2 :: every]] / np.float32(step)
-    if count < 2 or not chosen_jsc.shape[2]:
+    if not chosen_jsc.shape[2]:
         return np.eye(count)
     with on_one_thread():
         turn_jj, moved_jj = np.eye(count), np.zeros((count, count))
