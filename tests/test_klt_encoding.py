@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from clrelight.codec.entropy.units import Window, list_units
 from clrelight.codec.formats.klt import Klt
@@ -171,6 +172,16 @@ def test_tiles_fit_a_budget_whatever_their_trials_said(device):
     budget = int(rate * coeffs.size / 8)
     body, _ = Encoder(Pixels(ArraySource(coeffs, device)), "linear", memory=1 << 24).encode_within(budget)
     assert 0.9 * budget <= len(body) <= budget
+
+
+def test_tiles_fill_a_budget_where_the_last_have_nothing_to_give(device):
+    """Dark ground below: four passes left a twentieth."""
+    coeffs = np.random.default_rng(2).standard_normal((4, 1540, 520, 1)).astype(np.float32)
+    coeffs = gaussian_filter(coeffs, (0, 1.5, 1.5, 0))
+    coeffs[:, 770:] *= 0.05
+    budget = int(0.03 * coeffs.size / 8)
+    body, _ = Encoder(Pixels(ArraySource(coeffs, device)), "linear", memory=1 << 22).encode_within(budget)
+    assert 0.98 * budget <= len(body) <= budget
 
 
 def test_streams_are_chosen_with_all_that_hang_on_them():

@@ -31,7 +31,7 @@ _SLACK = 0.005
 _STEERED = 0.9975
 """Part of a budget at which what is steered aims: it ends within the slack, mostly."""
 _LEAST_FILLED, _AIM = 0.99, 0.997
-_ENOUGH = (4, _LEAST_FILLED), (6, 0.9), (16, 0.0)
+_ENOUGH = (4, _LEAST_FILLED), (7, 0.985), (16, 0.0)
 """Before so many passes over all tiles, which part of a budget ends them; the last go on until anything fits."""
 _CHANGE = 1.02
 """Times by which a step then changes more than is foretold."""
