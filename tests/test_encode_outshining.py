@@ -48,3 +48,12 @@ def test_klt_names_a_pixel_that_it_cannot_hold(device, options, value):
     coeffs[1, 200, 301] = value
     with pytest.raises(InputError, match=r"\(k, row, column, channel\) = \(1, 200, 301, 0\) is .*too large"):
         encode(coeffs, Klt(**options), device)
+
+
+@pytest.mark.parametrize("options", [{"step": 0.05}, {"rate": 1.0}])
+def test_numbers_below_what_klt_holds_are_not_made_zeros(device, options):
+    coeffs = np.zeros((4, 9, 11, 3), np.float32)
+    assert encode(coeffs, Klt(**options), device).info["planes"] == 0
+    coeffs[0, 3, 4, 1] = 1e-45
+    with pytest.raises(InputError, match="0 everywhere"):
+        encode(coeffs, Klt(**options), device)

@@ -67,6 +67,12 @@ class Encoder(StepFinder):
         none = Axes(trial.axes.entries_jd[:0], trial.axes.scales_j[:0])
         return self._fit(budget, replace(trial, axes=none))
 
+    def check_kept(self, found: dict[str, float]) -> None:
+        """Raise InputError where what was found makes zeros of numbers below the least normal one of float32."""
+        is_tiny = self._whitening.exponent <= np.finfo(np.float32).minexp  # no map of zeros has this one
+        if is_tiny and not found["planes"] and not self._mean(found["step"]).any():
+            raise InputError("klt would make this map 0 everywhere: no number is above 1.2e-38; scale it")
+
     def _fit(self, budget: int, trial: Trial) -> tuple[bytes, dict[str, float]]:
         """Return the body with the axes of a trial; errors as of `encode_within`."""
         tiles = self._tiles(trial.axes)
