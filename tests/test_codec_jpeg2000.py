@@ -95,6 +95,15 @@ def test_a_rate_below_the_tables_is_refused(device):
         encode(waves((4, 5, 9, 3)), Jpeg2000(2.0), device)
 
 
+@pytest.mark.parametrize("shape", [(4, 19, 23, 3), (1, 2, 3, 1), (4, 40, 1, 1)])
+def test_the_least_size_that_is_told_is_the_least(device, shape):
+    coeffs = np.random.default_rng(0).standard_normal(shape).astype(np.float32)
+    least = Jpeg2000.least_bytes(shape)
+    assert encode(coeffs, Jpeg2000(rate=8.0 * least / coeffs.size), device).encoded_bytes <= least
+    with pytest.raises(InputError, match=rf"\({least} bytes\), got \S+ \({least - 1} bytes\)$"):
+        encode(coeffs, Jpeg2000(rate=8.0 * (least - 1) / coeffs.size), device)
+
+
 @pytest.mark.parametrize("rate", [0, -1, float("nan"), float("inf"), "4", True])
 def test_bad_rates(rate):
     with pytest.raises(InputError, match="rate"):

@@ -20,6 +20,8 @@ FLOOR = 1024
 _FREE_COEFFICIENTS = 1 << 24
 _COEFFICIENTS_PER_BYTE = 1 << 17
 _COUNT = struct.Struct("<I")
+_ROUNDING = 1.0 + 1e-12
+"""Lets a rate that was made of whole bytes be those again."""
 _BLACK = 21
 """Bytes of a black view, without those of the rotation of its channels."""
 
@@ -75,6 +77,11 @@ def check_padding(codec: str, body: bytes, end: int, n_value: int) -> None:
     """Raise PayloadError unless the body ends at `end`, or goes on with the zeros of `pad_body`."""
     if len(body) != max(end, least_bytes(n_value)) or any(body[end:]):
         raise PayloadError(f"codec {codec}: the data should end at byte {end}, the body has {len(body)}")
+
+
+def rated_bytes(rate: float, n_value: int) -> int:
+    """Return the bytes that a rate in bits allows `n_value` coefficients; one that was made of bytes allows those."""
+    return int(rate * n_value / 8.0 * _ROUNDING)
 
 
 def least_payload(shape: Shape) -> int:

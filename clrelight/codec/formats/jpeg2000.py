@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from clrelight.codec.bodies import Body, BodyWriter
 from clrelight.codec.formats import codestream
-from clrelight.codec.minimum_size import check_padding, least_bytes, pad_body
+from clrelight.codec.minimum_size import check_padding, least_bytes, pad_body, rated_bytes
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.streams import Source, Target
+from clrelight.codec.workspace import Shape
 from clrelight.device import Device
 from clrelight.errors import InputError, PayloadError
 
@@ -59,11 +60,12 @@ class Jpeg2000(PartsCodec):
         if h * w > codestream.MAX_PIXELS:
             raise InputError(f"codec jpeg2000: a map has at most {codestream.MAX_PIXELS} pixels, got {h} x {w}")
         codestream.require_pillow()
-        tables = 12 * k * c + codestream.steps_size(h, w)
-        available = int(self.rate * size / 8)
-        if available < max(tables, least_bytes(size)):
-            least = 8.0 * max(tables, least_bytes(size)) / size
-            raise InputError(f"codec jpeg2000: the tables alone take {least:.4g} bits per coefficient, got {self.rate}")
+        tables, available, least = _tables(source.shape), rated_bytes(self.rate, size), self.least_bytes(source.shape)
+        if available < least:
+            raise InputError(
+                f"codec jpeg2000: the tables alone take {math.ceil(8e4 * least / size) / 1e4:g} bits per coefficient "
+                f"({least} bytes), got {self.rate:.4g} ({available} bytes)"
+            )
         low_m, high_m = np.empty((2, k * c), np.float32)
         for part in source.map_parts():
             coeffs_khwc = source.maps(part.start, part.stop)
@@ -84,6 +86,11 @@ class Jpeg2000(PartsCodec):
         coded = low_m.tobytes() + step_m.tobytes() + sizes_m.tobytes() + steps + b"".join(streams)
         body.write_all(pad_body(coded, size))
         return {}
+
+    @classmethod
+    def least_bytes(cls, shape: Shape) -> int:
+        """See `Codec`."""
+        return max(_tables(shape), least_bytes(math.prod(shape)))
 
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:
@@ -120,6 +127,11 @@ class Jpeg2000(PartsCodec):
                 target.put_maps(m // c, map_hwc[None])
                 target.workspace.tell(m // c + 1, k)
         target.finish()
+
+
+def _tables(shape: Shape) -> int:
+    k, h, w, c = shape
+    return 12 * k * c + codestream.steps_size(h, w)
 
 
 def _plane(source: Source, m: int) -> NDArray[np.float32]:

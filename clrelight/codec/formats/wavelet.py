@@ -17,7 +17,7 @@ from clrelight.codec.formats.wavelet_few import least_bytes as least_few
 from clrelight.codec.formats.wavelet_old import decode_maps
 from clrelight.codec.formats.wavelet_units import LEAST_STREAM, is_in_units, parse_body, table_bytes
 from clrelight.codec.formats.wavelet_view import WaveletView
-from clrelight.codec.minimum_size import drop_padding, minimum_bytes, minimum_overhead, pad_to_minimum
+from clrelight.codec.minimum_size import drop_padding, minimum_bytes, minimum_overhead, pad_to_minimum, rated_bytes
 from clrelight.codec.rate.noise import Noise
 from clrelight.codec.registry import PartsCodec, register
 from clrelight.codec.streams import Source, Target
@@ -26,8 +26,6 @@ from clrelight.device import Device
 from clrelight.errors import InputError
 
 ALLOCATIONS = ("map", "global")
-_ROUNDING = 1.0 + 1e-12
-"""Lets a rate that was made of whole bytes be those again."""
 
 
 @register
@@ -91,7 +89,7 @@ class Wavelet(PartsCodec):
 
     def _bound(self, shape: Shape) -> int:
         """Return the bytes asked for."""
-        return int(self.rate * math.prod(shape) / 8 * _ROUNDING)
+        return rated_bytes(self.rate, math.prod(shape))
 
     def _encode_few(self, source: Source) -> bytes | None:
         """Return the body that holds each number alone, where so few are asked for that it may be better."""
