@@ -222,7 +222,7 @@ INLINE int choose_sizes(const encoder_t *e, __global work_t *work, __global cons
         int8 magnitude = __builtin_convertvector(half_up < most ? half_up : most, int8);
         int8 chosen;
         least_losses(work->cost, begin, (float8)(EACH(work->cost, begin)), e->multiplier, a, &chosen);
-        magnitude = magnitude < LAST & shift == 0 ? chosen : magnitude;
+        magnitude = (magnitude < LAST & shift == 0) ? chosen : magnitude;
         const int8 above = magnitude >> shift, symbol = above < LAST ? above : LAST, where = begin + symbol;
         const float8 off = a - __builtin_convertvector(magnitude, float8);
         errors += valid ? off * off : 0.0f;
