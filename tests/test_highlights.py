@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from clrelight.jobs.variation.light_doubts import doubts
 from clrelight.jobs.variation.sphere_lights import outlined, outlined_by_all, pictures_of
@@ -11,6 +12,7 @@ from clrelight.variation import lobes
 from clrelight.variation.beside_highlights import Ball
 from clrelight.variation.circles import Circle
 from clrelight.variation.error_law import ErrorLaw
+from clrelight.variation.highlight_search import HighlightSearch
 from clrelight.variation.highlights import Highlight, find_highlights
 from clrelight.variation.spheres import view_sphere
 from tests.reference.spheres import lamps, photograph_spheres
@@ -67,6 +69,20 @@ def test_samples_count_by_how_far_such_bright_ones_are_off(monkeypatch):
     weighted = off()
     monkeypatch.setattr(lobes, "_LEAST_LOBES", 100)
     assert weighted < 0.7 * off()
+
+
+def test_means_inside_a_disc_are_those_of_a_gaussian():
+    """By another program: SciPy's filters, which cut it off at eight of its widths here."""
+    rng = np.random.default_rng(5)
+    circle, values_hw = Circle(30.2, 26.1, 22.0), rng.standard_normal((50, 61))
+    search = HighlightSearch.of((50, 61), circle, view_sphere(circle, (50, 61)), 1.0, (0, 0))
+    for mean in (search.narrow, search.wide):
+        sums_hw, shares_hw = (
+            ndimage.gaussian_filter(each_hw * search.inside_hw, mean.sigma, mode="constant", truncate=8.0)
+            for each_hw in (values_hw, np.ones((50, 61)))
+        )
+        wanted_hw = (sums_hw / np.maximum(shares_hw, 1e-6))[search.inside_hw]
+        np.testing.assert_allclose(mean(values_hw)[search.inside_hw], wanted_hw, atol=1e-9)
 
 
 def ball(side, x, y, radius):

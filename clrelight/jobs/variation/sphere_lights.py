@@ -12,7 +12,7 @@ from scipy import optimize
 
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, stage
-from clrelight.jobs.variation.light_doubts import doubts
+from clrelight.jobs.variation.light_doubts import CLIPPED, doubts
 from clrelight.jobs.variation.light_frames import Frames
 from clrelight.jobs.variation.sphere_rims import inner_circle, rim_of, seen_by_rim, uncertainty
 from clrelight.variation.circles import Circle, refine_circle
@@ -164,18 +164,28 @@ def lights_of_sphere(
         sphere = view_sphere(circle, (height, width), focal, None)
         lights_i3, residual_i = _matte_lights(part_ihw, refined, sphere, factor, corner)
     else:
-        found = find_highlights(
-            part_ihw, refined, sphere, factor, corner, frames.most(), None if rim is None else rim.blur
-        )
+        with stage(progress, "finding highlights"):
+            blur = None if rim is None else rim.blur
+            found = find_highlights(part_ihw, refined, sphere, factor, corner, frames.most(), blur)
         lights_i3 = np.array([np.zeros(3) if each is None else each.light_3 for each in found])
         highlights = tuple(found)
         residual_i = np.array([np.nan if each is None else each.spread for each in found])
     report.add("highlights" if not is_matte else "shading", since)
     worth_i = np.array([sphere.degrees_a_pixel(light_3) for light_3 in lights_i3])
     uncertain_i = uncertainty(sphere, highlights, worth_i, rim, factor)
-    clipped_i = np.mean(part_ihw[:, _disc(part_ihw.shape[1:], refined)] >= frames.most(), axis=1)
+    clipped_i = _clipped(part_ihw, refined, frames.most())
+    if highlights and not any(highlights) and np.median(clipped_i) > CLIPPED:
+        report.note(
+            f"sphere {circle.x:.1f},{circle.y:.1f} is over-exposed in most photographs: no highlight shows there"
+        )
     told = doubts(highlights, lights_i3, uncertain_i, rim is not None, clipped_i)
     return SphereLights(circle, lights_i3, highlights, residual_i, worth_i, uncertain_i, told)
+
+
+def _clipped(part_ihw: NDArray[np.float32], circle: Circle, most: float) -> NDArray[np.float64]:
+    """Return how much of a disc is at the end of the range, of each photograph; 0 where it is beside the picture."""
+    over_ip = part_ihw[:, _disc(part_ihw.shape[1:], circle)] >= most
+    return np.asarray(over_ip.sum(axis=1) / max(1, over_ip.shape[1]))
 
 
 def _matte_lights(
