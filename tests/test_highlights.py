@@ -1,14 +1,16 @@
 """Highlights on spheres: what is one, and what is none."""
 
+import tracemalloc
 import warnings
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from clrelight.jobs.variation import sphere_lights
 from clrelight.jobs.variation.light_doubts import doubts
 from clrelight.jobs.variation.sphere_lights import outlined, outlined_by_all, pictures_of
-from clrelight.variation import lobes
+from clrelight.variation import beside_highlights, lobes
 from clrelight.variation.beside_highlights import Ball
 from clrelight.variation.circles import Circle
 from clrelight.variation.error_law import ErrorLaw
@@ -83,6 +85,23 @@ def test_means_inside_a_disc_are_those_of_a_gaussian():
         )
         wanted_hw = (sums_hw / np.maximum(shares_hw, 1e-6))[search.inside_hw]
         np.testing.assert_allclose(mean(values_hw)[search.inside_hw], wanted_hw, atol=1e-9)
+
+
+def test_what_is_beside_highlights_takes_little_memory(monkeypatch):
+    """Less than `sphere_lights` counts for a sample, which the photographs and a first guess are a part of."""
+    monkeypatch.setattr(beside_highlights, "_PIECE", 4000)
+    inside_hw, normals_hw3 = ball(60, 29.5, 29.5, 22.0)
+    samples_ihw = np.random.default_rng(0).random((30, 60, 60), np.float32)
+    told = Ball(normals_hw3, normals_hw3, 22.0)
+    tracemalloc.start()
+    try:
+        found_ihw = told.beside(samples_ihw, lamps(30, 1), np.full(30, 5.0), np.inf)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert found_ihw.dtype == np.float32
+    counted = sphere_lights._SAMPLE_BYTES - samples_ihw.itemsize - found_ihw.itemsize
+    assert peak < 3600 * (30 * counted + sphere_lights._PIXEL_BYTES)
 
 
 def ball(side, x, y, radius):

@@ -24,6 +24,8 @@ _AROUND = 1.35
 """What is read around a sphere, of its radius."""
 _SHARP_RADIUS = 250.0
 """Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
+_SAMPLE_BYTES, _PIXEL_BYTES = 24, 150
+"""What finding highlights holds of each photograph's pixels, and of those of the view."""
 LEAST_OUTLINE, _MEAN_SHARE, _WHOLE = 0.5, 0.75, 0.95
 _SINGLE = 8
 """Photographs that are looked at one by one, at most."""
@@ -137,7 +139,7 @@ def lights_of_sphere(
         raise InputError(
             f"sphere {start.x:g},{start.y:g},{start.radius:g} lies outside the photographs, {width}×{height}"
         )
-    bytes_all = 3.0 * len(frames.names) * window[2] * window[3] * 4
+    bytes_all = float(_SAMPLE_BYTES * len(frames.names) + _PIXEL_BYTES) * window[2] * window[3]
     factor = max(1, int(start.radius // _SHARP_RADIUS), int(np.ceil(np.sqrt(bytes_all / budget))))
     with stage(progress, "reading spheres") as tell:
         part_ihw = frames.take(window, factor, None, tell)
