@@ -89,19 +89,19 @@ def test_means_inside_a_disc_are_those_of_a_gaussian():
 
 def test_what_is_beside_highlights_takes_little_memory(monkeypatch):
     """Less than `sphere_lights` counts for a sample, which the photographs and a first guess are a part of."""
-    monkeypatch.setattr(beside_highlights, "_PIECE", 4000)
-    inside_hw, normals_hw3 = ball(60, 29.5, 29.5, 22.0)
-    samples_ihw = np.random.default_rng(0).random((30, 60, 60), np.float32)
+    monkeypatch.setattr(beside_highlights, "_PIECE", 1500)
+    _, normals_hw3 = ball(60, 29.5, 29.5, 22.0)
+    samples_ihw = np.random.default_rng(0).random((12, 60, 60), np.float32)
     told = Ball(normals_hw3, normals_hw3, 22.0)
     tracemalloc.start()
     try:
-        found_ihw = told.beside(samples_ihw, lamps(30, 1), np.full(30, 5.0), np.inf)
+        found_ihw = told.beside(samples_ihw, lamps(12, 1), np.full(12, 5.0), np.inf)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
     assert found_ihw.dtype == np.float32
     counted = sphere_lights._SAMPLE_BYTES - samples_ihw.itemsize - found_ihw.itemsize
-    assert peak < 3600 * (30 * counted + sphere_lights._PIXEL_BYTES)
+    assert peak < 3600 * (12 * counted + sphere_lights._PIXEL_BYTES)
 
 
 def ball(side, x, y, radius):
