@@ -10,6 +10,7 @@ from scipy import ndimage
 from clrelight.jobs.variation import sphere_lights
 from clrelight.jobs.variation.light_doubts import doubts
 from clrelight.jobs.variation.sphere_lights import outlined, outlined_by_all, pictures_of
+from clrelight.threads import on_one_thread
 from clrelight.variation import beside_highlights, lobes
 from clrelight.variation.beside_highlights import Ball
 from clrelight.variation.circles import Circle
@@ -95,7 +96,8 @@ def test_what_is_beside_highlights_takes_little_memory(monkeypatch):
     told = Ball(normals_hw3, normals_hw3, 22.0)
     tracemalloc.start()
     try:
-        found_ihw = told.beside(samples_ihw, lamps(12, 1), np.full(12, 5.0), np.inf)
+        with on_one_thread():
+            found_ihw = told.beside(samples_ihw, lamps(12, 1), np.full(12, 5.0), np.inf)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
