@@ -71,6 +71,8 @@ def read_colours(kind: str, spec: oiio.ImageSpec) -> ImageColours:
     profile = spec.getattribute("ICCProfile")
     if profile is not None:
         return _of_profile(bytes(np.asarray(profile, np.uint8)), spec, is_camera)
+    if spec.nchannels < 3:  # gray has no primaries
+        return ImageColours(is_camera=is_camera)
     if spec.get_int_attribute("Exif:ColorSpace", 1) != 1:
         return ImageColours("Adobe RGB or another that EXIF does not name", None, is_camera)
     told = spec.getattribute("chromaticities") if kind == "openexr" else None
@@ -90,7 +92,9 @@ def _of_profile(profile: bytes, spec: oiio.ImageSpec, is_camera: bool) -> ImageC
     except (struct.error, ArithmeticError):
         return ImageColours(name, None, is_camera)
     except KeyError:
-        # Tables instead of primaries, as printers have, or a gray picture, which has none.
+        # Tables instead of primaries, as printers and ICC's own sRGB v4 have, or a gray picture, which has none.
+        if name.lower().startswith("srgb"):
+            return ImageColours("", _HALF_SRGB if half is None else half, is_camera)
         return ImageColours("" if spec.nchannels < 3 else name, half, is_camera)
     is_srgb = np.abs(np.stack(columns, axis=1) - _SRGB_D50).max() <= _NEAR
     return ImageColours("" if is_srgb else name, half, is_camera)

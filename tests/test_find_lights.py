@@ -1,6 +1,7 @@
 """Lights by spheres in photographs, and by objects: against photographs rendered by code of the tests alone."""
 
 import csv
+import warnings
 
 import numpy as np
 import pytest
@@ -303,3 +304,18 @@ def test_most_photographs_may_be_of_one_lamp():
 def test_few_photographs_are_warned_of():
     _, report = find(photograph_spheres(lamps(6, 1)[:2], SIZE, [BALL]))
     assert any("hardly tell a sphere" in note for note in report.notes)
+
+
+def test_a_sphere_beside_the_picture_and_one_that_is_blown_out_are_told_of():
+    photographs_ihw = photograph_spheres(lamps(5, 1), SIZE, [BALL])
+    x, _, radius = BALL
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        with pytest.raises(cr.InputError, match="no highlight"):
+            find(photographs_ihw[:, :, : int(x - radius) - 2], spheres=[BALL])
+        report = cr.Report()
+        codes_ihwc = np.full((5, *SIZE, 1), 255, np.uint8)
+        stack = cr.LightStack(codes_ihwc, np.tile([0.0, 0.0, 1.0], (5, 1)), 255.0, "srgb")
+        with pytest.raises(cr.InputError, match="no highlight"):
+            cr.find_lights(stack, spheres=[BALL], report=report)
+    assert any("over-exposed in most photographs" in note for note in report.notes)

@@ -1,16 +1,21 @@
 """Highlights on spheres: what is one, and what is none."""
 
+import tracemalloc
 import warnings
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from clrelight.jobs.variation import sphere_lights
 from clrelight.jobs.variation.light_doubts import doubts
 from clrelight.jobs.variation.sphere_lights import outlined, outlined_by_all, pictures_of
-from clrelight.variation import lobes
+from clrelight.threads import on_one_thread
+from clrelight.variation import beside_highlights, lobes
 from clrelight.variation.beside_highlights import Ball
 from clrelight.variation.circles import Circle
 from clrelight.variation.error_law import ErrorLaw
+from clrelight.variation.highlight_search import HighlightSearch
 from clrelight.variation.highlights import Highlight, find_highlights
 from clrelight.variation.spheres import view_sphere
 from tests.reference.spheres import lamps, photograph_spheres
@@ -67,6 +72,38 @@ def test_samples_count_by_how_far_such_bright_ones_are_off(monkeypatch):
     weighted = off()
     monkeypatch.setattr(lobes, "_LEAST_LOBES", 100)
     assert weighted < 0.7 * off()
+
+
+def test_means_inside_a_disc_are_those_of_a_gaussian():
+    """By another program: SciPy's filters, which cut it off at eight of its widths here."""
+    rng = np.random.default_rng(5)
+    circle, values_hw = Circle(30.2, 26.1, 22.0), rng.standard_normal((50, 61))
+    search = HighlightSearch.of((50, 61), circle, view_sphere(circle, (50, 61)), 1.0, (0, 0))
+    for mean in (search.narrow, search.wide):
+        sums_hw, shares_hw = (
+            ndimage.gaussian_filter(each_hw * search.inside_hw, mean.sigma, mode="constant", truncate=8.0)
+            for each_hw in (values_hw, np.ones((50, 61)))
+        )
+        wanted_hw = (sums_hw / np.maximum(shares_hw, 1e-6))[search.inside_hw]
+        np.testing.assert_allclose(mean(values_hw)[search.inside_hw], wanted_hw, atol=1e-9)
+
+
+def test_what_is_beside_highlights_takes_little_memory(monkeypatch):
+    """Less than `sphere_lights` counts for a sample, which the photographs and a first guess are a part of."""
+    monkeypatch.setattr(beside_highlights, "_PIECE", 1500)
+    _, normals_hw3 = ball(60, 29.5, 29.5, 22.0)
+    samples_ihw = np.random.default_rng(0).random((12, 60, 60), np.float32)
+    told = Ball(normals_hw3, normals_hw3, 22.0)
+    tracemalloc.start()
+    try:
+        with on_one_thread():
+            found_ihw = told.beside(samples_ihw, lamps(12, 1), np.full(12, 5.0), np.inf)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert found_ihw.dtype == np.float32
+    counted = sphere_lights._SAMPLE_BYTES - samples_ihw.itemsize - found_ihw.itemsize
+    assert peak < 3600 * (12 * counted + sphere_lights._PIXEL_BYTES)
 
 
 def ball(side, x, y, radius):

@@ -22,13 +22,13 @@ _FORMULA = (
 _TABLE = b"curv" + bytes(4) + struct.pack(">I5H", 5, 0, 3000, 14020, 35000, 65535)
 
 
-def profile(name: str, columns: tuple, curve: bytes) -> bytes:
+def profile(name: str, columns: tuple, curve: bytes | None) -> bytes:
     """An ICC profile of version 2 by primaries and one curve: ICC.1:2001-04, clauses 6.1 and 6.5."""
     words = name.encode() + b"\0"
     tags = {b"desc": b"desc" + bytes(4) + struct.pack(">I", len(words)) + words + bytes(79)}
-    for tag, column in zip((b"rXYZ", b"gXYZ", b"bXYZ"), columns, strict=True):
+    for tag, column in zip((b"rXYZ", b"gXYZ", b"bXYZ")[: len(columns)], columns, strict=True):
         tags[tag] = b"XYZ " + bytes(4) + struct.pack(">3i", *(round(each * 65536) for each in column))
-    tags |= dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), curve)
+    tags |= dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), curve) if curve is not None else {}
     table, body = struct.pack(">I", len(tags)), b""
     for tag, content in tags.items():
         table += struct.pack(">4sII", tag, 132 + 12 * len(tags) + len(body), len(content))
@@ -39,15 +39,15 @@ def profile(name: str, columns: tuple, curve: bytes) -> bytes:
     return bytes(head) + table + body
 
 
-def notes(tmp_path, name="a.jpg", transfer="srgb", icc=None, **attributes) -> str:
-    spec = oiio.ImageSpec(4, 3, 3, "half" if name.endswith("exr") else "uint8")
+def notes(tmp_path, name="a.jpg", transfer="srgb", icc=None, channels=3, **attributes) -> str:
+    spec = oiio.ImageSpec(4, 3, channels, "half" if name.endswith("exr") else "uint8")
     if icc is not None:
         spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(icc)}]"), np.frombuffer(icc, np.uint8))
     for key, value in attributes.items():
         spec.attribute(key.replace("__", ":"), *(value if isinstance(value, tuple) else (value,)))
     out = oiio.ImageOutput.create(str(tmp_path / name))
     assert out.open(str(tmp_path / name), spec), out.geterror()
-    assert out.write_image(np.zeros((3, 4, 3), np.uint8)), out.geterror()
+    assert out.write_image(np.zeros((3, 4, channels), np.uint8)), out.geterror()
     out.close()
     return "\n".join(describe_headers([read_header(tmp_path / name)], transfer))
 
@@ -63,6 +63,13 @@ def test_a_profile_of_other_primaries_is_named(tmp_path, name):
 @pytest.mark.parametrize("curve", [_GAMMA22, _FORMULA, _TABLE])
 def test_a_profile_of_srgb_is_as_none(tmp_path, curve):
     assert notes(tmp_path, icc=profile("sRGB IEC61966-2.1", _SRGB, curve)) == ""
+
+
+def test_a_profile_of_tables_is_known_by_its_name(tmp_path):
+    """ICC's own sRGB v4 has no primaries to compare, nor has any printer's."""
+    assert notes(tmp_path, icc=profile("sRGB v4 ICC preference", (), None)) == ""
+    assert "--transfer srgb" in notes(tmp_path, transfer="linear", icc=profile("sRGB v4 ICC preference", (), None))
+    assert "colours are those of Coated" in notes(tmp_path, icc=profile("Coated FOGRA39", (), None))
 
 
 def test_another_curve_than_the_one_that_is_taken_is_told(tmp_path):
@@ -82,6 +89,7 @@ def test_a_jpeg_whose_curve_nobody_chose_is_told(tmp_path):
 def test_exif_and_chromaticities_say_so_too(tmp_path):
     assert "Adobe RGB or another" in notes(tmp_path, Exif__ColorSpace=65535)
     assert notes(tmp_path, Exif__ColorSpace=1) == ""
+    assert notes(tmp_path, Exif__ColorSpace=65535, channels=1) == ""  # gray has no primaries
     kind, aces = oiio.TypeDesc("float[8]"), (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
     assert "chromaticities 0.7347, 0.2653" in notes(tmp_path, "a.exr", "linear", chromaticities=(kind, aces))
     same = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)

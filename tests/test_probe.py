@@ -294,3 +294,15 @@ def test_a_child_ends_by_itself_where_nobody_ends_it():
     """Its parent may be killed; a driver that hangs would keep a processor for ever."""
     code, output, _ = child.run_child("import signal; print(signal.alarm(0))", seconds=7)
     assert (code, 7 < int(output) <= 12) == (0, True)
+
+
+def test_advice_on_address_space_is_more_than_the_limit(monkeypatch):
+    """Also where the limit is wide, and nearly all of it is taken."""
+    limits = iter([(500_000 << 10, -1), (8 << 30, -1), (-1, -1)])
+    monkeypatch.setattr(child, "_limits", lambda: next(limits))
+    monkeypatch.setattr(child, "SPARE_ADDRESSES", 1 << 62)
+    for least in (2_000_000, 8 << 20):
+        with pytest.raises(DeviceError, match="ulimit -v") as told:
+            child.check_addresses()
+        assert int(str(told.value).split()[-1]) >= least
+    child.check_addresses()

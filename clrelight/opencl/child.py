@@ -73,9 +73,10 @@ def check_addresses() -> None:
     try:
         mmap.mmap(-1, SPARE_ADDRESSES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, prot=mmap.PROT_READ).close()
     except OSError as error:
+        enough = max(2_000_000, (memory + SPARE_ADDRESSES) >> 10)
         raise DeviceError(
             f"the address space is limited to {memory / 2**30:.2f} GiB (ulimit -v), of which less than "
-            f"{SPARE_ADDRESSES >> 20} MiB are free for OpenCL's drivers: allow more, such as ulimit -v 2000000"
+            f"{SPARE_ADDRESSES >> 20} MiB are free for OpenCL's drivers: allow more, such as ulimit -v {enough}"
         ) from error
 
 

@@ -13,6 +13,8 @@ _FEW, _LEAST_FREE = 3, 30
 """Photographs without a highlight that tell what a pixel shows beside; pixels that tell a photograph's shading."""
 _FITTED, _ROUNDS = 1500, 6
 """Pixels that a photograph's shading is fitted to at most, and rounds of weights."""
+_PIECE = 1 << 18
+"""Samples whose medians are taken at once."""
 
 
 def _without_outliers(columns_pk: NDArray[np.float64], values_p: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -24,6 +26,37 @@ def _without_outliers(columns_pk: NDArray[np.float64], values_p: NDArray[np.floa
         off_p /= 2.0 * float(np.median(np.abs(off_p))) + 1e-12
         weight_p = 1.0 / np.sqrt(1.0 + off_p**2) / (1.0 + np.maximum(off_p, 0.0) ** 2) ** 0.5
     return np.asarray(found_k, np.float64)
+
+
+def _medians(
+    samples_ip: NDArray[np.floating], shading_ip: NDArray[np.floating] | None, free_ip: NDArray[np.bool_] | None
+) -> NDArray[np.float32]:
+    """Return of each pixel the median of what shading leaves, of free samples alone where there are a few, (P,)."""
+    still_p = np.empty(samples_ip.shape[1], np.float32)
+    step = max(1, _PIECE // len(samples_ip))
+    for first in range(0, len(still_p), step):  # pieces, for a median takes three arrays of the samples' size
+        piece = slice(first, first + step)
+        left_ip = samples_ip[:, piece] if shading_ip is None else samples_ip[:, piece] - shading_ip[:, piece]
+        found_p = np.median(left_ip, axis=0)
+        if free_ip is not None:
+            told_p = free_ip[:, piece].sum(axis=0) >= _FEW
+            if told_p.any():
+                found_p[told_p] = np.nanmedian(np.where(free_ip[:, piece], left_ip, np.nan)[:, told_p], axis=0)
+        still_p[piece] = found_p
+    return still_p
+
+
+def _beside(
+    samples_ihw: NDArray[np.floating],
+    is_ball_hw: NDArray[np.bool_],
+    shading_ip: NDArray[np.float32],
+    still_p: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Return shading and what stays on a ball, and the median of all photographs beside it."""
+    beside_ihw = np.empty(samples_ihw.shape, np.float32)
+    beside_ihw[:, is_ball_hw] = shading_ip + still_p
+    beside_ihw[:, ~is_ball_hw] = _medians(samples_ihw[:, ~is_ball_hw], None, None)
+    return beside_ihw
 
 
 @dataclass(frozen=True)
@@ -44,31 +77,29 @@ class Ball:
     mirrored_hw3: NDArray[np.float64]
     radius: float
 
-    def first_guess(self, samples_ihw: NDArray[np.floating]) -> NDArray[np.float64]:
+    def first_guess(self, samples_ihw: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return what photographs show beside highlights whose places are not known yet, (n_light, height, width).
 
         Matte shading is within a hundredth a polynomial of degree 2 in the normal, whatever the light (Basri and Jacobs
         2003): that of each photograph by reweighted least squares, for which gloss is an outlier; then the median over
         the photographs of what it leaves.
         """
-        beside_ihw = np.broadcast_to(np.median(samples_ihw, axis=0), samples_ihw.shape).astype(np.float64)
         is_ball_hw: NDArray[np.bool_] = np.any(self.normals_hw3 != 0.0, axis=2)
-        samples_ip = samples_ihw[:, is_ball_hw].astype(np.float64)
+        samples_ip = samples_ihw[:, is_ball_hw]
         shading_ip = self._shading(samples_ip, is_ball_hw, np.ones(samples_ip.shape, bool))
-        beside_ihw[:, is_ball_hw] = shading_ip + np.median(samples_ip - shading_ip, axis=0)
-        return beside_ihw
+        return _beside(samples_ihw, is_ball_hw, shading_ip, _medians(samples_ip, shading_ip, None))
 
     def _shading(
-        self, samples_ip: NDArray[np.float64], is_ball_hw: NDArray[np.bool_], free_ip: NDArray[np.bool_]
-    ) -> NDArray[np.float64]:
+        self, samples_ip: NDArray[np.floating], is_ball_hw: NDArray[np.bool_], free_ip: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
         x_p, y_p, z_p = self.normals_hw3[is_ball_hw].T
         products = x_p * y_p, x_p * z_p, y_p * z_p, x_p**2, y_p**2
         powers_p9 = np.stack([np.ones_like(x_p), x_p, y_p, z_p, *products], axis=1)
-        shading_ip = np.empty_like(samples_ip)
+        shading_ip = np.empty(samples_ip.shape, np.float32)
         for sample_p, free_p, shading_p in zip(samples_ip, free_ip, shading_ip, strict=True):
             some = np.flatnonzero(free_p) if np.count_nonzero(free_p) > _LEAST_FREE else np.arange(len(free_p))
             some = some[:: max(1, len(some) // _FITTED)]
-            shading_p[:] = powers_p9 @ _without_outliers(powers_p9[some], sample_p[some])
+            shading_p[:] = powers_p9 @ _without_outliers(powers_p9[some], sample_p[some].astype(np.float64))
         return shading_ip
 
     def beside(
@@ -77,7 +108,7 @@ class Ball:
         lights_i3: NDArray[np.float64],
         spread_i: NDArray[np.float64],
         most: float,
-    ) -> NDArray[np.float64]:
+    ) -> NDArray[np.float32]:
         """Return what each photograph shows beside its highlight, (n_light, height, width).
 
         As `first_guess`, but without the pixels that may show the highlight: else shading takes up a part of a wide
@@ -96,15 +127,8 @@ class Ball:
         """
         is_ball_hw: NDArray[np.bool_] = np.any(self.normals_hw3 != 0.0, axis=2)
         reach_i = np.radians(np.clip(_TIMES * spread_i, _LEAST, _MOST))
-        samples_ip = samples_ihw[:, is_ball_hw].astype(np.float64)
+        samples_ip = samples_ihw[:, is_ball_hw]
         free_ip = lights_i3 @ self.mirrored_hw3[is_ball_hw].T < np.cos(reach_i)[:, None]
         free_ip &= samples_ip < most
         shading_ip = self._shading(samples_ip, is_ball_hw, free_ip)
-        left_ip = samples_ip - shading_ip
-        still_p = np.median(left_ip, axis=0)
-        told_p = free_ip.sum(axis=0) >= _FEW
-        if told_p.any():
-            still_p[told_p] = np.nanmedian(np.where(free_ip, left_ip, np.nan)[:, told_p], axis=0)
-        beside_ihw = np.broadcast_to(np.median(samples_ihw, axis=0), samples_ihw.shape).astype(np.float64)
-        beside_ihw[:, is_ball_hw] = still_p + shading_ip
-        return beside_ihw
+        return _beside(samples_ihw, is_ball_hw, shading_ip, _medians(samples_ip, shading_ip, free_ip))

@@ -72,6 +72,47 @@ def _noise(moved_ip: NDArray[np.floating]) -> float:
 
 
 @dataclass(frozen=True)
+class _Mean:
+    """The mean over a pixel's neighbours inside a disc, by a Gaussian.
+
+    Products of whole matrices: a Gaussian as wide as a large ball's surroundings takes ten times as long term by term.
+
+    Attributes
+    ----------
+    sigma : float
+        Pixels.
+    inside_hw : ndarray, shape (height, width), bool
+        The disc.
+    down_hh, across_ww : ndarray, shape (height, height) and (width, width), float64
+        What rows and columns add to each other.
+    share_hw : ndarray, shape (height, width), float64
+        How much of a pixel's neighbours is inside.
+    """
+
+    sigma: float
+    inside_hw: NDArray[np.bool_]
+    down_hh: NDArray[np.float64]
+    across_ww: NDArray[np.float64]
+    share_hw: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, inside_hw: NDArray[np.bool_], sigma: float) -> _Mean:
+        """Return the mean of a disc by a standard deviation in pixels."""
+        down_hh, across_ww = (_gaussian(side, sigma) for side in inside_hw.shape)
+        return cls(sigma, inside_hw, down_hh, across_ww, np.maximum(down_hh @ inside_hw @ across_ww, 1e-6))
+
+    def __call__(self, values_hw: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the means of values."""
+        return np.asarray(self.down_hh @ (values_hw * self.inside_hw) @ self.across_ww / self.share_hw)
+
+
+def _gaussian(side: int, sigma: float) -> NDArray[np.float64]:
+    """Return what each of so many pixels in a row adds to each, (side, side)."""
+    away_ss = np.subtract.outer(np.arange(side), np.arange(side)) / sigma
+    return np.exp(-0.5 * away_ss**2) / (np.sqrt(2.0 * np.pi) * sigma)
+
+
+@dataclass(frozen=True)
 class HighlightSearch:
     """Looks for the brightest bump of photographs of a sphere.
 
@@ -85,6 +126,8 @@ class HighlightSearch:
         In pixels of the photographs.
     factor, corner_xy
         See `Circle.scaled`.
+    narrow, wide : _Mean
+        Of what is as small as a highlight, and of its surroundings.
     """
 
     inside_hw: NDArray[np.bool_]
@@ -93,6 +136,8 @@ class HighlightSearch:
     sphere: SphereView
     factor: float
     corner_xy: tuple[int, int]
+    narrow: _Mean
+    wide: _Mean
 
     @classmethod
     def of(
@@ -107,7 +152,9 @@ class HighlightSearch:
         y_hw, x_hw = np.ogrid[: shape_hw[0], : shape_hw[1]]
         away_hw = np.hypot(x_hw - circle.x, y_hw - circle.y)
         inside_hw = away_hw < min(_RIM * circle.radius, circle.radius - _MARGIN)
-        return cls(inside_hw, away_hw < _FRONT * circle.radius, circle, sphere, factor, corner_xy)
+        front_hw = away_hw < _FRONT * circle.radius
+        means = _Mean.of(inside_hw, max(0.7, 0.015 * circle.radius)), _Mean.of(inside_hw, 0.16 * circle.radius)
+        return cls(inside_hw, front_hw, circle, sphere, factor, corner_xy, *means)
 
     def noise(self, samples_ihw: NDArray[np.floating], still_ihw: NDArray[np.floating]) -> float:
         """Return the standard deviation of single pixels."""
@@ -143,11 +190,10 @@ class HighlightSearch:
         self, moved_hw: NDArray[np.floating], samples_hw: NDArray[np.floating], noise: float, most: float
     ) -> Seen | None:
         """Return the brightest highlight of a photograph, its pixels, and its height by the depth of hollows."""
-        narrow = max(0.7, 0.015 * self.circle.radius)
-        bumps_hw = self._blurred(moved_hw, narrow) - self._blurred(moved_hw, 0.16 * self.circle.radius)
+        bumps_hw = self.narrow(moved_hw) - self.wide(moved_hw)
         # Where most photographs have one lamp, its highlight is the median's, and missing from the others: no hollow.
         still_hw = samples_hw - moved_hw
-        kept_hw = self._blurred(still_hw, narrow) - self._blurred(still_hw, 0.16 * self.circle.radius)
+        kept_hw = self.narrow(still_hw) - self.wide(still_hw)
         within_hw, tops_hw = self._within(bumps_hw)
         deepest = -float((bumps_hw + np.maximum(kept_hw, 0.0))[within_hw].min(initial=0.0))
         bumps_hw[~tops_hw] = -np.inf
@@ -155,8 +201,8 @@ class HighlightSearch:
         for _ in range(_LOOKED_AT):
             row, column = np.unravel_index(int(bumps_hw.argmax()), bumps_hw.shape)
             top = float(bumps_hw[row, column])
-            # Blurring by `narrow` leaves this much of a pixel's own noise.
-            if not top > _LEAST_NOISE * noise / max(1.0, 2.0 * np.sqrt(np.pi) * narrow) or top <= 0.0:
+            # The narrow mean leaves this much of a pixel's own noise.
+            if not top > _LEAST_NOISE * noise / max(1.0, 2.0 * np.sqrt(np.pi) * self.narrow.sigma) or top <= 0.0:
                 break
             blob_hw, weight_hw, base = self._blob(moved_hw, int(row), int(column), top)
             if weight_hw[blob_hw].min() <= 0.0:  # no pixel is above the edge: the bump is a hollow's rim, no highlight
@@ -186,12 +232,6 @@ class HighlightSearch:
         if tops_hw.any() and bumps_hw[tops_hw].max() >= _BESIDE * most > 0.0:
             return front_hw, tops_hw
         return self.inside_hw, self.inside_hw
-
-    def _blurred(self, values_hw: NDArray[np.floating], sigma: float) -> NDArray[np.float64]:
-        """Return the mean over the neighbours inside the disc."""
-        inside_hw = self.inside_hw.astype(np.float64)
-        sums_hw = ndimage.gaussian_filter(values_hw * inside_hw, sigma, mode="constant")
-        return sums_hw / np.maximum(ndimage.gaussian_filter(inside_hw, sigma, mode="constant"), 1e-6)
 
     def _blob(
         self, moved_hw: NDArray[np.floating], row: int, column: int, top: float

@@ -55,6 +55,8 @@ def find_highlights(
         looks like it (`LobeFit`), where one does; else it is the mean of its pixels' lights.
     """
     search = HighlightSearch.of(samples_ihw.shape[1:], circle, sphere, factor, corner_xy)
+    if not search.inside_hw.any():  # beside the picture, or of a pixel or two
+        return [None] * len(samples_ihw)
     is_many = len(samples_ihw) >= _MANY
     if is_many:
         still_ihw = search.ball().first_guess(samples_ihw)

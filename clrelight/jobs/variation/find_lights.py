@@ -23,7 +23,8 @@ from clrelight.jobs.variation.light_doubts import RIVAL
 from clrelight.jobs.variation.light_frames import Frames, lend_frames
 from clrelight.jobs.variation.light_pictures import draw_spheres
 from clrelight.jobs.variation.object_lights import lights_of_object
-from clrelight.jobs.variation.sphere_lights import SphereLights, agree, lights_of_sphere
+from clrelight.jobs.variation.sphere_lights import SphereLights, lights_of_sphere
+from clrelight.jobs.variation.sphere_means import agree
 from clrelight.jobs.variation.sphere_search import look_for_spheres
 from clrelight.jobs.written import count_bytes
 from clrelight.light_files import write_lp

@@ -15,8 +15,7 @@ _WIDER, _DIMMER, _RIVALS, _OFTEN, _DEGREES = 1.6, 0.2, 0.7, 0.25, 2.0
 """How much wider than usual a highlight is that has run into something else; how much of the usual height is little;
 share of the brightest from which on either may be the lamp; share of photographs with a second highlight from which on
 two lamps burn; degrees of standard deviation that are many."""
-
-_CLIPPED = 0.25
+CLIPPED = 0.25
 """Share of a sphere that a highlight, clipped as it may be, does not fill."""
 
 
@@ -56,7 +55,7 @@ def doubts(
             "dim": each is not None and each.height < _DIMMER * height,
             "second highlight": each is not None and each.rival > _RIVALS,
             "two lamps": bool(two_lamps),
-            "over-exposed": bool(clipped > _CLIPPED),
+            "over-exposed": bool(clipped > CLIPPED),
             "below the horizon": bool(light_3[2] < 0.0),
             "uncertain": bool(uncertain > _DEGREES),
         }

@@ -12,7 +12,7 @@ from scipy import optimize
 
 from clrelight.errors import InputError
 from clrelight.jobs.report import Progress, Report, stage
-from clrelight.jobs.variation.light_doubts import doubts
+from clrelight.jobs.variation.light_doubts import CLIPPED, doubts
 from clrelight.jobs.variation.light_frames import Frames
 from clrelight.jobs.variation.sphere_rims import inner_circle, rim_of, seen_by_rim, uncertainty
 from clrelight.variation.circles import Circle, refine_circle
@@ -24,13 +24,13 @@ _AROUND = 1.35
 """What is read around a sphere, of its radius."""
 _SHARP_RADIUS = 250.0
 """Pixels of the radius that are enough: then a pixel is worth a quarter of a degree."""
+_SAMPLE_BYTES, _PIXEL_BYTES = 24, 150
+"""What finding highlights holds of each photograph's pixels, and of those of the view."""
 LEAST_OUTLINE, _MEAN_SHARE, _WHOLE = 0.5, 0.75, 0.95
 _SINGLE = 8
 """Photographs that are looked at one by one, at most."""
 _INSIDE = 0.97
 """Share of a matte sphere's radius within which its shading counts."""
-_STRAY = 6.0
-"""Degrees off what other spheres say beyond which one of several is left out."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def lights_of_sphere(
         raise InputError(
             f"sphere {start.x:g},{start.y:g},{start.radius:g} lies outside the photographs, {width}×{height}"
         )
-    bytes_all = 3.0 * len(frames.names) * window[2] * window[3] * 4
+    bytes_all = float(_SAMPLE_BYTES * len(frames.names) + _PIXEL_BYTES) * window[2] * window[3]
     factor = max(1, int(start.radius // _SHARP_RADIUS), int(np.ceil(np.sqrt(bytes_all / budget))))
     with stage(progress, "reading spheres") as tell:
         part_ihw = frames.take(window, factor, None, tell)
@@ -164,18 +164,28 @@ def lights_of_sphere(
         sphere = view_sphere(circle, (height, width), focal, None)
         lights_i3, residual_i = _matte_lights(part_ihw, refined, sphere, factor, corner)
     else:
-        found = find_highlights(
-            part_ihw, refined, sphere, factor, corner, frames.most(), None if rim is None else rim.blur
-        )
+        with stage(progress, "finding highlights"):
+            blur = None if rim is None else rim.blur
+            found = find_highlights(part_ihw, refined, sphere, factor, corner, frames.most(), blur)
         lights_i3 = np.array([np.zeros(3) if each is None else each.light_3 for each in found])
         highlights = tuple(found)
         residual_i = np.array([np.nan if each is None else each.spread for each in found])
     report.add("highlights" if not is_matte else "shading", since)
     worth_i = np.array([sphere.degrees_a_pixel(light_3) for light_3 in lights_i3])
     uncertain_i = uncertainty(sphere, highlights, worth_i, rim, factor)
-    clipped_i = np.mean(part_ihw[:, _disc(part_ihw.shape[1:], refined)] >= frames.most(), axis=1)
+    clipped_i = _clipped(part_ihw, refined, frames.most())
+    if highlights and not any(highlights) and np.median(clipped_i) > CLIPPED:
+        report.note(
+            f"sphere {circle.x:.1f},{circle.y:.1f} is over-exposed in most photographs: no highlight shows there"
+        )
     told = doubts(highlights, lights_i3, uncertain_i, rim is not None, clipped_i)
     return SphereLights(circle, lights_i3, highlights, residual_i, worth_i, uncertain_i, told)
+
+
+def _clipped(part_ihw: NDArray[np.float32], circle: Circle, most: float) -> NDArray[np.float64]:
+    """Return how much of a disc is at the end of the range, of each photograph; 0 where it is beside the picture."""
+    over_ip = part_ihw[:, _disc(part_ihw.shape[1:], circle)] >= most
+    return np.asarray(over_ip.sum(axis=1) / max(1, over_ip.shape[1]))
 
 
 def _matte_lights(
@@ -269,29 +279,3 @@ def _disc(shape_hw: tuple[int, int], circle: Circle) -> NDArray[np.bool_]:
     y_hw, x_hw = np.ogrid[: shape_hw[0], : shape_hw[1]]
     inside_hw: NDArray[np.bool_] = np.hypot(x_hw - circle.x, y_hw - circle.y) < _INSIDE * circle.radius
     return inside_hw
-
-
-def agree(spheres: Sequence[SphereLights]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return each lamp's mean over the spheres that tell of it, and how far these are apart in degrees (NaN of one).
-
-    Of three and more, those far off the one in the middle are left out; of any, those in doubt beside others that are
-    not.
-    """
-    lights_si3 = np.stack([each.lights_i3 for each in spheres])
-    doubted_si = np.array([[bool(each) for each in sphere.doubts] for sphere in spheres])
-    mean_i3, apart_i = np.zeros(lights_si3.shape[1:]), np.full(lights_si3.shape[1], np.nan)
-    for i in range(lights_si3.shape[1]):
-        tells_s: NDArray[np.bool_] = np.any(lights_si3[:, i] != 0.0, axis=1)
-        sure_s = tells_s & ~doubted_si[:, i]
-        told_s3 = lights_si3[sure_s if sure_s.any() else tells_s, i]
-        if not len(told_s3):
-            continue
-        off_ss = np.degrees(np.arccos(np.clip(told_s3 @ told_s3.T, -1.0, 1.0)))
-        if len(told_s3) > 2:
-            middle = int(np.median(off_ss, axis=1).argmin())
-            told_s3 = told_s3[off_ss[middle] < max(_STRAY, 3.0 * float(np.median(off_ss[middle])))]
-        mean_3 = told_s3.sum(axis=0)
-        mean_i3[i] = mean_3 / np.linalg.norm(mean_3)
-        if len(told_s3) > 1:
-            apart_i[i] = float(np.degrees(np.arccos(np.clip(told_s3 @ mean_i3[i], -1.0, 1.0))).max())
-    return mean_i3, apart_i

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,22 +60,8 @@ def look_for_spheres(frames: Frames, count: int, is_matte: bool, progress: Progr
     radii = _LEAST_RADIUS, _MOST_RADIUS * min(samples_ihw.shape[1:])
     if radii[1] <= radii[0]:
         raise InputError(f"photographs of {width}×{height} pixels are too small for a sphere to be found in them")
-    scored: list[tuple[float, Circle]] = []
-    tried: list[Circle] = []
-    for start in find_circles(pictures, radii, _CANDIDATES):
-        circle, _ = outlined(pictures, start)
-        is_new = all(np.hypot(circle.x - o.x, circle.y - o.y) + abs(circle.radius - o.radius) > _SAME for o in tried)
-        tried.append(circle)
-        if circle.outline >= LEAST_OUTLINE and is_new:
-            judge = _matte_share if is_matte else _highlight_share
-            score = circle.outline * judge(samples_ihw, circle)
-            if score > _LEAST_TRIED and circle.outline < _CLEAR:
-                part_ihw, inner, corner = _cut(samples_ihw, circle)
-                circle = outlined_by_all(part_ihw, inner)[0].scaled(1.0, *corner)
-                score = circle.outline * judge(samples_ihw, circle)
-            scored.append((score, circle))
-    if not is_matte and len({round(circle.x) for score, circle in scored if score >= _LEAST_SCORE}) > 1:
-        scored = [(score * (1.0 if _is_outlined(samples_ihw, each) else _UNSURE), each) for score, each in scored]
+    with stage(progress, "trying circles") as tell:
+        scored = _score(samples_ihw, pictures, find_circles(pictures, radii, _CANDIDATES), is_matte, tell)
     scored.sort(key=lambda each: each[0], reverse=True)
     kept: list[Circle] = []
     for score, circle in scored:
@@ -83,9 +71,45 @@ def look_for_spheres(frames: Frames, count: int, is_matte: bool, progress: Progr
     if len(kept) < count:
         found = f"only {len(kept)} of {count} spheres are" if kept else "no sphere is"
         hint = "" if is_matte else ", --kind matte if it does not shine"
-        best = f" (the best candidate scores {scored[0][0]:.2f} of {_LEAST_SCORE:g})" if scored else ""
+        others = [score for score, each in scored if each not in kept and score < _LEAST_SCORE]
+        best = (
+            f" (the best {'other ' * bool(kept)}candidate scores {others[0]:.2f} of {_LEAST_SCORE:g})" if others else ""
+        )
         raise InputError(f"{found} found in the photographs{best}: say where with --sphere X,Y,RADIUS{hint}")
     return [circle.scaled(factor) for circle in kept]
+
+
+def _score(
+    samples_ihw: NDArray[np.float32],
+    pictures: Sequence[NDArray[np.floating]],
+    starts: Sequence[Circle],
+    is_matte: bool,
+    tell: Callable[[int, int], object],
+) -> list[tuple[float, Circle]]:
+    """Return the outlines that circles lead to, and how much they look like those of spheres."""
+    judge = _matte_share if is_matte else _highlight_share
+    scored: list[tuple[float, Circle]] = []
+    tried: list[Circle] = []
+    for count, start in enumerate(starts, 1):
+        circle, _ = outlined(pictures, start)
+        is_new = all(np.hypot(circle.x - o.x, circle.y - o.y) + abs(circle.radius - o.radius) > _SAME for o in tried)
+        tried.append(circle)
+        if circle.outline >= LEAST_OUTLINE and is_new:
+            score = circle.outline * judge(samples_ihw, circle)
+            if score > _LEAST_TRIED and circle.outline < _CLEAR:
+                part_ihw, inner, corner = _cut(samples_ihw, circle)
+                circle = outlined_by_all(part_ihw, inner)[0].scaled(1.0, *corner)
+                score = circle.outline * judge(samples_ihw, circle)
+            scored.append((score, circle))
+        tell(count, len(starts))
+    good = [each for score, each in scored if score >= _LEAST_SCORE]
+    if not is_matte and any(np.hypot(each.x - good[0].x, each.y - good[0].y) > 1.0 for each in good):
+        # What is out anyway is not looked at: an outline takes longer than all else.
+        weights = [
+            1.0 if score < _LEAST_SCORE or _is_outlined(samples_ihw, each) else _UNSURE for score, each in scored
+        ]
+        scored = [(score * weight, each) for weight, (score, each) in zip(weights, scored, strict=True)]
+    return scored
 
 
 def _highlight_share(samples_ihw: NDArray[np.float32], circle: Circle) -> float:
