@@ -18,7 +18,7 @@ _HALF_SRGB = 0.2140
 """Radiance at half the code of white; .2176 by gamma 2.2, which is taken for the same curve."""
 
 _PARAMETRIC = (1, 3, 4, 5, 7)
-"""Numbers that a parametric curve of each type has: ICC.1:2022, table 68."""
+"""Numbers that a parametric curve of each type has: ICC.1:2022, parametricCurveType."""
 
 
 @dataclass(frozen=True)

@@ -227,7 +227,7 @@ def test_folders_of_stacks(stacks, tmp_path):
     (tmp_path / "in" / "notes.txt").write_text("")
     listing = read_listing(tmp_path / "in", "fit", out=tmp_path / "in" / "out")
     assert [stack.name for stack in listing.stacks] == ["deep/y", "x"]
-    assert "1 files" in listing.notes[0]
+    assert "1 file in" in listing.notes[0]
     tasks = make_tasks(listing, tmp_path / "in" / "out", job="fit")
     assert tasks[0].out == str(tmp_path / "in" / "out" / "deep" / "y.h5")
     assert [each.name for each in read_listing(tmp_path / "in", "encode").stacks] == ["fit"]

@@ -106,7 +106,7 @@ def test_a_choice_that_cannot_be_made_leaves_a_row(tmp_path, choices):
     grid = paper_experiment(str(tmp_path / "one.h5"), methods=("sloan",), degrees=("auto",), codecs=("none",))
     (row,) = run_experiment(grid, tmp_path / "r.h5").table
     assert (row["method"], row["degree"], row["n_coeff"]) == (b"sloan", -1, 0)
-    assert b"there are 1 lights" in row["note"]
+    assert b"there is 1 light" in row["note"]
     run_experiment(grid, tmp_path / "r.h5")
     assert len(choices) == 1
     write_report(read_results(tmp_path / "r.h5"), tmp_path / "report")

@@ -91,11 +91,11 @@ def test_solid_angle_weights(device, method):
     assert method == "ceb-crossing" or (share_p <= 1 + 1e-5).all()
 
 
-@pytest.mark.parametrize("n_light", [1, 20])
-def test_fewer_lights_than_coefficients(device, n_light):
+@pytest.mark.parametrize(("n_light", "lights"), [(1, "1 light"), (20, "20 lights")])
+def test_fewer_lights_than_coefficients(device, n_light, lights):
     stack = make_stack(n_light)
     prepared = prepare_fit(stack, "ceb", 4)
-    assert prepared.report.notes == [f"{n_light} lights for 25 coefficients: the bound alone settles the others"]
+    assert prepared.report.notes == [f"{lights} for 25 coefficients: the bound alone settles the others"]
     assert (check(stack, fit(stack, "ceb", 4)) <= 1 + 1e-5).all()
 
 

@@ -112,7 +112,7 @@ def test_sloan_needs_a_function_to_leave_out(device):
 @pytest.mark.parametrize(("n_light", "fits"), [(48, 5), (49, 6), (50, 6), (1, 0)])
 def test_fewer_lights_than_coefficients(method, n_light, fits):
     stack = make_stack(n_light, (1, 2, 1))
-    with pytest.raises(InputError, match=f"{method} at degree 7 has 64 .* {n_light} lights: degree {fits} is"):
+    with pytest.raises(InputError, match=f"{method} at degree 7 has 64 .* {n_light} lights?: degree {fits} is"):
         prepare_fit(stack, method, 7)
     if fits:
         prepare_fit(stack, method, fits)
