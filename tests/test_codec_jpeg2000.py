@@ -70,6 +70,15 @@ def test_ends_of_float32(device, scale):
     assert np.abs(decoded / 4 - coeffs / 4).max() <= 1e-3 * np.abs(coeffs / 4).max() + 1.5e-45
 
 
+def test_what_would_come_back_as_zeros_is_refused(device):
+    coeffs = np.zeros((4, 9, 9, 1), np.float32)
+    coeffs[0, 3, 5] = 2.0**-149
+    with pytest.raises(InputError, match=r"the largest coefficient is 1\.4\d*e-45, .* all would be 0"):
+        encode(coeffs, Jpeg2000(rate=120.0), device)
+    coeffs[0, 3, 5] *= 4
+    assert decode(encode(coeffs, Jpeg2000(rate=120.0), device), device)[0, 3, 5].item() > 2.0**-148
+
+
 def test_a_tiny_share_leaves_the_mean(device):
     coeffs = waves((4, 5, 9, 3))
     encoded = encode(coeffs, Jpeg2000(2.5), device)

@@ -9,6 +9,7 @@ from clrelight.codec.formats.klt import Klt
 from clrelight.errors import InputError
 from clrelight.jobs.outshining import outshining_notes
 from clrelight.sampling import make_pattern
+from clrelight.store import write_fit
 from tests.test_klt_encoding import rough_map
 
 
@@ -19,17 +20,34 @@ def flat_map(*hot):
     return coeffs
 
 
+def notes_of(coeffs, rows=40):
+    parts = [(first, coeffs[:, first : first + rows]) for first in range(0, 40, rows)]
+    return outshining_notes(parts, coeffs.shape)
+
+
 @pytest.mark.parametrize("hot", [(), [(3, 4, 30.0)], [(3, 4, 1000.0), (30, 4, 1000.0), (31, 7, 1000.0)]])
 def test_what_others_have_a_part_in_is_not_told(hot):
-    assert outshining_notes(flat_map(*hot)) == []
+    assert notes_of(flat_map(*hot)) == []
 
 
 @pytest.mark.parametrize("value", [3e3, -1e10, 1e30])
 def test_the_brightest_pixel_is_told(value):
-    (note,) = outshining_notes(flat_map((3, 4, value), (9, 9, value / 10)))
+    coeffs = flat_map((3, 4, value), (9, 9, value / 10))
+    (note,) = notes_of(coeffs)
     assert note.startswith("2 pixels of 2000 hold over 99.9%")
     assert "row 3, column 4" in note
-    assert outshining_notes(np.zeros((1, 40, 50, 1), np.float32)) == outshining_notes(None) == []
+    assert notes_of(coeffs, 7) == notes_of(coeffs, 1) == [note]  # of parts as of the whole
+    assert notes_of(coeffs[:, ::-1], 7) == [note.replace("row 3", "row 36")]
+    assert notes_of(np.zeros((1, 40, 50, 1), np.float32)) == []
+
+
+def test_encode_tells_it_of_a_file_beyond_memory(tmp_path, monkeypatch):
+    coeffs = flat_map((33, 4, 1e5))
+    write_fit(tmp_path / "fit.h5", cr.CoefficientMap(coeffs, 1, "uls", 1.0, "linear", make_pattern("uniform", 9)))
+    monkeypatch.setattr("clrelight.jobs.parts.fits", lambda *arguments: False)
+    report = cr.Report()
+    cr.encode(tmp_path / "fit.h5", "uniform", out=tmp_path / "enc.h5", report=report)
+    assert [note for note in report.notes if "row 33, column 4" in note]
 
 
 def test_encode_tells_it():

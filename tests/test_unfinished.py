@@ -41,9 +41,9 @@ def words(folder, out, *more):
     return ["relight", folder / "fit.h5", out / "turn%d.png", "--light", folder / "sky.h5", "--turntable", COUNT, *more]
 
 
-def interrupt_after(count, monkeypatch):
+def interrupt_after(count, monkeypatch, module=relighting):
     """Have images written until so many are; return their numbers, as they are written."""
-    write, written = relighting.write_view, []
+    write, written = module.write_view, []
 
     def counted(name, *arguments):
         if len(written) == count:
@@ -51,7 +51,7 @@ def interrupt_after(count, monkeypatch):
         write(name, *arguments)
         written.append(int(name[-5]))
 
-    monkeypatch.setattr(relighting, "write_view", counted)
+    monkeypatch.setattr(module, "write_view", counted)
     return written
 
 

@@ -218,7 +218,8 @@ class _Encode:
         advice = advise_codecs(codec, shape, self.memory)
         report.note(*check_memory(f"encoding by {codec.id}", needed, self.memory, advice))
         maps = take_source(self.coefficients, codec, self.device, workspace)
-        report.note(*outshining_notes(maps.in_memory))
+        with maps.rows() as parts:
+            report.note(*outshining_notes(parts, maps.shape))
         since = report.add("read", since)
         with stage(self.progress, f"encoding {codec.id}") as workspace.progress:
             noise = codecs.predict_noise_of(maps, codec)

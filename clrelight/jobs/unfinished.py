@@ -8,7 +8,7 @@ import os
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ from clrelight.remote import is_remote
 Input = tuple[str, int, int]
 """Where a file is, of how many bytes, and when it was changed."""
 _ENDING = ".done"
+_FEW = 1 << 10
+"""Numbers of an array that are told one by one; of more their digest is."""
 
 
 class Unfinished:
@@ -103,6 +105,10 @@ class Unfinished:
         if begin is not None:
             yield begin, count
 
+    def numbers(self, together: int = 1) -> list[int]:
+        """Return the numbers of the pictures of `missing`."""
+        return [number for part in self.missing(together) for number in range(*part)]
+
     def add(self, number: int, facts: Mapping[str, Any]) -> None:
         """Note that a picture is written; InputError where the list cannot be."""
         self.facts[number] = facts
@@ -147,7 +153,9 @@ def tell_known(some: int, count: int) -> str:
 
 def _plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
+        return {each.name: getattr(value, each.name) for each in fields(value)}
+    if isinstance(value, np.ndarray) and value.size > _FEW:
+        return [value.dtype.str, value.shape, hashlib.sha256(np.ascontiguousarray(value).data).hexdigest()]
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)
 
 

@@ -21,6 +21,9 @@ from clrelight.errors import InputError, PayloadError
 CODE_MAX = 65535
 TOLERANCE = 0.01
 FLOAT32_MAX = float(np.finfo(np.float32).max)
+_LEAST_STEP = np.finfo(np.float32).smallest_subnormal
+_VANISHING = 3.0 * float(_LEAST_STEP)
+"""OpenJPEG is off by some two codes, which are no finer than the least float."""
 
 
 @register
@@ -54,7 +57,7 @@ class Jpeg2000(PartsCodec):
             raise InputError(f"codec jpeg2000: rate must be a positive number of bits, got {self.rate!r}")
 
     def encode_parts(self, source: Source, body: BodyWriter) -> dict[str, float]:
-        """Write tables and streams; InputError if the rate does not pay for the tables, or without Pillow."""
+        """Write tables and streams; InputError if the rate is below the tables', all would be 0, or no Pillow."""
         k, h, w, c = source.shape
         size = math.prod(source.shape)
         if h * w > codestream.MAX_PIXELS:
@@ -75,13 +78,17 @@ class Jpeg2000(PartsCodec):
         width_m = high_m.astype(np.float64) - low_m
         step_m = (width_m / CODE_MAX).astype(np.float32)
         # Subnormal steps round by much, or to 0: rather a wider interval than a clipped one.
-        step_m[step_m.astype(np.float64) * CODE_MAX < width_m * (1 - 2.0**-20)] += np.finfo(
-            np.float32
-        ).smallest_subnormal
+        step_m[step_m.astype(np.float64) * CODE_MAX < width_m * (1 - 2.0**-20)] += _LEAST_STEP
+        largest = max(-float(low_m.min()), float(high_m.max()))
         steps, streams = _encode_maps(source, low_m, step_m, available - tables)
         for m, stream in enumerate(streams):
             if not stream and step_m[m] > 0:
                 low_m[m], step_m[m] = _plane(source, m).mean(dtype=np.float64), 0.0
+        if 0.0 < largest <= _VANISHING and not _keeps_any(low_m, steps, streams, (h, w)):
+            raise InputError(
+                f"codec jpeg2000: the largest coefficient is {largest:g}, and of codes that fine all would be 0: give "
+                "the stack a peak near its brightest sample"
+            )
         sizes_m = np.array([len(stream) for stream in streams], np.uint32)
         coded = low_m.tobytes() + step_m.tobytes() + sizes_m.tobytes() + steps + b"".join(streams)
         body.write_all(pad_body(coded, size))
@@ -138,6 +145,15 @@ def _plane(source: Source, m: int) -> NDArray[np.float32]:
     """Return one channel of one map, C-contiguous."""
     k, channel = divmod(m, source.shape[3])
     return np.ascontiguousarray(source.maps(k, k + 1)[0, :, :, channel])
+
+
+def _keeps_any(low_m: NDArray[np.float32], steps: bytes, streams: list[bytes], size: tuple[int, int]) -> bool:
+    """Return whether something else than 0 comes back of maps whose step is the least float."""
+    for low, stream in zip(low_m, streams, strict=True):
+        codes_hw = codestream.decode_plane(steps, stream, *size).astype(np.int64) if stream else np.zeros(1, np.int64)
+        if (codes_hw + round(float(low) / float(_LEAST_STEP))).any():
+            return True
+    return False
 
 
 def _encode_maps(

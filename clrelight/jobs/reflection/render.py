@@ -20,7 +20,8 @@ from clrelight.jobs.report import Progress, Report, report_for
 from clrelight.jobs.surface.frames import Placed, SurfaceFrames, place_camera, rotation_of, turn_background
 from clrelight.jobs.surface.inputs import background_of, sources_of
 from clrelight.jobs.surface.meshes import MeshLike, take_surface
-from clrelight.jobs.surface.pictures import Showing, picture_names
+from clrelight.jobs.surface.pictures import Showing, numbers_to_make, picture_names
+from clrelight.jobs.unfinished import Input, seen_inputs, unfinished_images
 from clrelight.jobs.written import count_bytes, count_stops
 from clrelight.lighting.environment import Environment
 from clrelight.lighting.light import Light
@@ -30,6 +31,7 @@ from clrelight.shrm.painting import Clock, Mesh, Sphere, distant_view
 from clrelight.shrm.prefilter import to_global
 from clrelight.shrm.record import Shrm
 from clrelight.store import read_shrm
+from clrelight.surface import Surface
 from clrelight.transfer.cameras import Camera, Framing, middle_of, picture_size
 from clrelight.transfer.painting import Background
 from clrelight.transfer.views import MAX_SUBSAMPLES, SUBSAMPLES
@@ -125,6 +127,7 @@ def render_reflection(
     names = picture_names(target, frames.count, background == "transparent")
     sides, held, clock = picture_size(size), count_bytes(memory), Clock()
     behind, has_alpha = _background(background, environment, kept)
+    seen = _seen(source, environment)
     with claimed(names, paths_among(source, mesh, environment), kept):
         since = time.perf_counter()
         shrm = source if isinstance(source, Shrm) else read_shrm(source)
@@ -132,8 +135,7 @@ def render_reflection(
         subject: Sphere | Mesh
         if mesh is None:
             placed, subject = _sphere(sides, view, camera, mesh_up, views, clock)
-            facts: dict[str, Any] = {"size": sides[0]}
-            middle_3 = np.zeros(3)
+            surface, middle_3 = None, np.zeros(3)
         else:
             if view is not None:
                 raise InputError("a view is for spheres: say from where a mesh is seen by a camera (--from)")
@@ -141,15 +143,25 @@ def render_reflection(
             kept.note(*surface.notes)
             subject = Mesh(surface, sides, _checked(subsamples), views, held, clock)
             placed, middle_3 = place_camera(camera, surface, sides, frames), middle_of(surface)
-            facts = {"size": list(sides), "vertices": surface.n_vertex, "faces": len(surface.faces_f3)}
         kept.add("read", since)
-        pictures = _paint(subject, shrm, _steps(frames, placed, middle_3, rotate, behind), kept)
-        images_ihwc = shown.show(pictures, names, frames.count, has_alpha, kept, progress)
-    facts |= _facts(placed, frames.count / max(kept.seconds["render"], 1e-9), clock)
+        asked = [shown, frames, surface, placed, sides, subsamples, views, held, background, environment, rotate]
+        unfinished = unfinished_images(names, seen, ["shrm render", *asked])
+        numbers = numbers_to_make(unfinished, frames.count, kept, _together(shrm))
+        steps = _steps(frames, placed, middle_3, rotate, behind, numbers)
+        pictures = _paint(subject, shrm, steps, kept)
+        images_ihwc = shown.show(pictures, names, numbers, has_alpha, kept, progress, unfinished)
+    facts = _facts(sides, surface, placed, len(numbers) / max(kept.seconds.get("render", 0.0), 1e-9), clock)
     kept.facts = {"files": names, "degree": shrm.degree, "order": shrm.order, **kept.facts, **facts}
     if target is not None:
         return kept
     return images_ihwc if frames.is_turntable else images_ihwc[0]
+
+
+def _seen(source: Shrm | str | os.PathLike[str], environment: object) -> list[Input] | None:
+    """Return what files look like, before they are read; None where something may change unseen."""
+    if isinstance(source, Shrm) or callable(environment):
+        return None
+    return seen_inputs([source, *paths_among(environment)])
 
 
 def _sphere(
@@ -183,10 +195,11 @@ def _steps(
     middle_3: NDArray[np.float64],
     rotate: Rotation | None,
     behind: Background | None,
+    numbers: Sequence[int],
 ) -> Iterator[_Step]:
     turned = np.eye(3) if rotate is None else rotation_of(rotate)
     behind = turn_background(behind, rotate)
-    for step in range(frames.count):
+    for step in numbers:
         turn = ("axis", (*frames.axis, 360.0 * step / frames.count))
         if not step:
             yield _Step(camera, turned, behind)
@@ -196,10 +209,14 @@ def _steps(
             yield _Step(camera.turned(turn[1][-1], frames.axis, middle_3), turned, behind)
 
 
+def _together(shrm: Shrm) -> int:
+    """Return how many dynamic maps are made together: the last digits of one may hang on how many."""
+    return max(1, PIECE_BYTES // shrm.maps_khwc[0].nbytes)
+
+
 def _paint(subject: Sphere | Mesh, shrm: Shrm, steps: Iterator[_Step], report: Report) -> Iterator[Placed]:
     """Yield pictures, the camera of each, and what lies behind it; dynamic maps of many views are made together."""
-    at_once = max(1, PIECE_BYTES // shrm.maps_khwc[0].nbytes)
-    while batch := list(itertools.islice(steps, at_once)):
+    while batch := list(itertools.islice(steps, _together(shrm))):
         since = time.perf_counter()
         maps: list[NDArray[np.floating] | None] = [None] * len(batch)
         if not isinstance(subject, Mesh) or subject.views == "distant":
@@ -227,9 +244,14 @@ def _background(wanted: str | Sequence[float], light: Any, report: Report) -> tu
     return background_of(wanted, light, sources_of(light, 0, report))
 
 
-def _facts(camera: Camera, rate: float, clock: Clock) -> dict[str, Any]:
+def _facts(
+    sides: tuple[int, int], surface: Surface | None, camera: Camera, rate: float, clock: Clock
+) -> dict[str, Any]:
     placed = {"eye": camera.eye_3, "target": camera.target_3, "field_of_view": camera.field_of_view}
-    facts: dict[str, Any] = {"camera": placed, "frames_a_second": rate}
+    facts: dict[str, Any] = {"size": sides[0]}
+    if surface is not None:
+        facts = {"size": list(sides), "vertices": surface.n_vertex, "faces": len(surface.faces_f3)}
+    facts |= {"camera": placed, "frames_a_second": rate}
     if clock.seconds:
         facts["maps_a_second"] = clock.rate(PAPER_TEXELS)
     return facts

@@ -63,15 +63,16 @@ class SurfaceFrames:
         behind: Background | None,
         colour_c: NDArray[np.float32],
         report: Report,
+        numbers: Sequence[int],
     ) -> Iterator[Placed]:
-        """Yield pictures, tinted, the camera of each, and what lies behind it."""
+        """Yield pictures of these numbers, tinted, the camera of each, and what lies behind it."""
         by_light = self.turns == "light" and self.is_turntable
         if by_light and not all(isinstance(each, DistantLight | DirectionalLight) for each in sources):
             raise InputError("lights near the surface do not go round it: let the view turn (--turns view)")
         if by_light and not sources:
             raise InputError("under a fixed light only the view can turn (--turns view)")
         middle_3 = middle_of(painter.body or painter.surface)
-        for step in range(self.count):
+        for step in numbers:
             since = time.perf_counter()
             angle = 360.0 * step / self.count
             lit, view, back = sources, camera, behind

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ from clrelight.jobs.pictures import (
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.surface.frames import Placed
 from clrelight.jobs.surface.transparency import check_alpha, write_transparent
+from clrelight.jobs.unfinished import Unfinished, tell_known
 from clrelight.lighting.relighting import TONEMAPS, automatic_exposure
 from clrelight.transfer.cameras import Camera
 from clrelight.transfer.painting import Background, Picture, put_on
@@ -51,15 +52,18 @@ class Showing:
         self,
         pictures: Iterator[Placed],
         names: list[str],
-        count: int,
+        numbers: Sequence[int],
         has_alpha: bool,
         report: Report,
         progress: Progress | None,
+        unfinished: Unfinished | None = None,
     ) -> NDArray[np.float32]:
-        """Write all pictures where they have names; return them where they have none."""
-        exposure, kept, animated = self.exposure, [], []
+        """Write pictures of these numbers where they have names; return them where they have none."""
+        known = None if unfinished is None else unfinished.exposure
+        exposure, kept, animated = self.exposure if known is None else known, [], []
+        n_note = len(report.notes)
         with stage(progress, "rendering") as tell:
-            for index, (picture, camera, behind) in enumerate(pictures):
+            for index, (picture, camera, behind) in zip(numbers, pictures, strict=True):
                 if exposure is None:
                     exposure = _automatic(picture)  # of the first picture, for all of them
                 image_hwc = _compose(picture, camera, behind, has_alpha, np.float32(2.0**exposure))
@@ -72,12 +76,25 @@ class Showing:
                     write_transparent(names[index], image_hwc, self.tonemap, self.transfer)
                 else:
                     write_view(names[index], image_hwc, self.tonemap, self.transfer)
+                if unfinished is not None:
+                    unfinished.add(index, {"exposure": exposure, "notes": report.notes[n_note:]})
+                    n_note = len(report.notes)
                 report.add("write", since)
-                tell(index + 1, count)
+                tell(index + 1, numbers[-1] + 1)
             if animated:
                 write_animation(names[0], animated)
+        if unfinished is not None:
+            unfinished.end()
         report.facts["exposure"] = exposure
         return np.stack(kept) if kept else np.empty((0,), np.float32)
+
+
+def numbers_to_make(unfinished: Unfinished | None, count: int, report: Report, together: int = 1) -> Sequence[int]:
+    """Return the numbers of pictures that are not there yet, and note those that are; `together` are made at a time."""
+    if unfinished is None or not unfinished.facts:
+        return range(count)
+    report.note(tell_known(len(unfinished.facts), count), *unfinished.notes)
+    return unfinished.numbers(together)
 
 
 def _compose(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,8 @@ from clrelight.jobs.outputs import claimed
 from clrelight.jobs.report import Progress, Report, report_for
 from clrelight.jobs.surface.frames import SurfaceFrames, colour_of, place_camera, turn_background, turn_sources
 from clrelight.jobs.surface.inputs import LightLike, background_of, lend_map, sources_of, surface_for
-from clrelight.jobs.surface.pictures import Showing, picture_names
+from clrelight.jobs.surface.pictures import Showing, numbers_to_make, picture_names
+from clrelight.jobs.unfinished import seen_inputs, unfinished_images
 from clrelight.jobs.written import count_bytes, count_stops
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.surface import Surface
@@ -127,6 +128,7 @@ def render(
     names = picture_names(target, frames.count, background == "transparent")
     held = count_bytes(memory)
     inputs = paths_among(source, mesh, *(light if isinstance(light, list | tuple) else [light]))
+    seen = seen_inputs([source])
     with claimed(names, inputs, kept), lend_map(source, device, kept, progress) as given:
         surface, body = surface_for(given, mesh, mesh_up, kept)
         coefficients = _prepare(given, surface, degree, shading)
@@ -138,8 +140,13 @@ def render(
         behind = turn_background(behind, rotate)
         painter = Painter(coefficients, surface, picture_size(size), _checked(subsamples), shading, held, body)
         placed = place_camera(camera, body or surface, picture_size(size), frames)
-        pictures = frames.paint(painter, sources, placed, behind, colour_of(recolour, coefficients), kept)
-        images_ihwc = shown.show(pictures, names, frames.count, has_alpha, kept, progress)
+        colour_c = colour_of(recolour, coefficients)
+        asked = [shown, frames, unturned, rotate, surface, body, placed, size, subsamples, shading, held, background]
+        known = seen if all(map(is_dataclass, unturned)) else None  # others may change unseen
+        unfinished = unfinished_images(names, known, ["render", *asked, colour_c, degree, kept.device])
+        numbers = numbers_to_make(unfinished, frames.count, kept)
+        pictures = frames.paint(painter, sources, placed, behind, colour_c, kept, numbers)
+        images_ihwc = shown.show(pictures, names, numbers, has_alpha, kept, progress, unfinished)
     if target is not None:
         kept.facts = {"files": names, **kept.facts, **_facts(coefficients, surface, placed)}
         return kept
