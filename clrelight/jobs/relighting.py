@@ -28,7 +28,7 @@ from clrelight.jobs.pictures import (
 )
 from clrelight.jobs.region import Part, take_part
 from clrelight.jobs.report import Progress, Report, stage
-from clrelight.jobs.unfinished import Unfinished, tell_known
+from clrelight.jobs.unfinished import Unfinished
 from clrelight.jobs.written import count_stops
 from clrelight.lighting.light import Light
 from clrelight.lighting.relighting import TONEMAPS
@@ -147,7 +147,7 @@ def _show_rest(
     report: Report,
 ) -> None:
     """Write the images that an interrupted job has left out."""
-    report.note(tell_known(len(unfinished.facts), frames.count), *unfinished.notes)
+    unfinished.tell(report)
     exposure, below = unfinished.exposure, unfinished.below
     for first, end in list(unfinished.missing(together)):  # of what is there now
         some(frames.only(first, end, exposure), first, end)

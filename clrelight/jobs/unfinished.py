@@ -19,6 +19,7 @@ from clrelight.codec.encoded import Encoded
 from clrelight.dataset import CoefficientMap
 from clrelight.durable import naming, replacing, sibling_stem
 from clrelight.errors import counted
+from clrelight.jobs.report import Report
 from clrelight.lighting.light import Light
 from clrelight.remote import is_remote
 
@@ -89,6 +90,10 @@ class Unfinished:
     def below(self) -> float:
         """The greatest share of pixels below black of those that are whole."""
         return max((float(facts.get("below", 0.0)) for facts in self.facts.values()), default=0.0)
+
+    def tell(self, report: Report) -> None:
+        """Note which pictures are there, and what was said of them."""
+        report.note(tell_known(len(self.facts), len(self._names)), *self.notes)
 
     def missing(self, together: int) -> Iterator[tuple[int, int]]:
         """Yield numbers first..end of pictures to make, in parts that begin at multiples of `together`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,14 @@ _LEAST_PIXELS = 1.0
 _APART = 3.0
 """Pixels of place and radius that circles differ by at least: of small ones too."""
 _FLOOR = 1e-9
+
+
+Place = TypeVar("Place", float, NDArray[np.float64])
+
+
+def scaled_places(x: Place, y: Place, factor: float, corner_xy: tuple[float, float]) -> tuple[Place, Place]:
+    """Return places in a picture of larger pixels, `factor` of these, whose first is at `corner_xy` there."""
+    return (x + 0.5) * factor - 0.5 + corner_xy[0], (y + 0.5) * factor - 0.5 + corner_xy[1]
 
 
 @dataclass(frozen=True)
@@ -44,8 +53,8 @@ class Circle:
 
     def scaled(self, factor: float, x: float = 0.0, y: float = 0.0) -> Circle:
         """Return the circle in a picture of larger pixels, `factor` of these, whose first is at (x, y) there."""
-        centre = ((each + 0.5) * factor - 0.5 for each in (self.x, self.y))
-        return replace(self, x=next(centre) + x, y=next(centre) + y, radius=self.radius * factor, off=self.off * factor)
+        centre_x, centre_y = scaled_places(self.x, self.y, factor, (x, y))
+        return replace(self, x=centre_x, y=centre_y, radius=self.radius * factor, off=self.off * factor)
 
 
 def find_circles(pictures: Sequence[NDArray[np.floating]], radii: tuple[float, float], count: int = 8) -> list[Circle]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from clrelight.variation.beside_highlights import Ball
-from clrelight.variation.circles import Circle
+from clrelight.variation.circles import Circle, scaled_places
 from clrelight.variation.spheres import SphereView
 
 _RIM, _MARGIN = 0.985, 1.5
@@ -182,9 +182,7 @@ class HighlightSearch:
     def _places(
         self, columns_p: NDArray[np.integer], rows_p: NDArray[np.integer]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return places of the part in pixels of the photographs."""
-        x_p, y_p = ((each.astype(np.float64) + 0.5) * self.factor - 0.5 for each in (columns_p, rows_p))
-        return x_p + self.corner_xy[0], y_p + self.corner_xy[1]
+        return scaled_places(columns_p.astype(np.float64), rows_p.astype(np.float64), self.factor, self.corner_xy)
 
     def run(
         self, moved_hw: NDArray[np.floating], samples_hw: NDArray[np.floating], noise: float, most: float

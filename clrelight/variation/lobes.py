@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from clrelight.variation.circles import Circle
+from clrelight.variation.circles import Circle, scaled_places
 from clrelight.variation.descent import Descended, descend
 from clrelight.variation.error_law import ErrorLaw
 from clrelight.variation.spheres import SphereView
@@ -277,9 +277,7 @@ class LobeFit:
     def _places(
         self, x_p: NDArray[np.float64], y_p: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return places of the part in pixels of the photographs."""
-        x, y = ((each + 0.5) * self.factor - 0.5 for each in (x_p, y_p))
-        return x + self.corner_xy[0], y + self.corner_xy[1]
+        return scaled_places(x_p, y_p, self.factor, self.corner_xy)
 
     def light(self, found: FoundLobe) -> tuple[float, float, NDArray[np.float64]]:
         """Return a lobe's middle in pixels of the photographs, and the unit vector to its lamp."""

@@ -170,12 +170,13 @@ class Klt(PartsCodec):
         """Return the body; `transfer` is what it says of its values where they are bent already."""
         shape = pixels.shape
         encoder = Encoder(pixels, transfer or pixels.transfer, self.metric, workspace.memory_bytes, workspace.tell)
+        budget: int | None = None
         if self.step is not None:
             body, info = encoder.encode(self.step)
-            encoder.check_kept(info)
-            return pad_to_minimum(body, shape), info
-        budget = int(self.byte_budget if self.byte_budget is not None else (self.rate or 0.0) * math.prod(shape) / 8.0)
-        body, info = encoder.encode_within(budget - minimum_overhead(shape))
+        else:
+            rated = (self.rate or 0.0) * math.prod(shape) / 8.0
+            budget = int(rated if self.byte_budget is None else self.byte_budget)
+            body, info = encoder.encode_within(budget - minimum_overhead(shape))
         encoder.check_kept(info)
         return pad_to_minimum(body, shape, budget), info
 

@@ -29,17 +29,15 @@ _AXIS_MULTIPLIER = 0.1
 """Squared steps of error that a bit of an axis must save: the faintest planes may be what lights from one side show."""
 _ROUGHLY, _NEARLY, _FOUND = (0.7, 0.98, 1.4), (0.93, 0.97, 1.0), (0.95, 0.99, 1.04)
 """Parts of a budget where a search on few pieces ends, and aims; those of one that tells surely; and of the last."""
+NEAR = (0.9, 0.997, 1.1)
+"""The same where what comes after makes up for the rest."""
 _FEW, _MANY, _AT_ONCE = 3, 16, 16
 """Pieces of the first search, those of the last where the map itself is coded until it fits, and those that lie in
 memory together."""
 _FIRST = 3
 """Of the numbers by which pieces are chosen, the first: 0 would take a corner."""
-_MORE_PLANES = 1.1
-"""Times by which pieces have more planes than are asked for: finer steps ask for more."""
 _FINE_STEP, _GUESSES = 2.0**-6, 3
 """A step by whose planes another is guessed; times that it is guessed, by the planes that the guess before asks for."""
-NEAR = (0.9, 0.997, 1.1)
-"""The same where what comes after makes up for the rest."""
 _FEW_ENTRIES = 4096
 """Values of axes whose coded tables a trial weighs; of more it reckons them."""
 _COST = 0.1, -0.45
@@ -100,8 +98,7 @@ class StepFinder(TileEncoder):
         if count <= self._prepared:
             return
         _, height, width, _ = self._shape
-        # The next step may be finer.
-        count = min(max(count * 9 // 8 + 1, self._prepared * 3 // 2), len(self._whitening.deviation_j))
+        count = min(max(_with_spare(count), self._prepared * 3 // 2), len(self._whitening.deviation_j))
         self._windows, self._pieces = list_pieces(height, width, count, self._memory), {}
         self._tried, self._exact = {}, self._whitening.exact(count)
         self._prepared = count
@@ -182,7 +179,7 @@ class StepFinder(TileEncoder):
         for numbers in self._groups(missing):
             pieces = self._pieces.get(numbers)
             if pieces is None or pieces.values.shape[0] < count:
-                held = min(int(_MORE_PLANES * count), len(planes[1]))
+                held = min(_with_spare(count), len(planes[1]))
                 self._pieces.pop(numbers, None)
                 pieces = self.take_pieces([self._windows[n] for n in numbers], (planes[0][:held], planes[1][:held]))
                 self._pieces[numbers] = pieces
@@ -260,6 +257,11 @@ class StepFinder(TileEncoder):
 def likely_step(trial: Trial, budget: int) -> float:
     """Return the step at which a budget is likely filled, by a trial near it."""
     return trial.step * float(trial.size / max(NEAR[1] * budget, 1.0)) ** STEP_POWER
+
+
+def _with_spare(count: int) -> int:
+    """Return so many planes, and those that the next step asks for beside if it is somewhat finer."""
+    return count * 9 // 8 + 1
 
 
 def _choose(count: int, most: int | None) -> list[int]:

@@ -25,7 +25,7 @@ from clrelight.jobs.pictures import (
 from clrelight.jobs.report import Progress, Report, stage
 from clrelight.jobs.surface.frames import Placed
 from clrelight.jobs.surface.transparency import check_alpha, write_transparent
-from clrelight.jobs.unfinished import Unfinished, tell_known
+from clrelight.jobs.unfinished import Unfinished
 from clrelight.lighting.relighting import TONEMAPS, automatic_exposure
 from clrelight.transfer.cameras import Camera
 from clrelight.transfer.painting import Background, Picture, put_on
@@ -93,7 +93,7 @@ def numbers_to_make(unfinished: Unfinished | None, count: int, report: Report, t
     """Return the numbers of pictures that are not there yet, and note those that are; `together` are made at a time."""
     if unfinished is None or not unfinished.facts:
         return range(count)
-    report.note(tell_known(len(unfinished.facts), count), *unfinished.notes)
+    unfinished.tell(report)
     return unfinished.numbers(together)
 
 
