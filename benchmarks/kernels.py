@@ -130,7 +130,7 @@ def _errors(device: Device, codes_ip: np.ndarray) -> Work:
     weight_p = device.upload(np.ones(codes_ip.shape[1], np.float32))
     return Work(
         "squared error uint8",
-        lambda: sum_errors(device, relit_ip, source_ip, weight_p, 255.0, "linear"),
+        lambda: sum_errors(device, relit_ip, source_ip, weight_p, 255.0),
         5.0 * lights * codes_ip.shape[1],
     )
 

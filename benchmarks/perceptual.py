@@ -8,12 +8,14 @@ the same for both metrics, so that differences between metrics are far more cert
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from benchmarks.quality_per_byte import HOLDOUT, Found, draw_ways, print_stacks
+from clrelight.codec import decode_shown
 from clrelight.codec.transforms.colour import METRICS
 from clrelight.dataset import LightStack
 from clrelight.device import open_device
 from clrelight.holdout import split_chosen
-from clrelight.jobs.decode import decode
 from clrelight.jobs.encode import encode
 from clrelight.jobs.fit import fit
 from clrelight.jobs.measure import measure
@@ -44,7 +46,8 @@ def _rows(stack: LightStack, picture: str | None) -> list[list[str]]:
             kilobytes, psnr = encoded.encoded_bytes, found["pooled_holdout"]
             rows.append([stack.name, f"{rate:g}", metric, f"{kilobytes / 1000:.1f}", f"{psnr:.2f}", *seen])
             if picture is not None and rate == RATES[0]:
-                drawn.append(Found(metric, kilobytes, psnr, decode(encoded, device=device)))
+                shown_khwc, curve = decode_shown(encoded, device)
+                drawn.append(Found(metric, kilobytes, psnr, replace(fitted, coeffs_khwc=shown_khwc), curve))
     if picture is not None:
         held = split_chosen(stack.directions_i3, HOLDOUT)[1]
         draw_ways(picture, stack, int(held[len(held) // 2]), drawn)

@@ -20,7 +20,8 @@ from benchmarks.pages import replace_block
 from benchmarks.rti_baseline import measure_rti
 from clrelight.cli.progress import progress_bar
 from clrelight.cli.tables import print_table
-from clrelight.codec import codec_class, decode, encode
+from clrelight.codec import codec_class, decode_shown, encode
+from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import open_device
 from clrelight.holdout import split_chosen
@@ -45,6 +46,7 @@ class Found:
     byte_count: int
     psnr: float
     coefficients: CoefficientMap | None = None
+    curve: str = "linear"
 
 
 def main() -> None:
@@ -88,14 +90,15 @@ def _rows(stack: LightStack, picture: str | None) -> list[list[str]]:
     ours = fit(stack, "auto", "auto", holdout=HOLDOUT, device=device)
     plain = fit(stack, "cls", 6, holdout=HOLDOUT, device=device)
 
-    def measure(coefficients: CoefficientMap) -> float:
-        return summarize_errors(measure_errors(coefficients, unseen, device=device)).psnr_pooled
+    def measure(coefficients: CoefficientMap, behind: str = "linear") -> float:
+        return summarize_errors(measure_errors(coefficients, unseen, behind=behind, device=device)).psnr_pooled
 
     def code(way: str, source: CoefficientMap, codec: str, **config: object) -> Found:
         chosen = codec_class(codec).from_config(config).for_transfer(stack.transfer)
         encoded = encode(source.coeffs_khwc, chosen, device, source.basis, source.fitted_lights)
-        decoded = replace(source, coeffs_khwc=decode(encoded.to_bytes(), device))
-        return Found(way, encoded.encoded_bytes, measure(decoded), decoded)
+        shown_khwc, curve = decode_shown(encoded.to_bytes(), device)
+        shown = replace(source, coeffs_khwc=shown_khwc)
+        return Found(way, encoded.encoded_bytes, measure(shown, curve), shown, curve)
 
     best = measure(ours)
     label = f"{ours.method} degree {ours.degree}, klt"
@@ -146,6 +149,7 @@ def draw_ways(path: str, stack: LightStack, light: int, ways: list[Found]) -> No
     for found in ways:
         if found.coefficients is not None:
             image = relight(found.coefficients, stack.directions_i3[light : light + 1])[0]
+            image = srgb_to_linear(image) if found.curve == "srgb" else image
             panels.append(
                 (
                     f"{found.way}\n{found.byte_count / 1000:.1f} kB, {found.psnr:.1f} dB",

@@ -101,13 +101,15 @@ def measure_errors(
     coefficients: CoefficientMap,
     stack: LightStack,
     *,
+    behind: str = "linear",
     device: Device | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> NDArray[np.float64]:
     """Return each light's mean squared error between the relit and the given image, float64, in units of the peak.
 
     Values are clipped to [0, peak] and compared in the stack's own transfer, to which relit radiance is converted
-    whatever was fitted (`domain_note` says so); pixels outside the mask do not count.
+    whatever was fitted (`domain_note` says so); pixels outside the mask do not count. `behind` is the curve that values
+    of the coefficients are behind, where they are no radiance: see `clrelight.codec.viewing.decode_shown`.
 
     Raises
     ------
@@ -115,7 +117,7 @@ def measure_errors(
         If the coefficients are not of this view, or no pixel counts.
     """
     total_i, count = np.zeros(stack.n_light), count_values(stack)
-    for sum_i in errors_of_rows(coefficients, stack, device=device, progress=progress):
+    for sum_i in errors_of_rows(coefficients, stack, behind=behind, device=device, progress=progress):
         total_i += sum_i
     return total_i / count
 
@@ -140,6 +142,7 @@ def errors_of_rows(
     coefficients: CoefficientMap,
     stack: LightStack,
     *,
+    behind: str = "linear",
     device: Device | None = None,
     progress: Callable[[int, int], None] | None = None,
     rows: tuple[int, int] | None = None,
@@ -164,7 +167,7 @@ def errors_of_rows(
         step = max(1, PIECE_BYTES * _IN_PLACE // (column_bytes * width * channel))
     tiles = row_tiles((top, bottom), step)
     coeffs_of, samples_of = (itertools.cycle([Buffer(), Buffer()]) for _ in range(2))
-    sum_tile = SumOfErrors(device, basis, stack.peak, stack.transfer)
+    sum_tile = SumOfErrors(device, basis, stack.peak, stack.transfer, behind)
 
     def weigh(rows: slice) -> NDArray[np.float32]:
         return np.repeat(mask_hw[rows].astype(np.float32).ravel(), channel)
@@ -208,11 +211,15 @@ class SumOfErrors:
         Of the samples.
     transfer : str
         Curve of the samples: what is relit goes through it.
+    behind : str
+        Curve that what is relit is behind already.
     """
 
-    def __init__(self, device: Device, basis: PackedOperator, peak: float, transfer: str) -> None:
-        self._device, self._basis = device, basis
-        self._peak, self._transfer = peak, transfer
+    def __init__(
+        self, device: Device, basis: PackedOperator, peak: float, transfer: str, behind: str = "linear"
+    ) -> None:
+        self._device, self._basis, self._peak = device, basis, peak
+        self._encode = int(transfer == "srgb") - int(behind == "srgb")
 
     def __call__(
         self, coeffs_khwc: NDArray, samples_ihwc: NDArray, weight_p: NDArray[np.float32], columns: slice
@@ -231,7 +238,7 @@ class SumOfErrors:
         if self._basis.heights_b is None:
             relit_ip = device.empty(source_ip.shape, np.float32)
             apply_operator(device, self._basis, coeffs_kp, relit_ip)
-            error_it = sum_errors(device, relit_ip, source_ip, weights, self._peak, self._transfer)
+            error_it = sum_errors(device, relit_ip, source_ip, weights, self._peak, self._encode)
         else:
             tile = tile_defines(device)
             count = -(-(columns.stop - columns.start) // int(str(tile["TILE"])))
@@ -253,16 +260,19 @@ class SumOfErrors:
                     **tile,
                     **sample_defines(source_ip.dtype),
                     "COEFF_HALF": int(coeffs_kp.dtype == np.float16),
-                    "ENCODE": int(self._transfer == "srgb"),
+                    "ENCODE": self._encode,
                 },
             )
         return device.download(error_it).sum(axis=1, dtype=np.float64)
 
 
 def sum_errors(
-    device: Device, relit_ip: DeviceArray, source_ip: DeviceArray, weight_p: DeviceArray, peak: float, transfer: str
+    device: Device, relit_ip: DeviceArray, source_ip: DeviceArray, weight_p: DeviceArray, peak: float, encode: int = 0
 ) -> DeviceArray:
-    """Queue a GPU's sums of squared errors, in units of the peak, of each light and segment of columns."""
+    """Queue a GPU's sums of squared errors, in units of the peak, of each light and segment of columns.
+
+    `encode` is ``ENCODE`` of the kernel.
+    """
     n_light, columns = relit_ip.shape
     error_it = device.empty((n_light, -(-columns // _SEGMENT)), np.float32)
     device.launch(
@@ -279,7 +289,7 @@ def sum_errors(
         defines={
             **sample_defines(source_ip.dtype),
             "SEGMENT": _SEGMENT,
-            "ENCODE": int(transfer == "srgb"),
+            "ENCODE": encode,
             "GROUP": _GROUP,
         },
         local_size=(_GROUP,),

@@ -28,7 +28,7 @@ from clrelight.codec.registry import (
     predict_noise_of,
     register,
 )
-from clrelight.codec.viewing import decode_regions, decode_view
+from clrelight.codec.viewing import decode_regions, decode_shown, decode_view
 
 __all__ = [
     "Bc6h",
@@ -52,6 +52,7 @@ __all__ = [
     "codec_ids",
     "decode",
     "decode_regions",
+    "decode_shown",
     "decode_stream",
     "decode_view",
     "encode",

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from clrelight.bases import SH
 from clrelight.codec.damage import Damage
 from clrelight.codec.encoded import Encoded
-from clrelight.codec.registry import open_payload
-from clrelight.codec.views import Regions, View
+from clrelight.codec.registry import decode, open_payload
+from clrelight.codec.views import Region, Regions, View
 from clrelight.device import Device
 from clrelight.errors import PayloadError
 
@@ -32,6 +35,22 @@ def decode_regions(payload: Encoded | bytes, damage: Damage | None = None) -> Re
     """
     encoded, codec = open_payload(payload)
     return _of_basis(codec.decode_regions(encoded.body, encoded.shape, damage), encoded)
+
+
+def decode_shown(
+    payload: Encoded | bytes, device: Device, decoded_khwc: NDArray[np.float32] | None = None
+) -> tuple[NDArray[np.float32], str]:
+    """Return coefficients of what relighting shows, and the curve that their values are behind.
+
+    What `decode` returns and ``"linear"``, but of code values and ``"srgb"`` where these are coded: relighting
+    evaluates them at a light, and no coefficients of radiance hold all of that. `decoded_khwc` is what `decode`
+    returned, where that is known. PayloadError as `decode` raises it.
+    """
+    encoded, _ = open_payload(payload, summed=True)
+    regions = decode_regions(encoded)
+    if regions is None or regions.curve == "linear":
+        return decode(encoded, device) if decoded_khwc is None else decoded_khwc, "linear"
+    return regions.shown(Region(0, 0, *encoded.shape[1:3]), device), regions.curve
 
 
 def _of_basis(view: Viewed, encoded: Encoded) -> Viewed:

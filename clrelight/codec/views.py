@@ -39,6 +39,18 @@ class View(Protocol):
 class Regions(View, Protocol):
     """A map of which parts are decoded without the rest, at lower resolutions too."""
 
+    @property
+    def curve(self) -> str:
+        """Curve that the values of `shown` are behind, one of `clrelight.conventions.TRANSFERS`."""
+        ...
+
+    def shown(self, region: Region, device: Device) -> NDArray[np.float32]:
+        """Return coefficients of what `relight_region` evaluates at a light and then takes from behind the curve.
+
+        Those of radiance (`coefficients`) where it is linear; else they hold only nearly what is shown.
+        """
+        ...
+
     def coefficients(self, region: Region, device: Device) -> NDArray[np.float32]:
         """Return those of a part, (n_coeff, height, width, channel); PayloadError where it is damaged."""
         ...

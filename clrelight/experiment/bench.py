@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec import Codec, decode, encode, predict_noise
+from clrelight.codec import Codec, decode, decode_shown, encode, predict_noise
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -160,6 +160,7 @@ class Bench:
         row["bits_per_coefficient"], row["encoded_bytes"] = 32.0, coefficients.coeffs_khwc.nbytes
         row["seconds_encode"] = row["seconds_decode"] = 0.0
         row["coding_psnr_independent"] = row["coding_psnr_predicted"] = row["coding_psnr"] = math.inf
+        shown, behind = coefficients, "linear"
         if setting.codec is not None:
             codec, coeffs_khwc = setting.codec.for_transfer(self.stack.transfer), coefficients.coeffs_khwc
             self._warm_up(codec, coeffs_khwc)
@@ -177,8 +178,10 @@ class Bench:
             row["entropy_bits"] = encoded.info.get("entropy_bits", math.nan)
             fill(row, coding_psnr(noise, coeffs_khwc, decoded_khwc))
             coefficients = replace(coefficients, coeffs_khwc=decoded_khwc)
+            shown_khwc, behind = decode_shown(encoded, self.device, decoded_khwc)
+            shown = replace(coefficients, coeffs_khwc=shown_khwc)
         start = time.perf_counter()
-        mse_i = measure_errors(coefficients, self.stack, device=self.device)
+        mse_i = measure_errors(shown, self.stack, behind=behind, device=self.device)
         row["seconds_measure"] = time.perf_counter() - start
         at_fitted = summarize_errors(mse_i[self.fitted])
         row["psnr_mean"], row["psnr_pooled"] = at_fitted.psnr_mean, at_fitted.psnr_pooled

@@ -17,15 +17,15 @@ from clrelight.jobs.inputs import (
     FittedLike,
     Packed,
     StackLike,
-    decoded_of,
     lend_fitted,
     lend_stack,
     opened_on,
 )
 from clrelight.jobs.measure_parts import MeasureWindows, measure_parts
 from clrelight.jobs.packing_farm import measure_elsewhere
-from clrelight.jobs.perceived import measure_perceived, relit_map, relit_regions
+from clrelight.jobs.perceived import measure_perceived, relit_regions
 from clrelight.jobs.report import Progress, Report, report_for, stage
+from clrelight.jobs.shown import shown_of
 from clrelight.jobs.split_quality import Split, summarize_split
 from clrelight.memory import DEFAULT_MEMORY
 from clrelight.metrics import check_view, domain_note, measure_errors
@@ -42,7 +42,7 @@ def measure(
     report: Report | None = None,
     farm: Farm | None = None,
 ) -> dict[str, float]:
-    """Return PSNRs of a fit against a stack, in decibel.
+    """Return PSNRs of a fit against a stack, in decibel: of what it, or what encodes it, shows when it is relit.
 
     Parameters
     ----------
@@ -88,13 +88,13 @@ def measure(
                     kept.psnr = _measure_regions(regions, held, source, perceptual, opened, kept, progress, elsewhere)
                     kept.add("measure", since)
                     return kept.psnr
-            coefficients = decoded_of(held, fitted, opened, kept, progress)
+            shown = shown_of(held, fitted, opened, kept, progress)
             since = time.perf_counter()
-            kept.note(*filter(None, [domain_note(coefficients, source)]))
-            split = split_by_fit(source, coefficients)
-            kept.psnr = measure_split(coefficients, source, opened, split, progress)
+            kept.note(*filter(None, [domain_note(shown.coefficients, source)]))
+            split = split_by_fit(source, shown.coefficients)
+            kept.psnr = measure_split(shown.coefficients, source, opened, split, progress, behind=shown.curve)
             if perceptual:
-                kept.psnr |= measure_perceived(relit_map(coefficients, opened), source, split, progress)
+                kept.psnr |= measure_perceived(shown.relit, source, split, progress)
             kept.add("measure", since)
     return kept.psnr
 
@@ -131,13 +131,15 @@ def measure_split(
     device: Device,
     split: Split | None = None,
     progress: Progress | None = None,
+    *,
+    behind: str = "linear",
 ) -> dict[str, float]:
     """Return PSNRs at the fitted lights and, apart, at those held out; by default all that were not fitted.
 
     Of the latter with how far they lie from the former. Where some images are identical but not all, their number and
-    the mean over the others are there too.
+    the mean over the others are there too. `behind` is that of `clrelight.metrics.measure_errors`.
     """
     fitted, held = split_by_fit(stack, coefficients) if split is None else split
     with stage(progress, "measuring") as tell:
-        mse_i = measure_errors(coefficients, stack, device=device, progress=tell)
+        mse_i = measure_errors(coefficients, stack, behind=behind, device=device, progress=tell)
     return summarize_split(mse_i, coefficients.directions_i3, stack, (fitted, held))

@@ -94,9 +94,9 @@ def measure_windows(
     ):
         for number, (window, part) in enumerate(zip(windows, parts, strict=True)):
             if part is not None:
-                fitted = replace(record, surface=None).to_map(regions.coefficients(window, device))
+                fitted = replace(record, surface=None).to_map(regions.shown(window, device))
                 counts_w[number] = part.mask_hw.sum() if part.mask_hw is not None else window.n_pixel
-                sums_wi[number] = measure_errors(fitted, part, device=device) * counts_w[number]
+                sums_wi[number] = measure_errors(fitted, part, behind=regions.curve, device=device) * counts_w[number]
             tell(number + 1, len(windows))
     return sums_wi, counts_w
 

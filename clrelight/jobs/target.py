@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clrelight.codec import Codec, Encoded, codec_class, decode, encode
+from clrelight.codec import Codec, Encoded, codec_class, decode_shown, encode
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
@@ -95,8 +95,8 @@ def encode_to_quality(
     lights = held if len(held) else fitted
     chosen = stack if len(lights) == stack.n_light else stack.select(lights)
 
-    def measure(candidate: CoefficientMap) -> float:
-        found = summarize_errors(measure_errors(candidate, chosen, device=device))
+    def measure(candidate: CoefficientMap, behind: str = "linear") -> float:
+        found = summarize_errors(measure_errors(candidate, chosen, behind=behind, device=device))
         # Of a loss every light has its share; pooled, those that the fit shows worst would hide it from all others.
         return found.psnr_pooled if by_target else float(np.mean(np.minimum(found.psnr_i, BEST)))
 
@@ -114,9 +114,9 @@ def encode_to_quality(
         nonlocal found
         setting, made = make(place)
         encoded = encode(coefficients.coeffs_khwc, made, device, coefficients.basis, coefficients.fitted_lights)
-        decoded = replace(coefficients, coeffs_khwc=decode(encoded.to_bytes(), device))
-        trial = Trial(setting, encoded.encoded_bytes, measure(decoded))
-        trials.append(trial)
+        shown_khwc, curve = decode_shown(encoded.to_bytes(), device)
+        psnr = measure(replace(coefficients, coeffs_khwc=shown_khwc), curve)
+        trials.append(trial := Trial(setting, encoded.encoded_bytes, psnr))
         if progress is not None:
             progress(f"{trial.byte_count} bytes, {trial.psnr:.2f} dB")
         if trial.psnr >= target_psnr and (found is None or trial.byte_count < found[1].byte_count):

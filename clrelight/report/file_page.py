@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.codec.views import Region
+from clrelight.dataset import LightStack
 from clrelight.device import Device
 from clrelight.errors import InputError
 from clrelight.holdout import split_by_fit
-from clrelight.jobs.inputs import lend_coefficients, lend_stack, opened_on
+from clrelight.jobs.inputs import lend_fitted, lend_stack, opened_on
 from clrelight.jobs.report import Progress, Report, stage
+from clrelight.jobs.shown import Shown, shown_of
 from clrelight.jobs.split_quality import summarize_split
 from clrelight.metrics import check_view, domain_note, measure_errors, psnr_of
-from clrelight.relight import relight, to_display
+from clrelight.relight import to_display
 from clrelight.report import canvas
 from clrelight.report.comparing import Comparison
 from clrelight.report.folder import fill_folder, write_text
@@ -73,18 +75,20 @@ def write_file_report(
     with (
         opened_on(device, report) as opened,
         lend_stack(stack, report) as photographs,
-        lend_coefficients(source, opened, report, progress) as coefficients,
+        lend_fitted(source, report) as held,
     ):
+        shown = shown_of(held, source, opened, report, progress)
+        coefficients = shown.coefficients
         check_view(coefficients, photographs)
         report.note(*filter(None, [domain_note(coefficients, photographs)]))
         since = time.perf_counter()
         with stage(progress, "measuring") as tell:
-            mse_i = measure_errors(coefficients, photographs, device=opened, progress=tell)
+            mse_i = measure_errors(coefficients, photographs, behind=shown.curve, device=opened, progress=tell)
         split = split_by_fit(photographs, coefficients)
         report.psnr = summarize_split(mse_i, coefficients.directions_i3, photographs, split)
         since = report.add("measure", since)
         table = _table(photographs, psnr_of(mse_i), split[1])
-        sheet = _compared(coefficients, photographs, psnr_of(mse_i), split[1], opened)
+        sheet = _compared(shown, photographs, psnr_of(mse_i), split[1])
         report.add("draw", since)
     title = f"{Path(os.fsdecode(source)).name} beside its photographs"
     sections = [
@@ -140,18 +144,16 @@ def _table(stack: LightStack, psnr_i: NDArray[np.float64], held: NDArray[np.intp
     return Table(f"All {stack.n_light} lights of {stack.name}", columns, tuple(rows))
 
 
-def _compared(
-    coefficients: CoefficientMap, stack: LightStack, psnr_i: NDArray[np.float64], held: NDArray[np.intp], device: Device
-) -> Comparison:
+def _compared(shown: Shown, stack: LightStack, psnr_i: NDArray[np.float64], held: NDArray[np.intp]) -> Comparison:
     """Return photographs and what is relit, at the worst, the middle and the best light, and the worst unseen."""
     order = np.argsort(psnr_i, kind="stable")
     named = {int(order[0]): "worst", int(order[len(order) // 2]): "middle", int(order[-1]): "best"}
     if len(held):
         named.setdefault(int(held[np.argmin(psnr_i[held])]), "worst held out")
-    sheet = Comparison(stack.image_shape, stack.name)
+    sheet, whole = Comparison(stack.image_shape, stack.name), Region(0, 0, *stack.image_shape[:2])
     for light, name in named.items():
         photograph = np.asarray(stack.images_ihwc[light], np.float64) / stack.peak
-        relit = relight(coefficients, stack.directions_i3[light][None], device=device)[0]
+        relit = shown.relit(stack.directions_i3[light][None], whole)[0]
         pictures = _codes(photograph), to_display(_grey(relit), stack.transfer)
         sheet.add(f"photograph, {name} light ({light})", pictures[0])
         sheet.add(f"relit, {name} light ({light})", pictures[1], pictures[0])

@@ -2,14 +2,14 @@
  * never leaves the cache.
  *
  *   error_mn    (M, N) float      sum over the columns of tile n of weight (a - b)^2
- *   coeffs_kp   (K, P) COEFF_T    coefficients of linear radiance
+ *   coeffs_kp   (K, P) COEFF_T    coefficients of linear radiance, or of sRGB code values
  *   source_mp   (M, P) SAMPLE_T   code values; b = clip(scale source) to [0, 1]
  *   weight_p    (P) float         1 where the pixel counts, else 0
- *   packed_o    basis (M, K) in row blocks (matmul.py packs it); a = clip(basis coeffs) to [0, 1], by the transfer
+ *   packed_o    basis (M, K) in row blocks (matmul.py packs it); a = clip(basis coeffs) to [0, 1], as ENCODE says
  *   heights_b   (n_block) int     rows of each block, 1 to 8
  *   first, end  int               columns where tile 0 begins, and where the last one ends
  *
- *   ENCODE      0 linear, 1 sRGB
+ *   ENCODE      1: radiance to sRGB code values; -1: these to radiance; 0: neither
  *   COEFF_HALF  1 where COEFF_T is half, 0 where it is float
  *
  * float32 error of a sum below eps32 TILE / 8 of it.
@@ -48,8 +48,10 @@
 #define CLIP(x) ((x) < 0.0f ? 0.0f : (x) > 1.0f ? 1.0f : (x))
 
 /* What is shown of radiance, a float or a vector. */
-#if ENCODE
+#if ENCODE > 0
 #define SHOWN(x) encode_srgb(CLIP(x))
+#elif ENCODE < 0
+#define SHOWN(x) decode_srgb(CLIP(x))
 #else
 #define SHOWN(x) CLIP(x)
 #endif
@@ -60,6 +62,7 @@ INLINE float sum_errors(__local const vecf *relit, __global const SAMPLE_T *sour
 {
     int c = 0;
     float sum = 0.0f;
+#if ENCODE >= 0 /* there is no inverse of vectors */
     if (count == TILE) {
         vecf given[TILE_VECTORS];
         vecf sums = 0.0f;
@@ -75,6 +78,7 @@ INLINE float sum_errors(__local const vecf *relit, __global const SAMPLE_T *sour
         }
         for (int lane = 0; lane < VECTOR; lane++) sum += ((const float *)&sums)[lane];
     }
+#endif
     for (; c < count; c++) {
         const float d = SHOWN(((__local const float *)relit)[c]) - CLIP(scale * LOAD_SAMPLE(source, c));
         sum += weight[c] * d * d;

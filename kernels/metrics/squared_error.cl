@@ -30,8 +30,10 @@ sum_squared_error_mt(__global float *restrict error_mt, __global const float *re
         const int p = t * SEGMENT + i;
         if (p < size_p) {
             float shown = CLIP(relit[p]);
-#if ENCODE
+#if ENCODE > 0
             shown = encode_srgb(shown);
+#elif ENCODE < 0
+            shown = decode_srgb(shown);
 #endif
             const float d = shown - CLIP(scale * LOAD_SAMPLE(source, p));
             sum += weight_p[p] * d * d;

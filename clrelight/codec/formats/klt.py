@@ -23,14 +23,16 @@ from clrelight.codec.transforms.code_values import code_value_error, code_values
 from clrelight.codec.transforms.colour import METRICS, RADIANCE, check_metric
 from clrelight.codec.transforms.pixels import Pixels
 from clrelight.codec.transforms.principal import STEP_RANGE
-from clrelight.codec.views import View
+from clrelight.codec.views import Region, View
 from clrelight.codec.workspace import Shape, Workspace
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import InputError
 
 _CODED = 4.0
-"""Times the squared error of the way through a curve and back at which that way is not what to save at."""
+"""Times the squared error of code values that are no function of the degree at which those are not what to save at."""
+_BRIGHTEST = 2.0**120
+"""Mean radiance, about, up to which what comes back through the curve is finite for certain."""
 _WHOLE_BYTES = 1 << 29
 """Bytes of a map that is coded behind a curve and without it; of a larger one, pieces are."""
 _PIECE, _PIECE_VALUES = 128, 1 << 23
@@ -128,25 +130,32 @@ class Klt(PartsCodec):
         return info
 
     def _encode_either(self, source: ArraySource, workspace: Workspace) -> tuple[bytes, dict[str, float]]:
-        """Return a map behind the curve, or without it, whichever leaves less error of code values."""
+        """Return a map behind the curve, or without it, whichever shows less error of code values when it is relit."""
         coeffs_khwc, device, basis, lights_i3 = source.whole(), source.device, source.basis, source.lights_i3
+        if np.abs(coeffs_khwc[0]).max() > _BRIGHTEST:
+            return self._encode_as(Pixels(source), workspace)
         shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device, basis)
 
-        def error(found_khwc: NDArray[np.float32]) -> float:
-            return code_value_error(found_khwc, coeffs_khwc, device, basis, lights_i3)
+        def error(shown_khwc: NDArray[np.float32], curve: str) -> float:
+            bent = curve == "srgb"
+            return code_value_error(shown_khwc, coeffs_khwc, device, basis, lights_i3, as_code_values=bent)
 
-        there_and_back = error(radiance_of(values_khwc, device, basis))
+        def lost_in(content: bytes) -> float:
+            found = self.decode_regions(content, shape)
+            assert found is not None
+            return error(found.shown(Region(0, 0, *shape[1:3]), device), found.curve)
+
+        uncoded = error(values_khwc, "srgb")
         # The coefficients of code values are there already.
         bent = self._encode_as(Pixels(ArraySource(values_khwc, device, basis, lights_i3)), workspace, "srgb")
-        lost = error(self.decode_body(bent[0], shape, device))
-        if lost > _CODED * there_and_back:
+        lost = lost_in(bent[0])
+        if lost > _CODED * uncoded:
             return bent
         try:
             plain = self._encode_as(Pixels(source), workspace)
         except InputError:  # the step or budget is none for this way
             return bent
-        left = error(self.decode_body(plain[0], shape, device))
-        return bent if lost < left else plain
+        return bent if lost < lost_in(plain[0]) else plain
 
     def _choose_transfer(self, source: Source) -> str:
         """Return the curve that is better for pieces of a large map."""

@@ -115,6 +115,15 @@ class UnitsView(ABC):
         """Take the coefficients to be of a basis, which bodies need not say; PayloadError of those that say another."""
         self._basis = basis
 
+    @property
+    def curve(self) -> str:
+        """Curve that what is shown lies behind."""
+        return "linear"
+
+    def shown(self, region: Region, device: Device) -> NDArray[np.float32]:
+        """Return coefficients of what a part shows at any light, behind the curve."""
+        return self.coefficients(region, device)
+
     def _functions_at(self, directions_i3: NDArray[np.float64]) -> NDArray[np.float64]:
         return basis_of(self._basis).evaluate(directions_i3, degree_of(self._shape[0]))
 
@@ -182,6 +191,16 @@ class UnitView(UnitsView):
         """See `UnitsView`."""
         if basis != self._basis:
             raise PayloadError(f"the klt body is of basis {self._basis}, what it comes with says {basis}")
+
+    @property
+    def curve(self) -> str:
+        """See `UnitsView`."""
+        return self._parsed.head.transfer
+
+    def shown(self, region: Region, device: Device) -> NDArray[np.float32]:
+        """See `UnitsView`."""
+        maker = Unmixing(self._parsed, self._shape, device, as_coded=True)
+        return maker.coefficients(self._planes.parts(region, device), region)
 
     def _maker(self, device: Device) -> Maker:
         return Unmixing(self._parsed, self._shape, device)

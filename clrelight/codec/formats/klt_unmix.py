@@ -26,10 +26,14 @@ _LEAD = 15
 
 
 class Unmixing:
-    """Makes finite coefficients of planes; see `clrelight.codec.formats.klt_decode.Maker`."""
+    """Makes finite coefficients of planes; see `clrelight.codec.formats.klt_decode.Maker`.
 
-    def __init__(self, parsed: Parsed, shape: Shape, device: Device) -> None:
-        self._device, self._transfer, self._basis = device, parsed.head.transfer, parsed.head.basis
+    Of radiance; `as_coded`, of code values where these are coded.
+    """
+
+    def __init__(self, parsed: Parsed, shape: Shape, device: Device, *, as_coded: bool = False) -> None:
+        self._device, self._basis = device, parsed.head.basis
+        self._transfer = "linear" if as_coded else parsed.head.transfer
         self._n_coeff, self._channel = shape[0], shape[3]
         self._operator_mj = parsed.operator_kcj.reshape(self._n_coeff * self._channel, -1)
         self._in_place = device.style == "cpu" and device.shares_memory

@@ -64,11 +64,13 @@ def code_value_error(
     device: Device,
     basis: str = SH,
     lights_i3: NDArray[np.float64] | None = None,
+    *,
+    as_code_values: bool = False,
 ) -> float:
     """Return the mean squared error over the hemisphere of sRGB code values clipped to [0, 1], by `light_weights`.
 
-    NaN where something is. Of some of the pixels where there are many, and at other directions than the nodes of
-    `code_values_of`, which does best there.
+    Of coefficients of radiance, or of code values as relighting evaluates them. NaN where something is. Of some of the
+    pixels where there are many, and at other directions than the nodes of `code_values_of`, which does best there.
     """
     n_coeff, channel = len(coeffs_khwc), coeffs_khwc.shape[-1]
     degree = degree_of(n_coeff)
@@ -78,12 +80,13 @@ def code_value_error(
     n_pixel = coeffs_khwc[0, ..., 0].size
     some = slice(0, None, -(-n_pixel // _LOOKED_AT) | 1)  # odd, to leave no column of an image out
 
-    def show(maps_khwc: NDArray[np.float32]) -> NDArray:
+    def show(maps_khwc: NDArray[np.float32], encoded: bool) -> NDArray:
         chosen_kp = np.ascontiguousarray(maps_khwc.reshape(n_coeff, -1, channel)[:, some]).reshape(n_coeff, -1)
         shown_ip = multiply_columns(device, synthesis_ik, chosen_kp)
-        return linear_to_srgb(np.clip(shown_ip, 0.0, 1.0, out=shown_ip), np.float32)
+        np.clip(shown_ip, 0.0, 1.0, out=shown_ip)
+        return shown_ip if encoded else linear_to_srgb(shown_ip, np.float32)
 
-    error_ip = show(found_khwc) - show(coeffs_khwc)
+    error_ip = show(found_khwc, as_code_values) - show(coeffs_khwc, False)
     squared_i = np.einsum("ip,ip->i", error_ip, error_ip, dtype=np.float64) / error_ip.shape[1]
     return float(weight_i @ squared_i / weight_i.sum())
 
