@@ -14,9 +14,10 @@ from clrelight.codec.formats.klt_steer import steer
 from clrelight.codec.streams import ArraySource
 from clrelight.codec.transforms.metric import hemisphere_metric
 from clrelight.codec.transforms.pixels import Pixels
-from clrelight.codec.transforms.principal import ROTATION_UNIT
+from clrelight.codec.transforms.principal import ROTATION_UNIT, quantise_mean
 from clrelight.codec.transforms.whitening import AXES, whitening_of
 from clrelight.errors import InputError
+from tests.reference.klt4 import decode_klt4
 from tests.styles import both_styles
 
 
@@ -218,3 +219,25 @@ def test_axes_are_those_of_the_pixels_themselves(scale):
     gram = along.T @ along / 600
     np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=1e-12)
     assert (np.diff(found.deviation_j) <= 0).all()
+
+
+@pytest.mark.parametrize(("n_pixel", "fineness"), [(4, 0), (2500, 1), (40_000, 2), (1_000_000, 3)])
+def test_the_mean_is_finer_where_more_pixels_have_its_error(n_pixel, fineness):
+    mean = np.random.default_rng(5).uniform(-2.0, 2.0, 75)
+    found, entries = quantise_mean(mean, n_pixel, 0.05, np.eye(25))
+    assert found == fineness
+    np.testing.assert_array_equal(entries, np.rint(mean / 0.05 * 16 * 4**fineness))
+    assert quantise_mean(2e3 * mean, n_pixel, 0.05, np.eye(25))[0] == min(fineness, 1)  # finer ones cannot be coded
+
+
+@pytest.mark.parametrize(("side", "fineness"), [(2, 0), (50, 1), (200, 2)])
+def test_a_finer_mean_is_read_by_the_page(device, side, fineness):
+    exact = np.random.default_rng(2).uniform(0.5, 1.0, (4, 1, 1, 3))
+    coeffs = np.broadcast_to(exact.astype(np.float32), (4, side, side, 3)).copy()
+    body, info = Encoder(Pixels(ArraySource(coeffs, device)), "linear").encode(0.25)
+    assert (info["planes"], body[10] >> 1 & 3) == (0, fineness)
+    theirs = decode_klt4(body, coeffs.shape).coeffs
+    np.testing.assert_allclose(Klt.decode_body(body, coeffs.shape, device), theirs, rtol=0, atol=1e-6)
+    forward = hemisphere_metric(4, AXES).forward_jk
+    error = np.linalg.norm(np.einsum("jk,kc->jc", forward, (theirs - coeffs)[:, 0, 0]))
+    assert error < 0.25 / (16 * 4**fineness) * 12**0.5  # half a step each, the rotation rounded

@@ -28,6 +28,7 @@ OPTIONS = {
     "klt.4.fine": {"step": 2.0**-19},
     "klt.4.wide": {"step": 2.0**-11},
     "klt.4.shells": {"step": 2.0**-6},
+    "klt.4.mean": {"step": 2.0**-5},
     "principal.2": {"codec": "half"},
     "whitened.2": {"codec": "half"},
     "wavelet.6": {"rate": 4.0},
@@ -42,6 +43,7 @@ SHAPES = {
     "klt.4.grey": (169, 9, 12, 1),  # a degree at which axes of old bodies hang on the processor
     "klt.4.wide": (4, 70, 33, 1),  # several units of the finest level
     "klt.4.shells": (121, 9, 12, 3),
+    "klt.4.mean": (4, 40, 24, 1),  # so many pixels that their mean is worth finer steps
     "principal.2": (169, 5, 6, 1),
     "whitened.2": (169, 5, 6, 1),
     "wavelet.6": (9, 19, 21, 3),

@@ -306,7 +306,8 @@ def decode_klt4(body, shape):
     version, levels, exponent, step, n, transfer, size = struct.unpack_from("<BBhfHBI", body)
     basis, transfer = BASES[transfer >> 4] if transfer >> 4 < len(BASES) else "", transfer & 15
     decode, transfer = (decode_by_shells if transfer & 8 else decode_vectors), transfer & 7
-    require((version, levels) == (4, 5) and abs(exponent) <= 150 and transfer in (0, 1) and basis, "head")
+    fineness, transfer = transfer >> 1, transfer & 1
+    require((version, levels) == (4, 5) and abs(exponent) <= 150 and basis, "head")
     require(2.0**-22 <= step <= 8 and size >= channels**2 + n and len(body) >= 15 + size, "head")
     rotation = np.frombuffer(body, "i1", channels**2, 15).reshape(channels, channels) / 127
     scales = np.frombuffer(body, "u1", n, 15 + channels**2).astype(int)
@@ -323,7 +324,7 @@ def decode_klt4(body, shape):
     indices = np.zeros((n, height, width), int)
     if n:
         indices = decode_units(streams, indices.shape)
-    vectors = np.concatenate([axes / 2.0 ** (scales / 4)[:, None, None], mean[None] / 16])
+    vectors = np.concatenate([axes / 2.0 ** (scales / 4)[:, None, None], mean[None] / (16 * 4**fineness)])
     unturned = np.einsum("cd,idj->icj", np.linalg.pinv(rotation), vectors)
     operator = np.einsum("kj,icj->kci", np.ldexp(inverse, exponent) * step, unturned)
     require(np.abs(operator).max() <= np.finfo(np.float32).max, "range")

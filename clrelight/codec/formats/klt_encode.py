@@ -70,7 +70,7 @@ class Encoder(StepFinder):
     def check_kept(self, found: dict[str, float]) -> None:
         """Raise InputError where what was found makes zeros of numbers below the least normal one of float32."""
         is_tiny = self._whitening.exponent <= np.finfo(np.float32).minexp  # no map of zeros has this one
-        if is_tiny and not found["planes"] and not self._mean(found["step"]).any():
+        if is_tiny and not found["planes"] and not self._mean(found["step"])[1].any():
             raise InputError("klt would make this map 0 everywhere: no number is above 1.2e-38; scale it")
 
     def _fit(self, budget: int, trial: Trial) -> tuple[bytes, dict[str, float]]:
@@ -95,7 +95,7 @@ class Encoder(StepFinder):
         if not len(axes.scales_j):
             streams = []
         head = Head(whitening.exponent, step, len(axes.scales_j), self._transfer, 0, self._pixels.basis)
-        return pack_body(head, self._tables(axes, step), streams)
+        return pack_body(head._replace(fineness=self._mean(step)[0]), self._tables(axes, step), streams)
 
     def _encode_tiles(self, tiles: list[Tile], planes: Planes, step: float, multiplier: float) -> Iterator[Coded]:
         """Return the streams of tiles, one after another; where others help, parts of all are begun at once."""

@@ -17,7 +17,7 @@ from clrelight.codec.formats.klt_units import HEAD_SIZE, count_streams, pack_axe
 from clrelight.codec.transforms.colour import RADIANCE, colour_axes
 from clrelight.codec.transforms.local_axes import MOST_TURNED, cut_cells, guess_step, turn_axes
 from clrelight.codec.transforms.pixels import Pixels
-from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes, round_jointly
+from clrelight.codec.transforms.principal import MAX_ENTRY, MEAN_STEPS, STEP_RANGE, Axes, quantise_axes, quantise_mean
 from clrelight.codec.transforms.whitening import whitening_of
 from clrelight.codec.workspace import Progress
 from clrelight.memory import ARRAY_MEMORY
@@ -90,8 +90,8 @@ class StepFinder(TileEncoder):
         self._surely = False
         self._begun: float | None = None
 
-    def _mean(self, step: float) -> NDArray[np.int64]:
-        return round_jointly(self._whitening.mean_d * (MEAN_STEPS / step), self._whitening.root_nn)
+    def _mean(self, step: float) -> tuple[int, NDArray[np.int64]]:
+        return quantise_mean(self._whitening.mean_d, self._n_pixel, step, self._whitening.root_nn)
 
     def _prepare(self, count: int) -> None:
         """List pieces of which so many planes can be tried."""
@@ -208,7 +208,7 @@ class StepFinder(TileEncoder):
     def _tables(self, axes: Axes, step: float) -> bytes:
         """Return the tables of a body; the last are remembered while streams fill a budget."""
         if self._packed is None or self._packed[0] is not axes or self._packed[1] != step:
-            self._packed = axes, step, pack_axes(self._whitening.rotation_cc, axes, self._mean(step))
+            self._packed = axes, step, pack_axes(self._whitening.rotation_cc, axes, self._mean(step)[1])
         return self._packed[2]
 
     def _about_table_bytes(self, axes: Axes, step: float, bits: float) -> float:

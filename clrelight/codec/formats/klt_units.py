@@ -17,12 +17,12 @@ from clrelight.codec.entropy.unit_index import Stored, read_index, seal_front
 from clrelight.codec.entropy.units import LEVELS, count_units
 from clrelight.codec.transforms.metric import Metric, hemisphere_metric, metric_degree
 from clrelight.codec.transforms.principal import (
-    MEAN_STEPS,
     STEP_RANGE,
     Axes,
     code_by_shells,
     code_vectors,
     make_operator,
+    mean_steps,
 )
 from clrelight.codec.transforms.whitening import AXES
 from clrelight.codec.workspace import Shape
@@ -39,12 +39,15 @@ _LAST_TABLES = 2
 """Bodies whose operators are kept: 54 kB each at degree 6 with 45 planes, 33 MB at degree 25 with all."""
 _BY_SHELLS = 8
 """Of the byte of curve and basis: mean and axes are coded by `code_by_shells`."""
+_FINER_MEAN = 2
+"""Of the same byte: the unit of the mean's fineness, which is 0 to 3."""
 
 
 class Head(NamedTuple):
     """What a body starts with: the power of two, the step, the number of planes, the curve, bytes of axes, basis.
 
-    `by_shells` says how mean and axes are coded; old bodies have them otherwise.
+    `by_shells` says how mean and axes are coded; old bodies have them otherwise, and none of them a finer mean, which
+    `clrelight.codec.transforms.principal.mean_steps` tells of.
     """
 
     exponent: int
@@ -54,10 +57,12 @@ class Head(NamedTuple):
     axes_bytes: int
     basis: str = SH
     by_shells: bool = True
+    fineness: int = 0
 
     def pack(self) -> bytes:
         """Return the bytes that `parse_head` takes."""
-        curve = TRANSFERS.index(self.transfer) + _BY_SHELLS * self.by_shells + 16 * BASES.index(self.basis)
+        curve = TRANSFERS.index(self.transfer) + _FINER_MEAN * self.fineness
+        curve += _BY_SHELLS * self.by_shells + 16 * BASES.index(self.basis)
         return _HEAD.pack(VERSION, LEVELS, self.exponent, self.step, self.n_plane, curve, self.axes_bytes)
 
 
@@ -116,13 +121,14 @@ def parse_head(body: bytes, shape: Shape) -> Head:
     if levels != LEVELS or abs(exponent) > 150 or not STEP_RANGE[0] <= step <= STEP_RANGE[1]:
         raise PayloadError(f"a klt body cannot have {levels} levels, exponent {exponent} and step {step}")
     number, curve = divmod(curve, 16)
-    by_shells, curve = curve >= _BY_SHELLS, curve % _BY_SHELLS
-    if curve >= len(TRANSFERS) or number >= len(BASES):
+    by_shells, curve = divmod(curve, _BY_SHELLS)
+    fineness, curve = divmod(curve, _FINER_MEAN)
+    if number >= len(BASES):
         raise PayloadError(f"a klt body cannot have transfer curve {curve} and basis {number}")
     component = len(_metric(shape[0], BASES[number]).forward_jk)
     if count > shape[3] * component or size < shape[3] ** 2 + count:
         raise PayloadError(f"a klt body with {size} bytes of tables cannot have {count} planes")
-    return Head(exponent, step, count, TRANSFERS[curve], size, BASES[number], by_shells)
+    return Head(exponent, step, count, TRANSFERS[curve], size, BASES[number], bool(by_shells), fineness)
 
 
 def _metric(n_coeff: int, basis: str) -> Metric:
@@ -155,7 +161,7 @@ def _read_tables(tables: bytes, head: Head, n_coeff: int, channel: int) -> NDArr
     scales = np.frombuffer(tables, "<u1", count, channel * channel)
     decoder = Decoder(tables[channel * channel + count :])
     code = code_by_shells if head.by_shells else code_vectors
-    mean = code(decoder, (1, channel, component), None).ravel() / MEAN_STEPS
+    mean = code(decoder, (1, channel, component), None).ravel() / mean_steps(head.fineness)
     entries = code(decoder, (count, channel, component), None).reshape(count, channel * component)
     decoder.finish()
     vectors_jd = np.concatenate([Axes(entries, scales).vectors_jd, mean[None]])

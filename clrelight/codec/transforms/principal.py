@@ -18,7 +18,10 @@ ROTATION_UNIT = 127
 """The rotation of the channels is sent as whole numbers of this unit."""
 
 MEAN_STEPS = 16
-"""The mean is quantised this much finer than the planes: its error is in every pixel."""
+"""The mean is quantised this much finer than the planes, or 4, 16 or 64 times as fine as that: see `quantise_mean`."""
+_MEAN_FINENESS = range(4)
+_MEAN_MULTIPLIER = 0.15
+"""Squared steps of error that a bit of the mean must save."""
 STEP_RANGE = (2.0**-22, 2.0**3)
 SCALES_PER_OCTAVE = 4
 _COARSER = 1.4
@@ -83,6 +86,32 @@ def round_jointly(exact_jd: NDArray[np.float64], root_nn: NDArray[np.float64], p
         value = wanted_nr[n] + after_nn[n, n + 1 :] @ (wanted_nr[n + 1 :] - rounded_nr[n + 1 :])
         rounded_nr[n] = np.sign(value) * np.floor(np.abs(value) + part)
     return rounded_nr.T.reshape(exact_jd.shape).astype(np.int64)
+
+
+def mean_steps(fineness: int) -> int:
+    """Return how much finer than the planes the mean is quantised, by the number that bodies have for it, 0 to 3."""
+    return MEAN_STEPS << 2 * fineness
+
+
+def quantise_mean(
+    mean_d: NDArray[np.float64], n_pixel: int, step: float, root_nn: NDArray[np.float64]
+) -> tuple[int, NDArray[np.int64]]:
+    """Return the fineness at which the mean is worth its bits, and the mean in those steps.
+
+    Its error is in each of `n_pixel` pixels: the more there are, the finer it is to be. Errors cost as `round_jointly`
+    says.
+    """
+    found: list[tuple[float, int, NDArray[np.int64]]] = []
+    for fineness in _MEAN_FINENESS:
+        exact_d = mean_d * (mean_steps(fineness) / step)
+        if fineness and np.abs(exact_d).max(initial=0.0) > MAX_ENTRY / 2:
+            break  # numbers that cannot be coded, or nearly
+        entries_d = round_jointly(exact_d, root_nn)
+        error_cn = (exact_d - entries_d).reshape(-1, len(root_nn)) @ root_nn.T / mean_steps(fineness)
+        bits = np.log2(1.0 + 2.0 * np.abs(entries_d)).sum()
+        found.append((float(n_pixel * np.square(error_cn).sum() + _MEAN_MULTIPLIER * bits), fineness, entries_d))
+    _, fineness, entries_d = min(found, key=lambda each: each[0])
+    return fineness, entries_d
 
 
 def make_operator(

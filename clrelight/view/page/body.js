@@ -45,7 +45,7 @@
       exponent: view.getInt16(2, true),
       step: view.getFloat32(4, true),
       planes: view.getUint16(8, true),
-      transfer: view.getUint8(10) & ~8, // the bit says how tables are coded, which nobody here reads
+      transfer: view.getUint8(10) & ~14, // the bits say how tables are coded, which nobody here reads
       tables: view.getUint32(11, true),
     };
     demand(bytes[0] === 4, "not body 4 of klt");
