@@ -234,7 +234,7 @@ def _find_shares(models: ModelSet, groups: list[tuple[int, slice]]) -> NDArray[n
     return shares_of(models.counts[[context for context, _ in groups]])
 
 
-def shares_of(counts_gs: NDArray[np.int64]) -> NDArray[np.float64]:
+def shares_of(counts_gs: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the same of tables, one a row."""
     ends = np.cumsum(counts_gs, axis=1)
     free = (1 << _PRECISION) - ends.shape[1]
