@@ -158,7 +158,7 @@ def _log_sum(cells_jsc: NDArray[np.float32], turn_jj: NDArray[np.float64]) -> fl
 def _newton_step(
     parts: list[NDArray[np.float32]], turn_jj: NDArray[np.float64], pool: ThreadPoolExecutor
 ) -> NDArray[np.float64]:
-    """Return by how much each pair of planes is to be turned on, antisymmetric; the order of sums is always the same."""
+    """Return by how much each pair of planes is to be turned on, antisymmetric; sums have one order."""
 
     def sums(cells_jsc: NDArray[np.float32]) -> NDArray[np.float64]:
         turned_jsc = _turned(cells_jsc, turn_jj)
