@@ -330,6 +330,17 @@ def test_vectors_of_any_size(code, decode, components):
         ours.finish()
 
 
+def test_vectors_that_fill_a_table():
+    entries = np.zeros((70, 3, 49), np.int64)  # 10290 entries: tables are halved after 8192
+    entries[::7, :, :20] = np.random.default_rng(8).integers(-40, 40, (10, 3, 20))
+    for given in (entries, np.sign(entries + 1)):
+        encoder = range_coding.Encoder()
+        principal.code_by_shells(encoder, given.shape, given)
+        decoder = range_coding.Decoder(encoder.to_bytes())
+        np.testing.assert_array_equal(principal.code_by_shells(decoder, given.shape, None), given)
+        decoder.finish()
+
+
 def test_entries_of_a_high_degree_that_are_zero_take_no_bytes():
     entries = np.zeros((20, 3, 24**2), np.int64)
     entries[:, :, :9] = np.random.default_rng(3).integers(-9, 9, (20, 3, 9))

@@ -103,7 +103,8 @@ class Source(ABC):
 
     def read_scattered(self, places: Sequence[tuple[int, slice]]) -> NDArray[np.float32]:
         """Return pixels of several rows, (n_coeff, 1, pixels, channel), one row after another; as `read_some`."""
-        return np.concatenate([self.read_some(*place).copy() for place in places], axis=2)  # rows may be overwritten
+        some = (self.read_some(*place) for place in places)  # rows may be overwritten
+        return np.concatenate(list(some) if self.in_memory is not None else [each.copy() for each in some], axis=2)
 
     def read_samples(self, rows: tuple[int, int], columns: tuple[int, int]) -> NDArray:
         """Return what coefficients are `linear` in, (n_sample, rows, columns, channel), C-contiguous."""

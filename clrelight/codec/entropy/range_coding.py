@@ -8,6 +8,7 @@ which IEEE 754 rounds alike everywhere, and go to the range coder as whole numbe
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Protocol, Self
 
 import constriction
@@ -17,9 +18,12 @@ from numpy.typing import NDArray
 from clrelight.codec.entropy.symbols import DIRECT, FIRST, PRIOR_WEIGHT, RAW_BITS, symbols_of
 from clrelight.errors import PayloadError
 
-# One observation adds _GAIN to a table's count; a table that weighs more than _LIMIT is halved, to follow the data.
-_GAIN = 1024
-_LIMIT = _GAIN * 8192
+# One observation adds GAIN to a table's count; a table that weighs more than LIMIT is halved, to follow the data.
+GAIN = 1024
+LIMIT = GAIN * 8192
+
+Step = tuple[NDArray[np.int32], object]
+"""Symbols, and the model of constriction that they are coded with."""
 
 _PRECISION = 24  # bits of the range that symbols share
 
@@ -47,9 +51,9 @@ class ModelSet:
 
     def learn(self, contexts: NDArray[np.integer], histograms_cs: NDArray[np.integer]) -> None:
         """Add what was seen: one histogram for each context named (each once)."""
-        counts = self.counts[contexts] + _GAIN * histograms_cs
+        counts = self.counts[contexts] + GAIN * histograms_cs
         weight = counts.sum(axis=1)
-        while (heavy := weight > _LIMIT).any():
+        while (heavy := weight > LIMIT).any():
             counts[heavy] = (counts[heavy] + 1) >> 1
             weight[heavy] = counts[heavy].sum(axis=1)
         self.counts[contexts] = counts
@@ -124,7 +128,7 @@ class Encoder:
         order, groups = _group(contexts)
         by_context = symbols[order].astype(np.int32)
         for (_, part), shares in zip(groups, _find_shares(models, groups), strict=True):
-            self._range.encode(by_context[part], _categorical(shares))
+            self._range.encode(by_context[part], categorical(shares))
         _learn(models, groups, by_context)
         return symbols
 
@@ -134,10 +138,15 @@ class Encoder:
         order, groups = _group(widths)
         by_width = values[order].astype(np.int64)
         for width, part in groups:
-            for shift, digit in _digits(width):
+            for shift, digit in digits_of(width):
                 digits = (by_width[part] >> shift) & ((1 << digit) - 1)
                 self._range.encode(digits.astype(np.int32), constriction.stream.model.Uniform(1 << digit))
         return values
+
+    def put(self, steps: Iterable[Step]) -> None:
+        """Code what `clrelight.codec.entropy.known_batches` has made ready."""
+        for symbols, model in steps:
+            self._range.encode(symbols, model)
 
     @property
     def byte_count(self) -> int:
@@ -165,7 +174,7 @@ class Decoder:
         order, groups = _group(contexts)
         by_context = np.empty(len(contexts), np.int32)
         for (_, part), shares in zip(groups, _find_shares(models, groups), strict=True):
-            by_context[part] = self._take(_categorical(shares), part)
+            by_context[part] = self._take(categorical(shares), part)
         _learn(models, groups, by_context)
         decoded = np.empty_like(by_context)
         decoded[order] = by_context
@@ -176,7 +185,7 @@ class Decoder:
         order, groups = _group(widths)
         by_width = np.zeros(len(widths), np.int64)
         for width, part in groups:
-            for shift, digit in _digits(width):
+            for shift, digit in digits_of(width):
                 digits = self._take(constriction.stream.model.Uniform(1 << digit), part)
                 by_width[part] |= digits.astype(np.int64) << shift
         decoded = np.empty_like(by_width)
@@ -222,7 +231,12 @@ def _find_shares(models: ModelSet, groups: list[tuple[int, slice]]) -> NDArray[n
 
     Symbol s begins at ``floor(scale (counts before s)) + s``, where ``scale = (2**24 - symbols) / (all counts)``.
     """
-    ends = np.cumsum(models.counts[[context for context, _ in groups]], axis=1)
+    return shares_of(models.counts[[context for context, _ in groups]])
+
+
+def shares_of(counts_gs: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the same of tables, one a row."""
+    ends = np.cumsum(counts_gs, axis=1)
     free = (1 << _PRECISION) - ends.shape[1]
     shares = np.floor(ends * (free / ends[:, -1:]))
     shares[:, -1] = free
@@ -230,7 +244,8 @@ def _find_shares(models: ModelSet, groups: list[tuple[int, slice]]) -> NDArray[n
     return shares
 
 
-def _categorical(shares: NDArray[np.float64]) -> object:
+def categorical(shares: NDArray[np.float64]) -> object:
+    """Return the model of a table whose shares are known."""
     # They add up to what constriction has to share out: it rounds nothing, and adds the 1 of each symbol.
     return constriction.stream.model.Categorical(shares, perfect=False)
 
@@ -255,6 +270,6 @@ def _group(keys: NDArray[np.integer]) -> tuple[NDArray[np.integer], list[tuple[i
     return order, list(zip(present.tolist(), parts, strict=True))
 
 
-def _digits(width: int) -> list[tuple[int, int]]:
+def digits_of(width: int) -> list[tuple[int, int]]:
     """Return (shift, bits) of the digits of an integer of `width` bits."""
     return [(shift, min(_MAX_RAW_BITS, width - shift)) for shift in range(0, width, _MAX_RAW_BITS)]

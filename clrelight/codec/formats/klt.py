@@ -28,6 +28,7 @@ from clrelight.codec.workspace import Shape, Workspace
 from clrelight.conventions import TRANSFERS
 from clrelight.device import Device
 from clrelight.errors import InputError
+from clrelight.threads import on_one_thread
 
 _CODED = 4.0
 """Times the squared error of code values that are no function of the degree at which those are not what to save at."""
@@ -178,14 +179,15 @@ class Klt(PartsCodec):
     ) -> tuple[bytes, dict[str, float]]:
         """Return the body; `transfer` is what it says of its values where they are bent already."""
         shape = pixels.shape
-        encoder = Encoder(pixels, transfer or pixels.transfer, self.metric, workspace.memory_bytes, workspace.tell)
         budget: int | None = None
-        if self.step is not None:
-            body, info = encoder.encode(self.step)
-        else:
-            rated = (self.rate or 0.0) * math.prod(shape) / 8.0
-            budget = int(rated if self.byte_budget is None else self.byte_budget)
-            body, info = encoder.encode_within(budget - minimum_overhead(shape))
+        with on_one_thread():  # those of a product spin for a while after it, in the way of the device
+            encoder = Encoder(pixels, transfer or pixels.transfer, self.metric, workspace.memory_bytes, workspace.tell)
+            if self.step is not None:
+                body, info = encoder.encode(self.step)
+            else:
+                rated = (self.rate or 0.0) * math.prod(shape) / 8.0
+                budget = int(rated if self.byte_budget is None else self.byte_budget)
+                body, info = encoder.encode_within(budget - minimum_overhead(shape))
         encoder.check_kept(info)
         return pad_to_minimum(body, shape, budget), info
 

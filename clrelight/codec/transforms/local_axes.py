@@ -7,6 +7,10 @@ same, those are cheaper whose planes are uncorrelated within small cells, as far
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +28,8 @@ _VALUES, _FIRST_VALUES, _FOR_A_PAIR = 1 << 20, 1 << 18, 32
 planes, if these are more."""
 MOST_TURNED = 160
 """Axes that are turned, the loudest: the time grows with the square of their number, and so do places that tell."""
+_PART_VALUES = 1 << 16
+"""Samples that are turned together."""
 _PASSES, _LAST = 16, 4
 """How many passes look at few samples, and how many at all."""
 _PART, _MOMENTUM, _LEAST_CURVATURE, _LARGEST_TURN = 0.6, 0.6, 0.05, 0.3
@@ -77,24 +83,23 @@ def turn_axes(cells_jsc: NDArray[np.float32], step: float) -> NDArray[np.float64
     if count < 2:
         return np.eye(count)
     with np.errstate(over="ignore"):  # infinite where values are near float32's end
-        loudest_c = np.square(cells_jsc).sum(axis=1).max(axis=0)
+        loudest_c = _sums_of_squares(cells_jsc).max(axis=0)
     loud = np.flatnonzero((loudest_c > _LOUD * step**2) & np.isfinite(loudest_c))
     first, most = (max(each, _FOR_A_PAIR * count**2) for each in (_FIRST_VALUES, _VALUES))
     every = max(-(-len(loud) * count * samples // most), 1)
     chosen_jsc = cells_jsc[:, :, loud[every // 2 :: every]] / np.float32(step)
     if not chosen_jsc.shape[2]:
         return np.eye(count)
-    with on_one_thread():
+    with on_one_thread(), ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy lets go of Python's lock
         turn_jj, moved_jj = np.eye(count), np.zeros((count, count))
         for few, passes in ((max(chosen_jsc.size // first, 1), _PASSES), (1, _LAST)):
-            some_jsc = np.ascontiguousarray(chosen_jsc[:, :, ::few])
+            parts = _cut(chosen_jsc[:, :, ::few])
             for _ in range(passes):
-                turned_jsc = _turned(some_jsc, turn_jj)
-                moved_jj = _MOMENTUM * moved_jj + _newton_step(turned_jsc, _energies(turned_jsc))
+                moved_jj = _MOMENTUM * moved_jj + _newton_step(parts, turn_jj, pool)
                 half_jj = np.clip(_PART * moved_jj, -_LARGEST_TURN, _LARGEST_TURN) / 2.0
                 turned_jj = np.linalg.solve(np.eye(count) + half_jj, (np.eye(count) - half_jj) @ turn_jj)  # Cayley's
                 turn_jj = np.asarray(turned_jj, np.float64)
-        before, after = (_log_sum(each) for each in (chosen_jsc, _turned(chosen_jsc, turn_jj)))
+        before, after = (sum(pool.map(partial(_log_sum, turn_jj=each), parts)) for each in (np.eye(count), turn_jj))
     return turn_jj if after < before else np.eye(count)
 
 
@@ -125,23 +130,44 @@ def guess_step(cells_jsc: NDArray[np.float32], share: float, bits: float, bounds
     return high
 
 
+def _cut(cells_jsc: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Return parts of cells that a processor's cache holds."""
+    each = max(_PART_VALUES // (cells_jsc.shape[0] * cells_jsc.shape[1]), 1)
+    return [np.ascontiguousarray(cells_jsc[:, :, n : n + each]) for n in range(0, cells_jsc.shape[2], each)]
+
+
 def _turned(cells_jsc: NDArray[np.float32], turn_jj: NDArray[np.float64]) -> NDArray[np.float32]:
     return (turn_jj.astype(np.float32) @ cells_jsc.reshape(len(turn_jj), -1)).reshape(cells_jsc.shape)
 
 
+def _sums_of_squares(cells_jsc: NDArray[np.float32]) -> NDArray[np.float32]:
+    found_jc = np.square(cells_jsc[:, 0])
+    for sample in range(1, cells_jsc.shape[1]):  # faster than sums over an axis that is so short
+        found_jc += np.square(cells_jsc[:, sample])
+    return found_jc
+
+
 def _energies(cells_jsc: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.square(cells_jsc).mean(axis=1) + np.float32(_FLOOR)
+    return _sums_of_squares(cells_jsc) / np.float32(cells_jsc.shape[1]) + np.float32(_FLOOR)
 
 
-def _log_sum(cells_jsc: NDArray[np.float32]) -> float:
-    return float(np.log(_energies(cells_jsc)).sum(dtype=np.float64))
+def _log_sum(cells_jsc: NDArray[np.float32], turn_jj: NDArray[np.float64]) -> float:
+    return float(np.log(_energies(_turned(cells_jsc, turn_jj))).sum(dtype=np.float64))
 
 
-def _newton_step(turned_jsc: NDArray[np.float32], energy_jc: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return by how much each pair of planes is to be turned, antisymmetric."""
-    count, samples, cells = turned_jsc.shape
-    weight_jc = np.float32(1.0) / energy_jc
-    weighted_jp = (weight_jc[:, None] * turned_jsc).reshape(count, -1)
-    slope_jj = (weighted_jp @ turned_jsc.reshape(count, -1).T).astype(np.float64) / (samples * cells)
-    curved_jj = (weight_jc @ energy_jc.T).astype(np.float64) / cells
-    return (slope_jj - slope_jj.T) / np.maximum(curved_jj + curved_jj.T - 2.0, _LEAST_CURVATURE)
+def _newton_step(
+    parts: list[NDArray[np.float32]], turn_jj: NDArray[np.float64], pool: ThreadPoolExecutor
+) -> NDArray[np.float64]:
+    """Return by how much each pair of planes is to be turned on, antisymmetric; sums have one order."""
+
+    def sums(cells_jsc: NDArray[np.float32]) -> NDArray[np.float64]:
+        turned_jsc = _turned(cells_jsc, turn_jj)
+        energy_jc = _energies(turned_jsc)
+        weight_jc = np.float32(1.0) / energy_jc
+        weighted_jsc, count = weight_jc[:, None] * turned_jsc, len(turn_jj)
+        slope_jj = weighted_jsc.reshape(count, -1) @ turned_jsc.reshape(count, -1).T
+        return np.stack([slope_jj / turned_jsc.shape[1], weight_jc @ energy_jc.T]).astype(np.float64)
+
+    count, cells = len(turn_jj), sum(part.shape[2] for part in parts)
+    slope_jj, curved_jj = sum(pool.map(sums, parts), np.zeros((2, count, count))) / cells
+    return np.asarray((slope_jj - slope_jj.T) / np.maximum(curved_jj + curved_jj.T - 2.0, _LEAST_CURVATURE))

@@ -10,7 +10,8 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from clrelight.codec.entropy.range_coding import Coder, ModelSet, code_integers
+from clrelight.codec.entropy.known_batches import plan_signed
+from clrelight.codec.entropy.range_coding import Coder, Encoder, ModelSet, Step, code_integers
 from clrelight.codec.entropy.symbols import CLASSES, class_floor, classify, even_prior, geometric_prior
 from clrelight.errors import PayloadError
 
@@ -161,6 +162,9 @@ def code_by_shells(
     sixteenths.
     """
     rows, channel, component = shape
+    if entries_rcj is not None and isinstance(coder, Encoder):
+        coder.put(_plan_shells(entries_rcj))
+        return entries_rcj
     models = ModelSet(_shell_prior())
     signs = ModelSet(even_prior(1, 2))
     entries = np.zeros(shape, np.int64)
@@ -168,8 +172,7 @@ def code_by_shells(
         return entries
     given = None if entries_rcj is None else entries_rcj[0]
     expected_c = np.full(channel, _FIRST_EXPECTED)
-    for shell in range(math.isqrt(component - 1) + 1):
-        part = slice(shell * shell, min((shell + 1) ** 2, component))
+    for part in _shells(component):
         activity = np.repeat(expected_c[:, None], part.stop - part.start, axis=1)
         found = _code_entries(coder, models, signs, activity, None if given is None else given[:, part])
         entries[0][:, part] = found
@@ -181,6 +184,36 @@ def code_by_shells(
         entries[row] = _code_entries(coder, models, signs, activity, None if entries_rcj is None else entries_rcj[row])
         before[:, 1:-1] = (before[:, 1:-1] + 16 * np.abs(entries[row])) >> 1
     return entries
+
+
+def _shells(component: int) -> list[slice]:
+    """Return the components of each degree, as far as there are some."""
+    return [slice(n * n, min((n + 1) ** 2, component)) for n in range(math.isqrt(component - 1) + 1)]
+
+
+def _plan_shells(entries_rcj: NDArray[np.int64]) -> list[Step]:
+    """Return what makes the bytes of `code_by_shells`; ValueError where an entry is too large."""
+    rows, channel, component = entries_rcj.shape
+    sizes_rcj = np.abs(entries_rcj)
+    if not rows:
+        return []
+    if sizes_rcj.max() > MAX_ENTRY:
+        raise ValueError(f"entries of tables should be {MAX_ENTRY} at most, got {sizes_rcj.max()}")
+    parts, expected_c, activities = _shells(component), np.full(channel, _FIRST_EXPECTED), []
+    for part in parts:
+        activities.append(np.repeat(expected_c, part.stop - part.start))
+        expected_c = 16 * sizes_rcj[0, :, part].sum(axis=1) // (part.stop - part.start)
+    before = np.zeros((rows, channel, component + 2), np.int64)
+    inner = before[:, :, 1:-1]
+    inner[0] = 16 * sizes_rcj[0]
+    for row in range(1, rows):
+        inner[row] = (inner[row - 1] + 16 * sizes_rcj[row]) >> 1
+    later = before[:-1]
+    activities.append(((2 * later[:, :, 1:-1] + later[:, :, :-2] + later[:, :, 2:]) >> 2).ravel())
+    contexts = classify(np.minimum(np.concatenate(activities), 1 << 20))
+    values = np.concatenate([*(entries_rcj[0, :, part].ravel() for part in parts), entries_rcj[1:].ravel()])
+    lengths = [channel * (part.stop - part.start) for part in parts] + [channel * component] * (rows - 1)
+    return plan_signed(_shell_prior(), contexts, values, lengths)
 
 
 def _code_entries(

@@ -5,8 +5,11 @@ All of it is one matrix from the coefficients of a pixel to its planes, found fr
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +24,8 @@ from clrelight.threads import on_one_thread
 AXES = "damped"
 """Those of `hemisphere_metric` that every processor finds alike."""
 _SAMPLED_ROWS, _SAMPLED_PIXELS, _SAMPLED_VALUES = 256, 1 << 15, 1 << 24
+_PART_PIXELS, _FEW_PIXELS = 1 << 11, 256
+"""Pixels whose moments are summed together, and by which the mean is reckoned that is taken off before."""
 
 Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 """What makes planes: a matrix (n_plane, n_coeff * channel), and what is taken off."""
@@ -98,28 +103,51 @@ def whitening_of(
     Errors along the rows of `turn_dc` cost alike; by default those of the channels do, in the rows of a rotation. Over
     directions they cost what `clrelight.codec.transforms.light_metric.light_root` says of `lights_i3`.
     """
-    pixels_pkc = _sample(shape, read)
+    pixels_kpc = _sample(shape, read)
     with on_one_thread():
         metric = hemisphere_metric(shape[0], AXES, basis)
         root_nn = light_root(metric, basis, lights_i3)
-        return _whiten(pixels_pkc, metric.forward_jk, shape[3], turn_dc, root_nn)
+        return _whiten(_moments_of(pixels_kpc), metric.forward_jk, shape[3], turn_dc, root_nn)
+
+
+class _Moments(NamedTuple):
+    """Of pixels: the largest magnitude, the mean of each value, and their covariances."""
+
+    largest: float
+    mean_q: NDArray[np.float64]
+    covariance_qq: NDArray[np.float64]
+
+
+def _moments_of(pixels_kpc: NDArray[np.float32]) -> _Moments:
+    """Return the moments of pixels, of parts that processors take as they are free; their sums have one order."""
+    about_q = pixels_kpc[:, :: max(pixels_kpc.shape[1] // _FEW_PIXELS, 1)].mean(axis=1, dtype=np.float64).ravel()
+
+    def sums(start: int) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+        part_kpc = pixels_kpc[:, start : start + _PART_PIXELS]
+        part_pq = part_kpc.transpose(1, 0, 2).astype(np.float64, order="C").reshape(part_kpc.shape[1], -1)
+        largest = float(max(part_pq.max(), -part_pq.min()))
+        part_pq -= about_q
+        return largest, part_pq.sum(axis=0), part_pq.T @ part_pq
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy lets go of Python's lock
+        found = list(pool.map(sums, range(0, pixels_kpc.shape[1], _PART_PIXELS)))
+    off_q = sum((each for _, each, _ in found), np.zeros(len(about_q))) / pixels_kpc.shape[1]
+    square_qq = sum((each for _, _, each in found), np.zeros((len(about_q), len(about_q))))
+    covariance_qq = square_qq / pixels_kpc.shape[1] - np.outer(off_q, off_q)
+    return _Moments(max(largest for largest, _, _ in found), about_q + off_q, covariance_qq)
 
 
 def _whiten(
-    pixels_pkc: NDArray[np.float64],
+    moments: _Moments,
     metric_jk: NDArray[np.float64],
     channel: int,
     wanted_dc: NDArray[np.float64] | None,
     root_nn: NDArray[np.float64],
 ) -> Whitening:
-    """Return the whitening of pixels, which are overwritten: their moments are what all of it hangs on."""
-    largest = float(max(pixels_pkc.max(), -pixels_pkc.min()))
+    """Return the whitening of pixels, of which all hangs on their moments."""
+    largest, mean_q, covariance_qq = moments
     exponent = int(np.clip(np.frexp(largest)[1], -126, 126)) if largest else 0
     n_coeff, forward_jk = metric_jk.shape[1], np.ldexp(metric_jk, -exponent)
-    centred_pq = pixels_pkc.reshape(len(pixels_pkc), -1)
-    mean_q = centred_pq.mean(axis=0)
-    centred_pq -= mean_q
-    covariance_qq = centred_pq.T @ centred_pq / len(centred_pq)
     if wanted_dc is None:
         moment_kcld = (covariance_qq + np.outer(mean_q, mean_q)).reshape(n_coeff, channel, n_coeff, channel)
         shown_jk = root_nn @ forward_jk
@@ -140,15 +168,14 @@ def _each_channel(rows_jd: NDArray[np.float64], matrix_nn: NDArray[np.float64]) 
     return (rows_jd.reshape(-1, len(matrix_nn)) @ matrix_nn).reshape(rows_jd.shape)
 
 
-def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.float64]:
-    """Return the coefficients of pixels that lie all over the image, (n_pixel, n_coeff, channel)."""
+def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.float32]:
+    """Return the coefficients of pixels that lie all over the image, (n_coeff, n_pixel, channel)."""
     n_coeff, height, width, channel = shape
     most = min(_SAMPLED_PIXELS, _SAMPLED_VALUES // (n_coeff * channel))
     step = -(-height // _SAMPLED_ROWS)
     rows = range(step // 2, height, step)
     column_step = -(-width * len(rows) // most)
-    chosen_kpc = read([(y, slice((7 * i) % column_step, width, column_step)) for i, y in enumerate(rows)])
-    return chosen_kpc.transpose(1, 0, 2).astype(np.float64, order="C")
+    return read([(y, slice((7 * i) % column_step, width, column_step)) for i, y in enumerate(rows)])
 
 
 def reshaped(array: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:
