@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from clrelight.variation import rim_design
 from clrelight.variation.circles import Circle
 from clrelight.variation.highlights import find_highlights
 from clrelight.variation.lobes import Lobe, LobeFit
-from clrelight.variation.rims import fit_rim, radial_functions
+from clrelight.variation.rim_design import Design, radial_functions
+from clrelight.variation.rims import fit_rim
 from clrelight.variation.spheres import flat_view, view_sphere
 from tests.reference.spheres import lamps, photograph_spheres
 
@@ -105,3 +107,32 @@ def test_a_turned_picture_shows_a_circle_and_turns_back():
     np.testing.assert_allclose(
         flat.there(x_n, y_n), [flat.radius * np.cos(angle_n), flat.radius * np.sin(angle_n)], atol=1e-9
     )
+
+
+def test_slopes_of_what_is_seen_are_those_of_differences():
+    rng = np.random.default_rng(0)
+    angle_p, away_p = rng.uniform(0.0, 2.0 * np.pi, 60), rng.uniform(9.0, 13.0, 60)
+    right_p, down_p = away_p * np.cos(angle_p), away_p * np.sin(angle_p)
+    orders, step = (3, 2, 1, 4, 2), 1e-4
+    radial, other = radial_functions(11.0, 0.9, 7.5, 14.5), radial_functions(11.2, 0.9, 7.5, 14.5)
+    found_fm = rng.standard_normal((sum(2 * order + 1 for order in orders), 3))
+
+    def seen(x, y, functions=radial):
+        return Design.at(right_p - x, down_p - y, functions, orders).functions_pf @ found_fm
+
+    design = Design.at(right_p, down_p, radial, orders)
+    by_x_pm, by_y_pm = design.moved(found_fm)
+    np.testing.assert_allclose(by_x_pm, (seen(step, 0.0) - seen(-step, 0.0)) / (2.0 * step), atol=1e-5)
+    np.testing.assert_allclose(by_y_pm, (seen(0.0, step) - seen(0.0, -step)) / (2.0 * step), atol=1e-5)
+    expected_pm = seen(0.0, 0.0, other) - seen(0.0, 0.0)
+    np.testing.assert_allclose(design.exchanged(found_fm, other, radial), expected_pm, atol=1e-12)
+
+
+def test_rings_of_large_balls_are_those_of_the_bessel_function(monkeypatch):
+    ball, at_d = (12.0, 0.8, 8.5, 16.0), np.linspace(8.5, 16.0, 61)
+    assert rim_design._LARGE * 0.8**2 < 8.5 * (8.5 - 5.0 * 0.8)
+    found_df = radial_functions(*ball)(at_d)
+    monkeypatch.setattr(rim_design, "_LARGE", np.inf)
+    radial_functions.cache_clear()
+    np.testing.assert_allclose(found_df, radial_functions(*ball)(at_d), rtol=0.0, atol=1e-10)
+    radial_functions.cache_clear()

@@ -181,8 +181,12 @@ def _steps(pictures: Sequence[NDArray[np.float64]], circle: Circle, half: float)
 
 def _fit_circle(x_n: NDArray[np.float64], y_n: NDArray[np.float64], weight_n: NDArray[np.float64]) -> NDArray:
     """Return x, y and radius of weighted least squares (Kasa): ``x^2 + y^2 = 2 a x + 2 b y + c``."""
-    x_mean, y_mean = np.average(x_n, weights=weight_n), np.average(y_n, weights=weight_n)
-    u_n, v_n, root_n = x_n - x_mean, y_n - y_mean, np.sqrt(weight_n)
-    columns_n3 = np.stack([2.0 * u_n, 2.0 * v_n, np.ones_like(u_n)], axis=1) * root_n[:, None]
-    a, b, c = np.linalg.lstsq(columns_n3, root_n * (u_n**2 + v_n**2), rcond=None)[0]
+    total = float(weight_n.sum())
+    x_mean, y_mean = float(weight_n @ x_n) / total, float(weight_n @ y_n) / total
+    # About the mean the last unknown stands alone; steps all on a line leave the middle on it.
+    from_mean_2n = np.stack([x_n - x_mean, y_n - y_mean])
+    squared_n = np.sum(from_mean_2n**2, axis=0)
+    weighted_2n = weight_n * from_mean_2n
+    a, b = np.linalg.lstsq(2.0 * (weighted_2n @ from_mean_2n.T), weighted_2n @ squared_n, rcond=None)[0]
+    c = float(weight_n @ squared_n) / total
     return np.array([a + x_mean, b + y_mean, np.sqrt(max(c + a * a + b * b, 0.0))])

@@ -41,7 +41,7 @@ class Descended(Generic[State]):
 def descend(
     values_k: NDArray[np.float64],
     evaluate: Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], State]],
-    slope: Callable[[NDArray[np.float64], int, State], NDArray[np.float64]],
+    slopes: Callable[[NDArray[np.float64], State], NDArray[np.float64]],
     *,
     steps: int,
     settled_k: NDArray[np.float64],
@@ -57,10 +57,10 @@ def descend(
     values_k : ndarray, shape (n_value,), float64
         Where to begin.
     evaluate : callable
-        Takes values; returns what is left, (n,), the linear unknowns solved for, and what `slope` needs.
-    slope : callable
-        Takes values, which of them, and the state; returns how what is left changes with that one, (n,), the linear
-        unknowns following (Kaufman's variable projection).
+        Takes values; returns what is left, (n,), the linear unknowns solved for, and what `slopes` needs.
+    slopes : callable
+        Takes values and the state; returns how what is left changes with each, (n, n_value), the linear unknowns
+        following (Kaufman's variable projection).
     steps : int
     settled_k : ndarray, shape (n_value,), float64
         Steps that end the descent; infinite of values that need not settle.
@@ -72,7 +72,7 @@ def descend(
     energy, damping = float(left_n @ left_n), _DAMPING
     slopes_nk = np.zeros((len(left_n), len(values_k)))
     for _ in range(steps):
-        slopes_nk = np.stack([slope(values_k, k, state) for k in range(len(values_k))], axis=1)
+        slopes_nk = slopes(values_k, state)
         hessian_kk, right_k = slopes_nk.T @ slopes_nk, -slopes_nk.T @ left_n
         for _ in range(_TRIES):
             damped_kk = hessian_kk + np.diag(damping * np.diag(hessian_kk) + 1e-15)

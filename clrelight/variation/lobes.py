@@ -170,7 +170,7 @@ class LobeFit:
         return descend(
             values_3,
             lambda tried_3: self._left(tried_3, window, lobe),
-            lambda at_3, k, solved_4: self._slope(at_3, k, window, lobe, solved_4),
+            lambda at_3, solved_4: self._slopes(at_3, window, lobe, solved_4),
             steps=_ROUNDS,
             settled_k=_NEAR_ENOUGH,
         )
@@ -239,16 +239,16 @@ class LobeFit:
         columns_p4 = np.concatenate([self._shape(values_3, window, lobe)[:, None], window.ground_p3], axis=1)
         return columns_p4 * window.weight_p[:, None]
 
-    def _slope(
-        self, values_3: NDArray[np.float64], k: int, window: _Window, lobe: Lobe, solved_4: NDArray[np.float64]
+    def _slopes(
+        self, values_3: NDArray[np.float64], window: _Window, lobe: Lobe, solved_4: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return how what is left changes with one value, height and ground following (Kaufman)."""
-        step_3 = np.zeros(3)
-        step_3[k] = _STEP
-        more_p, less_p = (self._shape(values_3 + sign * step_3, window, lobe) for sign in (1.0, -1.0))
-        slope_p = -solved_4[0] * (more_p - less_p) / (2.0 * _STEP) * window.weight_p
-        columns_p4 = self._columns(values_3, window, lobe)
-        return slope_p - columns_p4 @ np.linalg.lstsq(columns_p4, slope_p, rcond=None)[0]
+        """Return how what is left changes with each value, height and ground following (Kaufman)."""
+        changes = []
+        for step_3 in _STEP * np.eye(3):
+            more_p, less_p = (self._shape(values_3 + sign * step_3, window, lobe) for sign in (1.0, -1.0))
+            changes.append(-solved_4[0] * (more_p - less_p) / (2.0 * _STEP) * window.weight_p)
+        columns_p4, slopes_p3 = self._columns(values_3, window, lobe), np.stack(changes, axis=1)
+        return slopes_p3 - columns_p4 @ np.linalg.lstsq(columns_p4, slopes_p3, rcond=None)[0]
 
     def _shape(self, values_3: NDArray[np.float64], window: _Window, lobe: Lobe) -> NDArray[np.float64]:
         """Return a lobe of height 1 before the blur, as the window's pixels show it."""

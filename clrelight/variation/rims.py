@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, special
+from scipy import linalg
 from scipy.interpolate import CubicSpline
 
 from clrelight.variation.circles import Circle
 from clrelight.variation.descent import descend
+from clrelight.variation.rim_design import Design, radial_functions
 
 _WAYS, _MOST_PIXELS = 6, 6000
 _INSIDE_ORDERS, _SMALL_ORDERS, _LEAST_ORDER, _MOST_ORDER = (5, 2, 1), (5, 3, 3), 4, 12
@@ -27,7 +27,7 @@ of shading is 1, of z 0; more of z and z^2 looks like an outline elsewhere where
 _BLURS, _LEAST_BLUR, _MOST_BLUR = (0.6, 0.9, 1.3, 1.9, 2.7), 0.3, 0.25
 """Standard deviations in pixels that are tried first; the least of all, and the greatest as a share of the radius."""
 _ROUNDS, _TURNS, _STEPS, _NEAR_ENOUGH = 2, 3, 4, np.array([3e-3, 3e-3, 3e-3, np.inf])
-_STRIDES = (0.02, 0.02, 0.02, 0.03)
+_STRIDES = {2: 0.02, 3: 0.03}
 _IN, _OUT = 0.8, 0.2
 """Share of the sphere in a pixel from which on it tells of the inside, and below which of the outside."""
 _OUTSTANDING, _LEAST_CALM = 6.0, 5
@@ -35,8 +35,6 @@ _OUTSTANDING, _LEAST_CALM = 6.0, 5
 _WIDE, _SMALL = 1.5, 15.0
 """Pixels of blur for which the band is wide enough at least: texture misleads a narrow one. Pixels of radius below
 which so wide a band reaches half way to the middle, and more happens in it."""
-_REACH = 5.0
-"""Standard deviations of the blur beyond which nothing comes in."""
 _WRONG, _START_OFF = 60.0, 0.3
 """How much less than as noise texture tells; pixels that a start is off by."""
 _MOST_OFF, _BARELY = 0.25, 0.3
@@ -63,45 +61,6 @@ class Rim:
     blur: float
     centre_off: float
     radius_off: float
-
-
-def radial_functions(radius: float, sigma: float, inner: float, outer: float) -> CubicSpline:
-    """Return what is seen of a ball and beyond it by the distance from its middle: blurred 1, z, z^2; 1, distance.
-
-    A disc's ring at distance s, blurred by a Gaussian, is ``s / sigma^2 exp(-(s^2 + d^2) / 2 sigma^2) I0(s d /
-    sigma^2)`` at distance d; rings are summed by Gauss and Legendre's rule, inside with sqrt(radius - s) as variable,
-    in which z is smooth.
-    """
-    lowest, highest = max(0.0, inner - _REACH * sigma), outer + _REACH * sigma
-    counts = [int(np.clip(5.0 * span / sigma, 48, 240)) for span in (radius - lowest, highest - radius)]
-    node_s, weight_s = _gauss(counts[0])
-    root_s = 0.5 * (node_s + 1.0) * np.sqrt(radius - lowest)
-    inside_s = radius - root_s**2
-    inside_weight_s = weight_s * np.sqrt(radius - lowest) * root_s
-    z_s = np.sqrt(np.maximum(1.0 - (inside_s / radius) ** 2, 0.0))
-    node_s, weight_s = _gauss(counts[1])
-    outside_s = radius + 0.5 * (node_s + 1.0) * (highest - radius)
-    grid_d = np.arange(max(inner, 0.0), outer + 0.3 * sigma, 0.3 * sigma)
-    inside_ds = _rings(grid_d, inside_s, inside_weight_s, sigma)
-    outside_ds = _rings(grid_d, outside_s, 0.5 * weight_s * (highest - radius), sigma)
-    beyond_s = (outside_s - radius) / (outer - radius)
-    inner_df = inside_ds @ np.stack([np.ones_like(z_s), z_s, z_s**2], axis=1)
-    outer_df = outside_ds @ np.stack([np.ones_like(beyond_s), beyond_s], axis=1)
-    return CubicSpline(grid_d, np.concatenate([inner_df, outer_df], axis=1))
-
-
-@cache
-def _gauss(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return nodes and weights, kept: a descent asks for the same again and again."""
-    node_s, weight_s = np.polynomial.legendre.leggauss(count)
-    return node_s, weight_s
-
-
-def _rings(grid_d: NDArray, ring_s: NDArray, weight_s: NDArray, sigma: float) -> NDArray[np.float64]:
-    away_ds = (ring_s - grid_d[:, None]) / sigma
-    bessel_ds = special.ive(0, ring_s * grid_d[:, None] / sigma**2)
-    rings_ds: NDArray[np.float64] = bessel_ds * np.exp(-0.5 * away_ds**2) * (ring_s * weight_s / sigma**2)
-    return rings_ds
 
 
 def fit_rim(samples_ihw: NDArray[np.floating], start: Circle, place: Place | None = None) -> Rim | None:
@@ -184,22 +143,17 @@ class _Band:
         ends = radius - within - 1.5, radius + beyond + 1.5
         return cls(x_hw.ravel()[pixels], y_hw.ravel()[pixels], samples_pm, *ends, orders, np.ones(len(pixels)))
 
-    def design(self, values_4: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return what may be seen, (P, number of functions), and each pixel's share of the ball."""
-        x, y, radius, log_blur = values_4
-        right_p, down_p = self.x_p - x, self.y_p - y
-        radial_pf = radial_functions(radius, float(np.exp(log_blur)), self.inner, self.outer)(np.hypot(right_p, down_p))
-        most = max(self.orders)
-        turns_pk = np.arange(1, most + 1) * np.arctan2(down_p, right_p)[:, None]
-        waves = np.concatenate([np.ones((len(right_p), 1)), np.cos(turns_pk), np.sin(turns_pk)], axis=1)
-        picked = [np.r_[: 1 + order, most + 1 : most + 1 + order] for order in self.orders]
-        return np.concatenate([waves[:, at] * radial_pf[:, [f]] for f, at in enumerate(picked)], axis=1), radial_pf[
-            :, 0
-        ]
+    def design(self, values_4: NDArray[np.float64]) -> Design:
+        """Return what may be seen."""
+        return Design.at(self.x_p - values_4[0], self.y_p - values_4[1], self._radial(values_4), self.orders)
+
+    def _radial(self, values_4: NDArray[np.float64]) -> CubicSpline:
+        return radial_functions(float(values_4[2]), float(np.exp(values_4[3])), self.inner, self.outer)
 
     def off_law(self, values_4: NDArray, turned_mm: NDArray, weight_pm: NDArray) -> tuple[list[NDArray], NDArray]:
         """Return covariances of what is left inside, outside and everywhere, and the share of the ball."""
-        design_pf, share_p = self.design(values_4)
+        design = self.design(values_4)
+        design_pf, share_p = design.functions_pf, design.share_p
         turned_pm = self.samples_pm @ turned_mm
         left_pm = (turned_pm - design_pf @ _Solved(design_pf, turned_pm, weight_pm).found_fm) @ np.linalg.inv(turned_mm)
         free = max(1.0 - design_pf.shape[1] / len(left_pm), 0.05)
@@ -255,43 +209,49 @@ class _Band:
         """Return the values that leave least beside the trust in the start, what is left, and its slopes."""
         turned_pm, root_4 = self.samples_pm @ turned_mm, np.sqrt(trust_4)
 
-        def evaluate(tried_4: NDArray[np.float64]) -> tuple[NDArray[np.float64], _Solved]:
-            solved = _Solved(self.design(tried_4)[0], turned_pm, weight_pm)
-            return np.append(solved.left_pm.ravel(), root_4 * (tried_4 - start_4)), solved
+        def evaluate(tried_4: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[_Solved, Design]]:
+            design = self.design(tried_4)
+            solved = _Solved(design.functions_pf, turned_pm, weight_pm)
+            return np.append(solved.left_pm.ravel(), root_4 * (tried_4 - start_4)), (solved, design)
 
-        def slope(at_4: NDArray[np.float64], k: int, solved: _Solved) -> NDArray[np.float64]:
-            step_4 = np.zeros(4)
-            step_4[k] = _STRIDES[k]
-            more_pf, less_pf = self.design(at_4 + step_4)[0], self.design(at_4 - step_4)[0]
-            change_pm = solved.beside((less_pf - more_pf) @ solved.found_fm / (2.0 * _STRIDES[k]))
-            return np.append(change_pm.ravel(), root_4 * (step_4 > 0.0))
+        def slopes(at_4: NDArray[np.float64], state: tuple[_Solved, Design]) -> NDArray[np.float64]:
+            solved, design = state
+            changes = list(design.moved(solved.found_fm))
+            for k in (2, 3):
+                step_4 = np.where(np.arange(4) == k, _STRIDES[k], 0.0)
+                more, less = self._radial(at_4 + step_4), self._radial(at_4 - step_4)
+                changes.append(design.exchanged(solved.found_fm, more, less) / (2.0 * _STRIDES[k]))
+            change_pm4 = solved.beside(-np.stack(changes, axis=2))
+            return np.concatenate([change_pm4.reshape(-1, 4), np.diag(root_4)])
 
         def confine(tried_4: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.append(tried_4[:3], np.clip(tried_4[3], np.log(_LEAST_BLUR), np.log(_MOST_BLUR * tried_4[2])))
 
-        found = descend(values_4, evaluate, slope, steps=_STEPS, settled_k=_NEAR_ENOUGH, confine=confine)
-        return found.values_k, found.state.left_pm, found.slopes_nk[:-4].reshape(*turned_pm.shape, 4)
+        found = descend(values_4, evaluate, slopes, steps=_STEPS, settled_k=_NEAR_ENOUGH, confine=confine)
+        return found.values_k, found.state[0].left_pm, found.slopes_nk[:-4].reshape(*turned_pm.shape, 4)
 
 
 class _Solved:
     """Weighted least squares of each way of going with the lamps."""
 
     def __init__(self, design_pf: NDArray, samples_pm: NDArray, weight_pm: NDArray) -> None:
-        self.weight_pm = weight_pm
+        self.design_pf, self.weight_pm = design_pf, weight_pm
         self.factors, found = [], []
+        weighted_pf = np.empty_like(design_pf)
         for samples_p, weight_p in zip(samples_pm.T, weight_pm.T, strict=True):
-            weighted_pf = design_pf * weight_p[:, None]
+            np.multiply(design_pf, weight_p[:, None], out=weighted_pf)
             normal_ff = weighted_pf.T @ weighted_pf
             normal_ff[np.diag_indices_from(normal_ff)] += 1e-6 * np.trace(normal_ff) / len(normal_ff)
-            factor = linalg.cho_factor(normal_ff)
-            self.factors.append((weighted_pf, factor))
-            found.append(linalg.cho_solve(factor, weighted_pf.T @ (samples_p * weight_p)))
+            self.factors.append(linalg.cho_factor(normal_ff))
+            found.append(linalg.cho_solve(self.factors[-1], weighted_pf.T @ (samples_p * weight_p)))
         self.found_fm = np.stack(found, axis=1)
         self.left_pm = (samples_pm - design_pf @ self.found_fm) * weight_pm
 
-    def beside(self, change_pm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what of a change no linear function follows, weighted."""
-        weighted_pm: NDArray[np.float64] = change_pm * self.weight_pm
-        for m, (weighted_pf, factor) in enumerate(self.factors):
-            weighted_pm[:, m] -= weighted_pf @ linalg.cho_solve(factor, weighted_pf.T @ weighted_pm[:, m])
-        return weighted_pm
+    def beside(self, change_pmk: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what of each of k changes no linear function follows, weighted."""
+        left_pmk: NDArray[np.float64] = np.empty_like(change_pmk)
+        for m, factor in enumerate(self.factors):
+            weight_p1 = self.weight_pm[:, [m]]
+            right_fk = self.design_pf.T @ (weight_p1**2 * change_pmk[:, m])
+            left_pmk[:, m] = weight_p1 * (change_pmk[:, m] - self.design_pf @ linalg.cho_solve(factor, right_fk))
+        return left_pmk
