@@ -92,13 +92,15 @@ def whitening_of(
     turn_dc: NDArray[np.float64] | None = None,
     basis: str = SH,
     lights_i3: NDArray[np.float64] | None = None,
+    beside: Sequence[tuple[int, int]] = (),
 ) -> Whitening:
     """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does.
 
-    Errors along the rows of `turn_dc` cost alike; by default those of the channels do, in the rows of a rotation. Over
-    directions they cost what `clrelight.codec.transforms.light_metric.light_root` says of `lights_i3`.
+    They lie all over it; those `beside`, (row, column), are read too. Errors along the rows of `turn_dc` cost alike; by
+    default those of the channels do, in the rows of a rotation. Over directions they cost what
+    `clrelight.codec.transforms.light_metric.light_root` says of `lights_i3`.
     """
-    pixels_pkc = _sample(shape, read)
+    pixels_pkc = _sample(shape, read, beside)
     with on_one_thread():
         metric = hemisphere_metric(shape[0], AXES, basis)
         root_nn = light_root(metric, basis, lights_i3)
@@ -140,14 +142,17 @@ def _each_channel(rows_jd: NDArray[np.float64], matrix_nn: NDArray[np.float64]) 
     return (rows_jd.reshape(-1, len(matrix_nn)) @ matrix_nn).reshape(rows_jd.shape)
 
 
-def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.float64]:
+def _sample(
+    shape: tuple[int, int, int, int], read: ReadPlaces, beside: Sequence[tuple[int, int]]
+) -> NDArray[np.float64]:
     """Return the coefficients of pixels that lie all over the image, (n_pixel, n_coeff, channel)."""
     n_coeff, height, width, channel = shape
     most = min(_SAMPLED_PIXELS, _SAMPLED_VALUES // (n_coeff * channel))
     step = -(-height // _SAMPLED_ROWS)
     rows = range(step // 2, height, step)
     column_step = -(-width * len(rows) // most)
-    chosen_kpc = read([(y, slice((7 * i) % column_step, width, column_step)) for i, y in enumerate(rows)])
+    places = [(y, slice((7 * i) % column_step, width, column_step)) for i, y in enumerate(rows)]
+    chosen_kpc = read(places + [(row, slice(column, column + 1)) for row, column in beside])
     return chosen_kpc.transpose(1, 0, 2).astype(np.float64, order="C")
 
 
