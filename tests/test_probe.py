@@ -1,15 +1,18 @@
 """Drivers that abort, hang or are wrong, judged by real child processes; what is kept of it."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
 
+import click
 import pytest
 
 from clrelight import truth
+from clrelight.cli.quiet import add_quiet, speaking_after
 from clrelight.device import open_device
 from clrelight.errors import DeviceError
 from clrelight.opencl import child, drivers, folder, probe, records
@@ -117,6 +120,42 @@ def test_a_program_that_does_not_load_is_no_word_on_a_device(fresh, monkeypatch,
     assert judge().lanes == 0
     monkeypatch.setattr(probe, "_CODE", answer(1.0))
     assert judge() == probe.Verdict(8)
+
+
+def test_an_error_of_ours_is_told_as_one_and_not_kept(fresh, monkeypatch):
+    # An exception of a driver's wrong numbers, or of its build, has another name.
+    monkeypatch.setattr(probe, "_CODE", "from clrelight.truth import main; main(None)")
+    told = judge()
+    assert told.lanes == 0
+    assert told.fault.startswith("cannot be tested, by a fault of this program and not of the driver: TypeError: ")
+    assert re.search(r" \(truth\.py, line \d+\)$", told.fault)
+    assert not (fresh / "devices").exists()
+    monkeypatch.setattr(probe, "_CODE", "raise ValueError('TypeError: of a driver')")
+    assert judge().fault == "fails: ValueError: TypeError: of a driver"
+
+
+def test_a_fault_is_forgotten_when_the_program_changes(fresh, monkeypatch):
+    monkeypatch.setattr(probe, "_CODE", ABORT)
+    assert judge().lanes == 0
+    monkeypatch.setattr(probe, "_CODE", answer(1.0))
+    assert judge().lanes == 0
+    monkeypatch.setattr(probe, "code_identity", lambda: "another")
+    assert judge() == probe.Verdict(8)
+    monkeypatch.setattr(probe, "_CODE", ABORT)
+    monkeypatch.setattr(probe, "code_identity", lambda: "a third")
+    assert judge() == probe.Verdict(8)  # what is sound stays so: kernels and their test are the same
+
+
+def test_a_terminal_is_told_of_a_test_unless_it_wants_quiet(fresh, monkeypatch, capsys):
+    monkeypatch.setattr(probe, "_CODE", answer(1.0))
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(probe, "_tells", True)
+    judge()
+    assert "testing A driver" in capsys.readouterr().err
+    add_quiet(group := click.Group(commands=[click.Command("test", callback=lambda: judge(again=True))]))
+    with speaking_after():
+        group.main(["test", "--quiet"], standalone_mode=False)
+    assert capsys.readouterr().err == ""
 
 
 def test_a_driver_that_hangs_is_left(fresh, monkeypatch):

@@ -43,6 +43,9 @@ def add_quiet(group: click.Group) -> None:
 
 def _silence(_: click.Context, __: click.Parameter, value: bool) -> None:
     if value and not _spoken:
+        from clrelight.opencl.probe import tell_nothing  # of no use to those who listen
+
+        tell_nothing()
         _spoken.append(sys.stdout)
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - closed by `speaking_after`
 

@@ -46,8 +46,9 @@ def outshining_notes(parts: Iterable[tuple[int, NDArray[np.float32]]], shape: tu
         brightest_p = _largest(np.concatenate([brightest_p, _largest(square_hw.ravel(), few)]), few)
     if not whole or brightest_p.sum() <= _SHARE * whole:
         return []
+    held = counted(few, f"pixel of {size} holds", f"pixels of {size} hold")
     return [
-        f"{counted(few, 'pixel')} of {size} hold over {_SHARE:.1%} of the map's squares, the brightest at "
+        f"{held} over {_SHARE:.1%} of the map's squares, the brightest at "
         f"row {place[0]}, column {place[1]}: bits go there, and little is left for the others (mask them, or see psnr)"
     ]
 

@@ -18,7 +18,7 @@ from clrelight.jobs.frames import Frames, LightFrames, tell_below
 from clrelight.jobs.inputs import FittedLike
 from clrelight.jobs.pictures import is_animation, write_animation
 from clrelight.jobs.report import Report
-from clrelight.jobs.unfinished import Unfinished, tell_known
+from clrelight.jobs.unfinished import Unfinished
 from clrelight.lighting.light import Light
 from clrelight.tiles import row_tiles
 
@@ -78,8 +78,8 @@ class SharedFrames:
         since, count, made = time.perf_counter(), frames.count, _Made([], [], 0.0)
         first, known = 0, {} if unfinished is None else unfinished.facts
         if unfinished is not None and known:
-            report.note(tell_known(len(known), count))
-            made.below, made.notes = unfinished.below, unfinished.notes
+            unfinished.tell(report)
+            made.below = unfinished.below
             exposure = unfinished.exposure if exposure is None else exposure
         if exposure is None:  # that of the first picture is that of all
             self._put(self._do([(0, 1)], None), [0], made, unfinished)

@@ -10,10 +10,12 @@ import functools
 import hashlib
 import json
 import platform
+import re
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from clrelight import __version__
 from clrelight.kernel_source import kernel_folder
 from clrelight.opencl.child import circumstances, describe_end, run_child
 from clrelight.opencl.records import read_record, write_record
@@ -24,10 +26,12 @@ SECONDS = 240.0
 """Longest that a child may take, compiling included."""
 
 _CODE = "from clrelight.truth import main; main(words)"
-_NOT_LOADED = tuple(
-    f"fails: {name}" for name in ("SyntaxError", "IndentationError", "ImportError", "ModuleNotFoundError")
+_OURS = (
+    *("SyntaxError", "IndentationError", "ImportError", "ModuleNotFoundError", "NotImplementedError", "RecursionError"),
+    *("NameError", "UnboundLocalError", "AttributeError", "TypeError", "AssertionError"),
 )
-"""Of a child that this program's own modules ended, such as those that are being replaced: no word on a device."""
+"""Exceptions of this program's own modules, such as those that are being replaced: wrong numbers raise others."""
+_UNTESTED = "cannot be tested, by a fault of this program and not of the driver: "
 _USUAL = 8
 """Lanes of AVX2, of which two would fit registers of 16; kernels for GPUs have no other."""
 
@@ -68,9 +72,9 @@ def judge_device(name: str, identity: str, index: int, native: int, style: str, 
     """
     key = "\0".join([identity, style, machine_identity(), kernel_identity()])
     kept = None if again else read_record("devices", key)
-    if kept is not None:
+    if kept is not None and (not kept["fault"] or kept.get("code") == code_identity()):
         return Verdict(int(kept["lanes"]), str(kept["fault"]))
-    if sys.stderr.isatty():
+    if _tells and sys.stderr.isatty():
         print(f"clrelight: testing {name}, once for this driver and processor ...", file=sys.stderr)
     verdict = _find_width(index, native, style)
     # Of processes that test at once the first one's word holds: on a busy machine they may find other widths fastest,
@@ -79,9 +83,20 @@ def judge_device(name: str, identity: str, index: int, native: int, style: str, 
     if other is not None and not other["fault"]:
         return Verdict(int(other["lanes"]))
     # What a limit of this process, an absent program or half an installation did may be otherwise tomorrow.
-    if not (verdict.fault and (verdict.fault.startswith(_NOT_LOADED) or circumstances())):
+    if not verdict.fault:
         write_record("devices", key, asdict(verdict))
+    elif not (verdict.fault.startswith(_UNTESTED) or circumstances()):
+        write_record("devices", key, {**asdict(verdict), "code": code_identity()})
     return verdict
+
+
+_tells = True
+
+
+def tell_nothing() -> None:
+    """Say nothing of tests, on no terminal."""
+    global _tells
+    _tells = False
 
 
 def _find_width(index: int, native: int, style: str) -> Verdict:
@@ -102,6 +117,8 @@ def _ask(index: int, lanes: int, style: str, *words: str) -> tuple[float, str]:
     """Return the rate of a projection and the fault, if any, that a child finds at a width."""
     code = f"words = {[str(index), str(lanes), style, *words]!r}; {_CODE}"
     ended, output, complaint = run_child(code, seconds=SECONDS)
+    if ended == 1 and (ours := _fault_of_ours(complaint)):
+        return 0.0, _UNTESTED + ours
     if ended != 0:
         return 0.0, describe_end(ended, complaint, SECONDS)
     if not output:
@@ -111,6 +128,16 @@ def _ask(index: int, lanes: int, style: str, *words: str) -> tuple[float, str]:
         more = f", and {len(said['wrong']) - 1} more" if len(said["wrong"]) > 1 else ""
         return 0.0, f"computes wrong numbers with {lanes} lanes ({said['wrong'][0]}{more} of {said['checks']} checks)"
     return float(said["rate"]), ""
+
+
+def _fault_of_ours(complaint: str) -> str:
+    """Return what a traceback says, and of which line, where the exception that ended a child is none of a driver."""
+    raised = [line for line in complaint.splitlines() if re.match(rf"({'|'.join(_OURS)})(:|$)", line)]
+    if not raised or not complaint.rstrip().splitlines()[-1].startswith(raised[-1]):
+        return ""
+    places = re.findall(r'^  File "([^"]+)", line (\d+)', complaint, re.MULTILINE)
+    where = f" ({Path(places[-1][0]).name}, line {places[-1][1]})" if places else ""
+    return f"{raised[-1][:300]}{where}"
 
 
 @functools.cache
@@ -135,5 +162,14 @@ def kernel_identity() -> str:
     digest = hashlib.sha256()
     for path in [*sorted(kernel_folder().rglob("*.cl*")), Path(__file__).parents[1] / "truth.py"]:
         digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@functools.cache
+def code_identity() -> str:
+    """Return a digest of the program's modules, any of which may be to blame for a fault: another one asks again."""
+    digest = hashlib.sha256(__version__.encode())
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -178,18 +179,30 @@ class Klt(PartsCodec):
         self, pixels: Pixels, workspace: Workspace, transfer: str | None = None
     ) -> tuple[bytes, dict[str, float]]:
         """Return the body; `transfer` is what it says of its values where they are bent already."""
-        shape = pixels.shape
-        budget: int | None = None
-        with on_one_thread():  # those of a product spin for a while after it, in the way of the device
-            encoder = Encoder(pixels, transfer or pixels.transfer, self.metric, workspace.memory_bytes, workspace.tell)
-            if self.step is not None:
-                body, info = encoder.encode(self.step)
-            else:
-                rated = (self.rate or 0.0) * math.prod(shape) / 8.0
-                budget = int(rated if self.byte_budget is None else self.byte_budget)
-                body, info = encoder.encode_within(budget - minimum_overhead(shape))
+        shape, budget = pixels.shape, self._budget(pixels.shape)
+
+        def encode(beside: Sequence[tuple[int, int]] = ()) -> tuple[Encoder, bytes, dict[str, float]]:
+            memory, tell = workspace.memory_bytes, workspace.tell
+            with on_one_thread():  # those of a product spin for a while after it, in the way of the device
+                encoder = Encoder(pixels, transfer or pixels.transfer, self.metric, memory, tell, beside)
+                if budget is None:
+                    return encoder, *encoder.encode(self.step or 0.0)
+                return encoder, *encoder.encode_within(budget - minimum_overhead(shape))
+
+        encoder, body, info = encode()
+        # Axes are those of some of the pixels: where they are all alike, the others are looked at.
+        if not info["planes"] and (missed := encoder.missed(info["step"])):
+            encoder, body, info = encode(missed)
         encoder.check_kept(info)
+        encoder.check_decodes(body)
         return pad_to_minimum(body, shape, budget), info
+
+    def _budget(self, shape: Shape) -> int | None:
+        """Return the bytes that are not to be passed; None where there is a step."""
+        if self.step is not None:
+            return None
+        rated = (self.rate or 0.0) * math.prod(shape) / 8.0
+        return int(rated if self.byte_budget is None else self.byte_budget)
 
     @classmethod
     def decode_parts(cls, body: Body, target: Target, device: Device) -> None:

@@ -18,11 +18,11 @@ from clrelight.codec.formats.klt_search import NEAR, StepFinder, likely_step
 from clrelight.codec.formats.klt_steer import steer
 from clrelight.codec.formats.klt_tiles import MULTIPLIER, encode_elsewhere
 from clrelight.codec.formats.klt_trials import STEP_POWER, Trial, foretell, search_step
-from clrelight.codec.formats.klt_units import Head, count_streams, is_together, pack_body
+from clrelight.codec.formats.klt_units import Head, count_streams, is_together, pack_body, parse_body
 from clrelight.codec.transforms.principal import STEP_RANGE, Axes
 from clrelight.codec.transforms.strips import Strips
 from clrelight.codec.transforms.whitening import Planes
-from clrelight.errors import InputError
+from clrelight.errors import InputError, PayloadError
 
 _USED = (0.992, 0.997, 1.0)
 """Parts of a budget where a search for the step of one stream ends, and aims; it ends at the last, too."""
@@ -33,6 +33,8 @@ _STEERED = 0.9975
 _LEAST_FILLED, _AIM = 0.99, 0.997
 _ENOUGH = (4, _LEAST_FILLED), (7, 0.985), (16, 0.0)
 """Before so many passes over all tiles, which part of a budget ends them; the last go on until anything fits."""
+_HUGE = 64
+"""Power of two of a map below which nothing that is made of it passes float32."""
 _CHANGE = 1.02
 """Times by which a step then changes more than is foretold."""
 
@@ -72,6 +74,15 @@ class Encoder(StepFinder):
         is_tiny = self._whitening.exponent <= np.finfo(np.float32).minexp  # no map of zeros has this one
         if is_tiny and not found["planes"] and not self._mean(found["step"])[1].any():
             raise InputError("klt would make this map 0 everywhere: no number is above 1.2e-38; scale it")
+
+    def check_decodes(self, body: bytes) -> None:
+        """Raise InputError where decoders would refuse a body, for what axes and mean make passes float32."""
+        if self._whitening.exponent < _HUGE:
+            return
+        try:
+            parse_body(body, self._shape)
+        except PayloadError:
+            raise InputError(f"{self._brightest()}, too near the end of float32 for klt: scale the map") from None
 
     def _fit(self, budget: int, trial: Trial) -> tuple[bytes, dict[str, float]]:
         """Return the body with the axes of a trial; errors as of `encode_within`."""
@@ -174,8 +185,8 @@ class Encoder(StepFinder):
             self._collect(streams, tile, coded)
             return self._used_bytes(axes, exact, streams)
 
-        step = likely_step(trial, budget)
-        self._tables(axes, float(np.float32(step)))  # while the device makes planes
+        step = self._bounded(likely_step(trial, budget))
+        self._tables(axes, step)  # while the device makes planes
         for aims in (NEAR, _USED):
             is_steered = aims is NEAR
             place = search_step(count, float(np.log2(step)), self._bounds(), budget, aims)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from clrelight.codec.entropy.symbols import zero_order_bits
 from clrelight.codec.entropy.unit_index import index_bytes
 from clrelight.codec.entropy.units import LEVELS, Window, is_one_tile
+from clrelight.codec.formats.klt_missed import around, missed_pixels
 from clrelight.codec.formats.klt_pieces import Pieces, Tried
 from clrelight.codec.formats.klt_tiles import LARGEST_ERROR, TileEncoder
 from clrelight.codec.formats.klt_trials import STEP_POWER, Trial, list_pieces, list_samples, search_step
@@ -60,6 +61,8 @@ class StepFinder(TileEncoder):
         Bytes that the planes of a tile may take.
     progress : callable
         Told how many rows of the image are coded.
+    beside : sequence of (row, column)
+        Pixels that count for the axes beside those of the sample, the first above all.
     """
 
     def __init__(
@@ -69,13 +72,14 @@ class StepFinder(TileEncoder):
         metric: str = RADIANCE,
         memory: int = ARRAY_MEMORY,
         progress: Progress = lambda done, total: None,
+        beside: Sequence[tuple[int, int]] = (),
     ) -> None:
         super().__init__(pixels)
-        self._progress = progress
+        self._progress, self._beside = progress, beside
         shape, self._transfer, self._memory = pixels.shape, transfer, memory
         self._n_pixel = shape[1] * shape[2]
         self._whitening = whitening_of(
-            shape, pixels.of_places, colour_axes(metric, transfer), pixels.basis, pixels.lights_i3
+            shape, pixels.of_places, colour_axes(metric, transfer), pixels.basis, pixels.lights_i3, beside
         )
         largest = float(np.abs(self._whitening.mean_d).max())
         # Where pixels differ little from their mean, a rate asks for steps that the table of the mean cannot hold.
@@ -99,9 +103,16 @@ class StepFinder(TileEncoder):
             return
         _, height, width, _ = self._shape
         count = min(max(_with_spare(count), self._prepared * 3 // 2), len(self._whitening.deviation_j))
-        self._windows, self._pieces = list_pieces(height, width, count, self._memory), {}
+        self._windows, self._pieces = self._with_beside(list_pieces(height, width, count, self._memory)), {}
         self._tried, self._exact = {}, self._whitening.exact(count)
         self._prepared = count
+
+    def _with_beside(self, windows: list[Window]) -> list[Window]:
+        return around(windows, self._beside[0], *self._shape[1:3]) if self._beside else windows
+
+    def missed(self, step: float) -> list[tuple[int, int]]:
+        """Return pixels that lie over a step from the mean, the farthest first, at most some hundred."""
+        return missed_pixels(self._pixels, self._whitening, step)
 
     def _count(self, step: float) -> int:
         """Return the number of axes that may be worth their bits at a step."""
@@ -109,7 +120,7 @@ class StepFinder(TileEncoder):
 
     def _cells(self, count: int) -> tuple[NDArray[np.float32], float]:
         """Return cells of the first planes of a part of the map, and how many times its pixels the map has."""
-        windows = list_samples(self._shape[1], self._shape[2], count)
+        windows = self._with_beside(list_samples(self._shape[1], self._shape[2], count))
         planes_jnyx = self.take_pieces(windows, self._whitening.exact(count)).host_planes(self.device)
         return cut_cells(planes_jnyx, LEVELS), self._n_pixel / sum(window.n_pixel for window in windows)
 
@@ -142,7 +153,7 @@ class StepFinder(TileEncoder):
         axes = quantise_axes(vectors, deviation, self._n_pixel, step, self._whitening.root_nn)
         streams, sizes, axis_bits, rows = 0.0, np.zeros(0), 0.0, list[int]()
         if count:
-            chosen = _choose(len(self._windows), most)
+            chosen = _choose(len(self._windows), None if self._beside else most)
             tried = self._try_pieces(chosen, step, count)
             rows = [(self._windows[n].top + self._windows[n].bottom) // 2 for n in chosen]
             sizes, areas = np.array([each.size for each in tried]), np.array([self._windows[n].n_pixel for n in chosen])

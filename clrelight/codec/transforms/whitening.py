@@ -97,13 +97,15 @@ def whitening_of(
     turn_dc: NDArray[np.float64] | None = None,
     basis: str = SH,
     lights_i3: NDArray[np.float64] | None = None,
+    beside: Sequence[tuple[int, int]] = (),
 ) -> Whitening:
     """Return the whitening of a map of which some pixels are read; always the same, whatever else the machine does.
 
-    Errors along the rows of `turn_dc` cost alike; by default those of the channels do, in the rows of a rotation. Over
-    directions they cost what `clrelight.codec.transforms.light_metric.light_root` says of `lights_i3`.
+    They lie all over it; those `beside`, (row, column), are read too. Errors along the rows of `turn_dc` cost alike; by
+    default those of the channels do, in the rows of a rotation. Over directions they cost what
+    `clrelight.codec.transforms.light_metric.light_root` says of `lights_i3`.
     """
-    pixels_kpc = _sample(shape, read)
+    pixels_kpc = _sample(shape, read, beside)
     with on_one_thread():
         metric = hemisphere_metric(shape[0], AXES, basis)
         root_nn = light_root(metric, basis, lights_i3)
@@ -168,14 +170,17 @@ def _each_channel(rows_jd: NDArray[np.float64], matrix_nn: NDArray[np.float64]) 
     return (rows_jd.reshape(-1, len(matrix_nn)) @ matrix_nn).reshape(rows_jd.shape)
 
 
-def _sample(shape: tuple[int, int, int, int], read: ReadPlaces) -> NDArray[np.float32]:
+def _sample(
+    shape: tuple[int, int, int, int], read: ReadPlaces, beside: Sequence[tuple[int, int]]
+) -> NDArray[np.float32]:
     """Return the coefficients of pixels that lie all over the image, (n_coeff, n_pixel, channel)."""
     n_coeff, height, width, channel = shape
     most = min(_SAMPLED_PIXELS, _SAMPLED_VALUES // (n_coeff * channel))
     step = -(-height // _SAMPLED_ROWS)
     rows = range(step // 2, height, step)
     column_step = -(-width * len(rows) // most)
-    return read([(y, slice((7 * i) % column_step, width, column_step)) for i, y in enumerate(rows)])
+    places = [(y, slice((7 * i) % column_step, width, column_step)) for i, y in enumerate(rows)]
+    return read(places + [(row, slice(column, column + 1)) for row, column in beside])
 
 
 def reshaped(array: DeviceArray, shape: tuple[int, ...]) -> DeviceArray:

@@ -1,0 +1,40 @@
+"""Pixels that the sample of klt's axes misses, and maps near the end of float32."""
+
+import numpy as np
+import pytest
+
+from clrelight.codec import decode, encode
+from clrelight.codec.formats.klt import Klt
+from clrelight.errors import InputError
+
+PLACE = (301, 305)
+"""In no row that is sampled of an image of 600: these are every third from the second on."""
+
+
+@pytest.mark.parametrize("ground", [0.0, 1.0])
+@pytest.mark.parametrize("options", [{"step": 0.01}, {"rate": 0.01}, {"step": 0.01, "transfer": "srgb"}])
+def test_a_lone_pixel_is_kept(device, ground, options):
+    coeffs_khwc = np.full((4, 600, 600, 1), ground, np.float32)
+    coeffs_khwc[(slice(None), *PLACE)] += np.array([[1.0], [0.5], [0.25], [0.1]], np.float32)
+    decoded_khwc = decode(encode(coeffs_khwc, Klt(**options), device), device)
+    assert np.abs(decoded_khwc - coeffs_khwc).max() < 0.08
+
+
+def test_what_differs_by_less_than_a_step_is_the_mean(device):
+    coeffs_khwc = np.zeros((4, 600, 600, 1), np.float32)
+    coeffs_khwc[(0, *PLACE)] = 1e-3
+    encoded = encode(coeffs_khwc, Klt(step=0.1), device)
+    assert encoded.info["planes"] == 0
+    assert encoded.encoded_bytes < 200
+
+
+@pytest.mark.parametrize("transfer", ["linear", "srgb"])
+def test_what_decoders_would_refuse_is_refused_with_what_is_wrong(device, transfer):
+    rng = np.random.default_rng(0)
+    coeffs_khwc = (rng.standard_normal((4, 20, 20, 3)).clip(-1, 1) * 3.4e38).astype(np.float32)
+    told = "channel.* = .* too near the end of float32 for klt: scale" if transfer == "linear" else "too large"
+    with pytest.raises(InputError, match=told) as raised:
+        encode(coeffs_khwc, Klt(rate=0.1, transfer=transfer), device)
+    assert raised.type is InputError  # of what was given, not of a payload
+    less = encode(coeffs_khwc / 100, Klt(rate=0.1, transfer=transfer), device)
+    assert np.isfinite(decode(less, device)).all()
