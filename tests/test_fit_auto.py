@@ -343,6 +343,30 @@ def test_within_buys_fewer_coefficients(device):
             prepare_fit(stack, "auto", "auto", within=within)
 
 
+def test_few_lights_get_no_more_coefficients_than_tell(device):
+    """What errors may be at the least asks for more, and rounding of photographs for more yet."""
+    y, x = np.mgrid[0:40, 0:60] / 60.0
+    normals = np.stack([0.5 * np.sin(6 * x), 0.5 * np.cos(6 * y), np.ones_like(x)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+
+    def photographs(n_light):
+        lights_i3 = make_pattern("uniform", n_light)
+        shaded = np.clip(np.einsum("hwd,id->ihw", normals, lights_i3), 0, None)[..., None] * [0.9, 0.6, 0.3]
+        return LightStack(np.rint(255 * shaded).astype(np.uint8), lights_i3, 255.0, "srgb")
+
+    seen, unseen = photographs(6), photographs(41)
+    prepared = prepare_fit(seen, "auto", "auto", device=device)
+    assert (prepared.degree + 1) ** 2 <= 9 * 6
+    assert prepared.choice.most > prepared.degree
+    assert f"degree {prepared.choice.most}, " in prepared.choice.note
+
+    def reached(degree):
+        fitted = collect_fit(prepare_fit(seen, prepared.method.id, degree, device=device))
+        return summarize_errors(measure_errors(fitted, unseen)).psnr_mean
+
+    assert reached(prepared.degree) > reached(prepared.choice.most) - 0.1
+
+
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_simple_scene_gets_a_low_degree(device, degree):
     stack = make_scene(degree)

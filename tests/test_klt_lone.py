@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+import clrelight as cr
 from clrelight.codec import decode, encode
 from clrelight.codec.formats.klt import Klt
 from clrelight.errors import InputError
+from clrelight.sampling import make_pattern
 
 PLACE = (301, 305)
 """In no row that is sampled of an image of 600: these are every third from the second on."""
@@ -37,3 +39,19 @@ def test_what_decoders_would_refuse_is_refused_with_what_is_wrong(device, transf
     assert raised.type is InputError  # of what was given, not of a payload
     less = encode(coeffs_khwc / 100, Klt(rate=0.1, transfer=transfer), device)
     assert np.isfinite(decode(less, device)).all()
+
+
+def told(coeffs_khwc, **options):
+    report, lights_i3 = cr.Report(), make_pattern("uniform", 9)
+    fitted = cr.CoefficientMap(coeffs_khwc, 1, "uls", 1.0, "linear", lights_i3)
+    encoded = cr.encode(fitted, "klt", report=report, **options)
+    return encoded.encoded_bytes, [note for note in report.notes if "asked for" in note]
+
+
+def test_what_is_left_of_a_rate_is_told():
+    rough = np.random.default_rng(0).standard_normal((4, 1, 4096, 1)).astype(np.float32)
+    used, notes = told(rough, rate=0.5)
+    assert notes == []
+    assert 0.99 * 1024 <= used <= 1024
+    used, (note,) = told(np.zeros((4, 64, 64, 1), np.float32), bytes=4000)
+    assert note.startswith(f"{used} of the 4000 bytes that were asked for are used: it is the map's mean")

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 import clrelight as cr
-from clrelight.codec import decode_regions
+from clrelight.codec import decode_regions, decode_shown
 from clrelight.conventions import linear_to_srgb
+from clrelight.experiment.portraits import LightPortrait
+from clrelight.experiment.scenes import shrink_picture, survey_stack
 from clrelight.jobs import measure as measuring
 from clrelight.jobs.target import encode_to_quality
+from clrelight.relight import to_display
 from clrelight.store import write_stack
 from tests.commands import succeed
 from tests.styles import both_styles
@@ -42,6 +45,15 @@ def pictured(encoded, stack):
     relit = np.clip(cr.relight(encoded, stack.directions_i3).astype(np.float64), 0.0, 1.0)
     relit = linear_to_srgb(relit) if stack.transfer == "srgb" else relit
     return -10.0 * np.log10(np.mean((relit - stack.images_ihwc / stack.peak) ** 2))
+
+
+def test_pictures_of_results_are_relit_ones(stacks, encoded):
+    device, survey = cr.open_device(), survey_stack(stacks[0])
+    shown_khwc, behind = decode_shown(encoded, device)
+    assert behind == "srgb"
+    drawn = LightPortrait(stacks[0], survey, device).draw(replace(cr.decode(encoded), coeffs_khwc=shown_khwc), behind)
+    relit_hwc = cr.relight(encoded, stacks[0].directions_i3[survey.light])
+    assert np.abs(drawn - shrink_picture(to_display(relit_hwc, "srgb")).astype(int)).max() <= 1
 
 
 @both_styles

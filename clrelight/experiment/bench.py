@@ -195,7 +195,9 @@ class Bench:
         row["note"] = fixed("note", told)
         if not self.illustrated:
             return append(results, row)
-        pictures, profiles = self._illustrate(results, coefficients, method, degree, setting)
+        # A surface is drawn under light from everywhere too, which takes radiance.
+        drawn = (shown, behind) if self.stack.surface is None else (coefficients, "linear")
+        pictures, profiles = self._illustrate(results, drawn, method, degree, setting)
         return replace(append(results, row), pictures=pictures, profiles=profiles)
 
     def _coefficients(self, method: FitMethod | str, degree: int | str) -> tuple[CoefficientMap, FitMethod, float]:
@@ -270,9 +272,9 @@ class Bench:
                 decode(encode(corner_khwc, codec, self.device).to_bytes(), self.device)
 
     def _illustrate(
-        self, results: Results, coefficients: CoefficientMap, method: FitMethod, degree: int, setting: CodecSetting
+        self, results: Results, drawn: tuple[CoefficientMap, str], method: FitMethod, degree: int, setting: CodecSetting
     ) -> tuple[dict[str, NDArray[np.uint8]], dict[str, NDArray[np.float64]]]:
-        pictures, profiles = dict(results.pictures), dict(results.profiles)
+        coefficients, pictures, profiles = drawn[0], dict(results.pictures), dict(results.profiles)
         name, survey = f"{self.stack.name}/{method.id}/{degree}", self.survey
         # Of rows that share a key the first one counts, here as in the report.
         if setting.codec is None and name not in profiles:
@@ -281,7 +283,7 @@ class Bench:
         key = f"{name}/{setting.picture_name}"
         if key not in pictures and setting.is_pictured:
             pictures[f"{self.stack.name}/reference"] = self._portrait.reference
-            pictures[key] = self._portrait.draw(coefficients)
+            pictures[key] = self._portrait.draw(*drawn)
         return pictures, profiles
 
 

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.conventions import srgb_to_linear
 from clrelight.dataset import CoefficientMap, LightStack
 from clrelight.device import Device
 from clrelight.experiment.scenes import PICTURE_LIGHT, Survey, shrink_picture
@@ -47,8 +48,8 @@ class Portrait(Protocol):
 
     reference: NDArray[np.uint8]
 
-    def draw(self, coefficients: CoefficientMap) -> NDArray[np.uint8]:
-        """Return the picture of a fit."""
+    def draw(self, coefficients: CoefficientMap, behind: str = "linear") -> NDArray[np.uint8]:
+        """Return the picture of a fit; `behind` is that of `clrelight.metrics.measure_errors`."""
         ...
 
 
@@ -64,11 +65,11 @@ class LightPortrait:
         self._device, self._transfer, self.reference = device, stack.transfer, survey.picture_hwc
         self._towards_13 = stack.directions_i3[survey.light : survey.light + 1]
 
-    def draw(self, coefficients: CoefficientMap) -> NDArray[np.uint8]:
+    def draw(self, coefficients: CoefficientMap, behind: str = "linear") -> NDArray[np.uint8]:
         """Return the picture of a fit."""
-        return shrink_picture(
-            to_display(relight(coefficients, self._towards_13, device=self._device)[0], self._transfer)
-        )
+        relit_hwc = relight(coefficients, self._towards_13, device=self._device)[0]
+        radiance_hwc = srgb_to_linear(relit_hwc, np.float32) if behind == "srgb" else relit_hwc
+        return shrink_picture(to_display(radiance_hwc, self._transfer))
 
 
 class SurfacePortrait:
@@ -104,8 +105,8 @@ class SurfacePortrait:
         """Whether directions are all over the sphere: in the axes of the positions, half of them are below a vertex."""
         return self.surface.tangents_v3 is None
 
-    def draw(self, coefficients: CoefficientMap) -> NDArray[np.uint8]:
-        """Return the picture of a fit: dot products with each vertex's light, or its function at a place.
+    def draw(self, coefficients: CoefficientMap, behind: str = "linear") -> NDArray[np.uint8]:
+        """Return the picture of a fit, of radiance: dot products with each vertex's light, or its function at a place.
 
         By noise-resistant-fitting, eq. 5.
         """

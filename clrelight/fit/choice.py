@@ -58,6 +58,7 @@ class Choice:
 
     `settled` is the method taken with what it has learnt, where it is known already; `at` says which lights the
     prediction is for. `code_gain` are the decibels by which values as displayed are fitted better, at left-out lights.
+    `most` is the degree that would have been taken where coefficients cost nothing.
     """
 
     chosen: Candidate
@@ -68,6 +69,7 @@ class Choice:
     settled: FitMethod | None = None
     at: str = IN_GAPS
     code_gain: float | None = None
+    most: int = 0
 
     @property
     def note(self) -> str:
@@ -77,6 +79,9 @@ class Choice:
             expected = f"PSNR at {self.at} unknown: {self.why_unknown}"
         else:
             expected = f"{self.chosen.predicted:.2f} dB (+- {self.spread:.2f}) predicted at {self.at}"
+        if self.most > self.chosen.degree:
+            times = ((self.most + 1) / (self.chosen.degree + 1)) ** 2
+            expected += f"; degree {self.most}, {times:.1f} times the coefficients, would likely gain less than 0.1 dB"
         took = f"{self.chosen.method.id} at degree {self.chosen.degree}"
         return f"auto took {took} of {len(self.tried)} models; {expected}{after}{self._domain}"
 

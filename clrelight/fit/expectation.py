@@ -10,6 +10,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from clrelight.dataset import LightStack
 from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.leave_out_error import LEAST_ERROR, Trials, krige_left_out
 from clrelight.fit.left_out import solve_zones
@@ -249,6 +250,11 @@ def cost_of_series(
         return float(_DB * np.mean(np.log1p(lost_t / max(error, LEAST_ERROR))))
 
     return cost
+
+
+def rounding_of(stack: LightStack) -> float:
+    """Return the mean squared error, in units of the peak, of code values that were rounded; 0 of floats."""
+    return 1.0 / (12.0 * stack.peak**2) if stack.images_ihwc.dtype.kind in "ui" else 0.0
 
 
 def least_degree(cost: Callable[[int], float], within: float) -> int:

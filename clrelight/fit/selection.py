@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from clrelight.errors import InputError
 from clrelight.fit.choice import AT_GIVEN, CLEAR, IN_GAPS, Candidate, Choice
 from clrelight.fit.curved import CurvedSpectrumFit
-from clrelight.fit.expectation import Expectation, LeftOut, cost_of_series, expect_unseen, least_degree
+from clrelight.fit.expectation import Expectation, LeftOut, cost_of_series, expect_unseen, least_degree, rounding_of
 from clrelight.fit.kriging import KrigingModel
 from clrelight.fit.leave_out_error import LEAST_ERROR, Trials, krige_left_out, try_method
 from clrelight.fit.registry import FitMethod
@@ -29,6 +30,8 @@ _REFIT_DEGREES = (0, 1, 2, 3, 4, 6, 9)
 
 WITHIN = 0.05
 """Decibels at unseen lights that fewer coefficients may cost."""
+_MANY, _LITTLE = 9, 0.1
+"""Coefficients for each light beyond which fewer are taken, if that likely costs no more than so many decibels."""
 _DOUBT = 3.0
 """Standard errors by which another method must be better than spectrum: neighbouring lights err alike, and many
 models are tried."""
@@ -83,9 +86,9 @@ def choose_model(
             method.plan(trials.lighting, min(degrees[1:2] or degrees))
     winner = _find_winner(base, others, within) if starts else _pick_simplest(others, within)
     if winner is None:
-        degree, cost = kriged.choose_degree(degrees, within, expected)
+        degree, cost, most = kriged.choose_degree(degrees, within, expected)
         chosen = replace(base, degree=degree, predicted=_foretell(told, -cost))
-        choice = replace(_conclude(chosen, [chosen, *others], told), settled=kriged.settled)
+        choice = replace(_conclude(chosen, [chosen, *others], told), settled=kriged.settled, most=most)
     else:
         gain = _mean_gain(base, winner)
         chosen = Candidate(winner.method, winner.degree, _foretell(told, gain), winner.in_folds, winner.error_g)
@@ -107,13 +110,13 @@ def _take_curve(
 ) -> Choice:
     """Return the choice of values as displayed, or the one before where a series of their radiance costs too much."""
     expected = shown.expect()
-    degree, cost = shown.choose_degree(degrees, within, expected)
+    degree, cost, most = shown.choose_degree(degrees, within, expected)
     if (choice.code_gain or 0.0) - cost < CLEAR:
         return choice
     told = expected if unseen_t3 is None else shown.expect(unseen_t3)
     chosen = replace(shown.judged, degree=degree, predicted=_foretell(told, -cost))
     taken = _conclude(chosen, [chosen, *choice.tried], told)
-    return replace(taken, settled=shown.settled, code_gain=choice.code_gain)
+    return replace(taken, settled=shown.settled, code_gain=choice.code_gain, most=most)
 
 
 @dataclass(frozen=True)
@@ -142,15 +145,25 @@ class _Kriged:
     def _left_out(self) -> LeftOut:
         return LeftOut.make(self.model, self.trials)
 
-    def choose_degree(self, degrees: Sequence[int], within: float, expected: Expectation) -> tuple[int, float]:
-        """Return the degree asked for, or the least that costs no more than `within`, and what it costs."""
+    def choose_degree(self, degrees: Sequence[int], within: float, expected: Expectation) -> tuple[int, float, int]:
+        """Return the degree asked for, or the least that costs no more than `within`, what it costs, and the least.
+
+        Beyond `_MANY` coefficients for each light it is one that likely costs little.
+        """
         series = functools.partial(self.settled.relit, self.model, self.trials.samples)
         if len(degrees) == 1:  # nothing is decided by it: what is likely counts, not the least that errors may be
             error = expected.error if expected.psnr is None else 10.0 ** (-expected.psnr / 10.0)
-            return degrees[0], cost_of_series(self.model, self.trials, error, series)(degrees[0])
-        cost = cost_of_series(self.model, self.trials, expected.error, series)
-        degree = least_degree(cost, within)
-        return degree, cost(degree)
+            return degrees[0], cost_of_series(self.model, self.trials, error, series)(degrees[0]), degrees[0]
+        rounding = rounding_of(self.trials.samples.source)  # nothing that is measured tells what is below it
+        cost = cost_of_series(self.model, self.trials, max(expected.error, rounding), series)
+        most = least_degree(cost, within)
+        enough = math.isqrt(_MANY * len(self.trials.places.directions_g3)) - 1
+        if most <= enough:
+            return most, cost(most), most
+        likely = expected.error if expected.psnr is None else 10.0 ** (-expected.psnr / 10.0)
+        likely_cost = cost_of_series(self.model, self.trials, max(likely, rounding), series)
+        degree = min(most, max(enough, least_degree(likely_cost, _LITTLE)))
+        return degree, cost(degree), most
 
 
 def _leave_out(model: KrigingModel, trials: Trials) -> NDArray[np.float64]:

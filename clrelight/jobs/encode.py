@@ -27,7 +27,7 @@ from clrelight.jobs.outshining import outshining_notes
 from clrelight.jobs.parts import check_memory, decode_again, encode_source, take_source
 from clrelight.jobs.preview import check_preview, draw_preview, write_preview
 from clrelight.jobs.report import Progress, Report, report_for, stage
-from clrelight.jobs.sizes import payload_budget, size_facts
+from clrelight.jobs.sizes import payload_budget, size_facts, unused_notes
 from clrelight.jobs.target import encode_to_quality
 from clrelight.jobs.written import count_bytes
 from clrelight.memory import DEFAULT_MEMORY
@@ -188,6 +188,7 @@ class _Encode:
             encoded, noise = self._by_codec()
         if clamped := int(encoded.info.get("clamped", 0)):
             report.note(f"{counted(clamped, 'coefficient was', 'coefficients were')} clamped")
+        report.note(*unused_notes(encoded))
         report.facts |= {**size_facts(encoded), "config": dict(encoded.config)}
         report.facts["coding_noise"] = predicted_psnr(noise)
         if stack is not None:

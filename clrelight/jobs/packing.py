@@ -30,7 +30,7 @@ from clrelight.jobs.measure_parts import SAMPLED_FROM, measure_parts, sample_win
 from clrelight.jobs.packing_farm import PackingFarm
 from clrelight.jobs.perceived import measure_perceived, relit_regions
 from clrelight.jobs.report import Progress, Report, stage
-from clrelight.jobs.sizes import payload_budget, size_facts
+from clrelight.jobs.sizes import payload_budget, size_facts, unused_notes
 from clrelight.jobs.split_quality import Split
 from clrelight.jobs.target import TOLERANCE, encode_to_quality
 from clrelight.search import search_falling
@@ -143,6 +143,7 @@ class Pack:
             else:
                 encoded = self._reach(source, sampled)
         self.report.facts |= {**size_facts(encoded), "config": dict(encoded.config)}
+        self.report.note(*unused_notes(encoded))
         if measure != "none" and not self.report.psnr:
             self._measure(encoded, sampled)
         if perceptual:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from clrelight.codec import Encoded, codec_class
 from clrelight.codec.workspace import Shape
 from clrelight.errors import InputError
+
+_USED, _FEW_BYTES = 0.99, 64
+"""Part of what was asked for that should be used; bytes that nobody misses."""
 
 
 def size_facts(encoded: Encoded) -> dict[str, Any]:
@@ -17,6 +21,20 @@ def size_facts(encoded: Encoded) -> dict[str, Any]:
         "bits_per_coefficient": encoded.bits_per_coefficient,
         **encoded.info,
     }
+
+
+def unused_notes(encoded: Encoded) -> list[str]:
+    """Return what to say of a rate or a size that is asked of klt, and of which over a hundredth is left."""
+    config = encoded.config
+    if encoded.codec != "klt" or config.get("step") is not None:
+        return []
+    asked = int(config.get("byte_budget") or config["rate"] * math.prod(encoded.shape) / 8.0)
+    if encoded.encoded_bytes >= _USED * asked or asked - encoded.encoded_bytes < _FEW_BYTES:
+        return []
+    why = "the finest step takes no more, or no step comes nearer"
+    if not encoded.info.get("planes"):
+        why = "it is the map's mean alone, as nothing else is in it, or its units would take more than that"
+    return [f"{encoded.encoded_bytes} of the {asked} bytes that were asked for are used: {why}"]
 
 
 def payload_budget(file_bytes: int, overhead: int, shape: Shape, codec_id: str = "klt") -> int:

@@ -111,8 +111,11 @@ class StepFinder(TileEncoder):
         return around(windows, self._beside[0], *self._shape[1:3]) if self._beside else windows
 
     def missed(self, step: float) -> list[tuple[int, int]]:
-        """Return pixels that lie over a step from the mean, the farthest first, at most some hundred."""
-        return missed_pixels(self._pixels, self._whitening, step)
+        """Return pixels that lie over a step from the mean, the farthest first, at most some hundred.
+
+        None where the sample has others that do: these have had their chance.
+        """
+        return [] if self._count(step) else missed_pixels(self._pixels, self._whitening, step)
 
     def _count(self, step: float) -> int:
         """Return the number of axes that may be worth their bits at a step."""
