@@ -97,7 +97,10 @@ INLINE int is_spent(const decoder_t *d)
 /* The last symbol whose share begins at or before a slot. */
 INLINE int find_symbol(__global const ushort *left, const uint slot)
 {
-#ifdef __SSE2__
+#if defined(__AVX512BW__) && defined(__AVX512VL__)
+    const short16 begins = as_short16(LOAD(ushort16, left)), at = (short)slot;
+    return __builtin_popcount((uint)__builtin_ia32_ucmpw256_mask(begins, at, 2, 0xffff)) - 1; /* those that do not pass it */
+#elif defined(__SSE2__)
     const short8 low = as_short8(LOAD(ushort8, left)), high = as_short8(LOAD(ushort8, left + 8)), end = (short)(slot + 1);
     return octave_of((uint)__builtin_ia32_pmovmskb128(__builtin_ia32_packsswb128(end > low, end > high)));
 #else
@@ -117,7 +120,8 @@ INLINE uint renormalise(decoder_t *d, const uint state) { return state < RENORMA
         __global const ushort *left = work->left + (context)*SYMBOLS;                       \
         const uint slot = (state) & (ONE - 1);                                              \
         const int found = find_symbol(left, slot);                                          \
-        const uint begin = left[found], share = (left[found + 1] - begin) & (ONE - 1);      \
+        const uint both = LOAD(uint, left + found), begin = both & 0xffff;                  \
+        const uint share = ((both >> 16) - begin) & (ONE - 1);                              \
         state = share * ((state) >> PRECISION) + slot - begin;                              \
         symbol = found;                                                                     \
     }
@@ -125,7 +129,8 @@ INLINE uint renormalise(decoder_t *d, const uint state) { return state < RENORMA
 /* The same as `renormalise` where there are words for all lanes: which take one is hard to foretell. */
 #define RENORMALISE(state)                                                                  \
     {                                                                                       \
-        const uint word = d->bytes[at] | (uint)d->bytes[at + 1] << 8;                       \
+        __global const uchar *from = d->bytes + at;                                         \
+        const uint word = from[0] | (uint)from[1] << 8;                                     \
         const uint few = (state) < RENORMALISED;                                            \
         state = (state) << (few << 4) | (word & (0u - few));                                \
         at += few << 1;                                                                     \
@@ -188,67 +193,93 @@ typedef struct {
     int coarse; /* bits of them that the next finer level's contexts do not look at */
 } known_t;
 
-/* A symbol in place of its context. Not all four at the end: compilers would make vectors of what is scalar. */
-#define NOTE(lane, context, symbol)                                                         \
-    {                                                                                       \
-        note_symbol(work, context, symbol, &due);                                           \
-        const uint found = (at_context[lane] & 0xf000) | (symbol);                          \
-        at_context[lane] = (ushort)found;                                                   \
-        kept |= (uint)(found != 0) << (i - first + lane);                                   \
-    }
+/* Compilers would make vectors of what is faster as it is: of a number that an instruction may have changed they do not. */
+#ifdef __x86_64__
+#define ALONE(number) __asm__("" : "+r"(number));
+#else
+#define ALONE(number)
+#endif
 
-/* Symbols of a batch in place of their contexts, and which of the samples are not 0, or may not be. */
-INLINE void decode_symbols(decoder_t *d, __global work_t *work, const int samples)
+/* Symbols of a batch, one lane after another: until it is over, no share moves. */
+INLINE void find_symbols(decoder_t *d, __global const work_t *work, __global uchar *symbol, const int samples)
 {
-    int due = 0;
+    __global const ushort *context = work->context;
     uint a = d->state[0], b = d->state[1], c = d->state[2], e = d->state[3];
-    for (int first = 0; first < samples; first += RUN) {
-        const int end = LEAST(first + RUN, samples);
-        uint kept = 0;
-        int i = first;
-        for (; i + LANES <= end; i += LANES) {
-            __global ushort *at_context = work->context + i;
-            int s, t, u, v;
-            const int m = at_context[0] & 0xfff, n = at_context[1] & 0xfff;
-            const int o = at_context[2] & 0xfff, p = at_context[3] & 0xfff;
-            DECODE(a, m, s)
-            DECODE(b, n, t)
-            DECODE(c, o, u)
-            DECODE(e, p, v)
-            if (d->end - d->at >= 2 * LANES) {
-                uint at = d->at;
-                RENORMALISE(a)
-                RENORMALISE(b)
-                RENORMALISE(c)
-                RENORMALISE(e)
-                d->at = at;
-            } else {
-                a = renormalise(d, a);
-                b = renormalise(d, b);
-                c = renormalise(d, c);
-                e = renormalise(d, e);
-            }
-            NOTE(0, m, s)
-            NOTE(1, n, t)
-            NOTE(2, o, u)
-            NOTE(3, p, v)
+    const int whole = samples & ~(LANES - 1);
+    int i = 0;
+    while (i < whole) {
+        uint at = d->at;
+        const int steps = (int)((d->end - at) / (2 * LANES)), last = LEAST(whole, i + LANES * LEAST(steps, UNIT * UNIT));
+        for (; i < last; i += LANES) {
+            DECODE(a, context[i] & 0xfff, symbol[i])
+            DECODE(b, context[i + 1] & 0xfff, symbol[i + 1])
+            DECODE(c, context[i + 2] & 0xfff, symbol[i + 2])
+            DECODE(e, context[i + 3] & 0xfff, symbol[i + 3])
+            RENORMALISE(a)
+            ALONE(a)
+            RENORMALISE(b)
+            ALONE(b)
+            RENORMALISE(c)
+            ALONE(c)
+            RENORMALISE(e)
+            ALONE(e)
         }
-        for (; i < end; ++i) {
-            int s;
-            const int m = work->context[i] & 0xfff;
-            DECODE(a, m, s)
-            a = renormalise(d, a);
-            note_symbol(work, m, s, &due);
-            s |= work->context[i] & 0xf000;
-            work->context[i] = (ushort)s;
-            kept |= (uint)(s != 0) << (i - first);
-        }
-        work->kept[first / RUN] = d->coarse ? 0xffffffffu >> (RUN - (end - first)) : kept;
+        d->at = at;
+        if (i == whole)
+            break;
+        DECODE(a, context[i] & 0xfff, symbol[i])
+        DECODE(b, context[i + 1] & 0xfff, symbol[i + 1])
+        DECODE(c, context[i + 2] & 0xfff, symbol[i + 2])
+        DECODE(e, context[i + 3] & 0xfff, symbol[i + 3])
+        a = renormalise(d, a);
+        b = renormalise(d, b);
+        c = renormalise(d, c);
+        e = renormalise(d, e);
+        i += LANES;
+    }
+    for (; i < samples; ++i) {
+        DECODE(a, context[i] & 0xfff, symbol[i])
+        a = renormalise(d, a);
     }
     d->state[0] = a;
     d->state[1] = b;
     d->state[2] = c;
     d->state[3] = e;
+}
+
+/* Which of 16 numbers are not 0, as bits. */
+INLINE uint which_of(const ushort16 value)
+{
+#ifdef __SSE2__
+    return (uint)__builtin_ia32_pmovmskb128(__builtin_convertvector((short16)(value != (ushort)0), char16));
+#else
+    const ushort16 bits = (ushort16)(1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384, 32768);
+    const ushort16 found = as_ushort16(value != (ushort)0) & bits;
+    const ushort8 a = found.lo | found.hi;
+    const ushort4 b = a.lo | a.hi;
+    return (uint)(b.x | b.y | b.z | b.w);
+#endif
+}
+
+/* Symbols of a batch in place of their contexts, and which of the samples are not 0, or may not be. */
+INLINE void decode_symbols(decoder_t *d, __global work_t *work, const int samples)
+{
+    __global uchar *symbol = (__global uchar *)work->chosen;
+    find_symbols(d, work, symbol, samples);
+    int due = 0;
+    for (int i = 0; i < samples; ++i)
+        note_symbol(work, work->context[i] & 0xfff, symbol[i], &due);
+    for (int first = 0; first < samples; first += RUN) { /* up to RUN - 1 more, of which nothing is kept */
+        uint kept = 0;
+        for (int i = 0; i < RUN; i += 16) {
+            const ushort16 above = LOAD(ushort16, work->context + first + i) & (ushort)0xf000;
+            const ushort16 found = above | WIDE(LOAD(uchar16, symbol + first + i));
+            STORE(ushort16, work->context + first + i, found);
+            kept |= which_of(found) << i;
+        }
+        const uint all = 0xffffffffu >> (RUN - LEAST(samples - first, RUN));
+        work->kept[first / RUN] = d->coarse ? all : kept & all;
+    }
     learn_due(work, due, 0);
 }
 
