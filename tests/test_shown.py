@@ -8,6 +8,7 @@ import pytest
 import clrelight as cr
 from clrelight.codec import decode_regions, decode_shown
 from clrelight.conventions import linear_to_srgb
+from clrelight.errors import InputError
 from clrelight.experiment.portraits import LightPortrait
 from clrelight.experiment.scenes import shrink_picture, survey_stack
 from clrelight.jobs import measure as measuring
@@ -92,3 +93,16 @@ def test_commands_tell_of_relit_pictures(stacks, tmp_path):
     lights = np.genfromtxt(tmp_path / "page" / "lights.csv", delimiter=",", names=True, dtype=None, encoding=None)
     pooled = -10.0 * np.log10(np.mean(10.0 ** (-lights[lights.dtype.names[-1]] / 10.0)))
     assert pooled == pytest.approx(relit, abs=0.01)
+
+
+def test_another_view_is_refused(encoded, stacks):
+    wrong = replace(stacks[0], images_ihwc=np.ascontiguousarray(stacks[0].images_ihwc[:, :10]))
+    with pytest.raises(
+        InputError, match=r"the coefficients are of images \(24, 32, 3\) but the stack has \(10, 32, 3\)"
+    ):
+        cr.measure(encoded, wrong)
+    fitted = cr.fit(stacks[0], method="spectrum", degree=5)
+    with pytest.raises(
+        InputError, match=r"the coefficients are of images \(24, 32, 3\) but the stack has \(10, 32, 3\)"
+    ):
+        cr.encode(fitted, "klt", rate=0.5, stack=wrong)

@@ -45,7 +45,7 @@ def code(device, values, *, together=True, multiplier=0.0, tables=None, finest=T
     count, height, width = values.shape
     window, groups = Window(0, 0, height, width), [(0, count)]
     layout = lay_out(list_units(height, width), (height, width), window, width, together, groups)
-    taken = device.empty(values.shape, np.float32, np.ascontiguousarray(values, np.float32))
+    taken = device.hold(np.ascontiguousarray(values, np.float32))
     index = device.hold(np.zeros(values.shape, np.int32))
     coded = encode_streams(device, layout, taken, index, tables, multiplier, finest=finest)
     found = device.hold(np.zeros(values.shape, np.float32))

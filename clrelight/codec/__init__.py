@@ -28,7 +28,7 @@ from clrelight.codec.registry import (
     predict_noise_of,
     register,
 )
-from clrelight.codec.viewing import decode_regions, decode_shown, decode_view
+from clrelight.codec.viewing import bent_regions, decode_regions, decode_shown, decode_view
 
 __all__ = [
     "Bc6h",
@@ -47,6 +47,7 @@ __all__ = [
     "Wavelet",
     "Whitened",
     "array_source",
+    "bent_regions",
     "bytes_to_decode",
     "codec_class",
     "codec_ids",

@@ -37,6 +37,12 @@ def decode_regions(payload: Encoded | bytes, damage: Damage | None = None) -> Re
     return _of_basis(codec.decode_regions(encoded.body, encoded.shape, damage), encoded)
 
 
+def bent_regions(payload: Encoded | bytes) -> Regions | None:
+    """Return the regions of an encoding that shows code values; None where it shows what `decode` returns."""
+    regions = decode_regions(payload)
+    return None if regions is None or regions.curve == "linear" else regions
+
+
 def decode_shown(
     payload: Encoded | bytes, device: Device, decoded_khwc: NDArray[np.float32] | None = None
 ) -> tuple[NDArray[np.float32], str]:
@@ -47,8 +53,8 @@ def decode_shown(
     returned, where that is known. PayloadError as `decode` raises it.
     """
     encoded, _ = open_payload(payload, summed=True)
-    regions = decode_regions(encoded)
-    if regions is None or regions.curve == "linear":
+    regions = bent_regions(encoded)
+    if regions is None:
         return decode(encoded, device) if decoded_khwc is None else decoded_khwc, "linear"
     return regions.shown(Region(0, 0, *encoded.shape[1:3]), device), regions.curve
 

@@ -16,12 +16,10 @@ from clrelight.codec.rate.noise import Noise
 from clrelight.dataset import CoefficientMap, FitRecord
 from clrelight.device import Device
 from clrelight.errors import counted
-from clrelight.holdout import split_by_fit
 from clrelight.jobs.coding_noise import coding_psnr, predicted_psnr
 from clrelight.jobs.coding_request import CodingRequest, advise_codecs, read_request
 from clrelight.jobs.inputs import FitLike, StackLike, lend_fit, lend_stack, opened_on, paths_among
-from clrelight.jobs.measure import measure_split
-from clrelight.jobs.measure_parts import measure_parts
+from clrelight.jobs.measure import measure_regions, measure_split
 from clrelight.jobs.outputs import claimed
 from clrelight.jobs.outshining import outshining_notes
 from clrelight.jobs.parts import check_memory, decode_again, encode_source, take_source
@@ -239,18 +237,10 @@ class _Encode:
                 decoded = decode_again(encoded, held, self.device, self.workspace)
             since = report.add("decode", since)
             report.facts["coding_noise"] = coding_psnr(noise, held.coeffs_khwc, decoded.coeffs_khwc, held.basis)
-            regions = codecs.decode_regions(encoded)
-            if regions is None or regions.curve == "linear":
+            regions = codecs.bent_regions(encoded)
+            if regions is None:
                 report.psnr = measure_split(decoded, source, self.device, progress=self.progress)
             else:
-                del decoded
-                report.psnr = measure_parts(
-                    regions,
-                    FitRecord.of(held),
-                    source,
-                    split_by_fit(source, held),
-                    self.device,
-                    sampled=False,
-                    progress=self.progress,
-                )
+                del decoded  # its memory goes first
+                report.psnr = measure_regions(regions, held, source, self.device, self.progress)
             report.add("measure", since)

@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from clrelight.codec.views import Regions
-from clrelight.dataset import CoefficientMap, LightStack
+from clrelight.dataset import CoefficientMap, FitRecord, LightStack
 from clrelight.device import Device
 from clrelight.holdout import split_by_fit
 from clrelight.jobs.farm import Farm, shared_path
@@ -85,7 +85,12 @@ def measure(
                 regions = held.regions()
                 if regions is not None:
                     elsewhere = None if farm is None else _elsewhere(farm, fitted, stack)
-                    kept.psnr = _measure_regions(regions, held, source, perceptual, opened, kept, progress, elsewhere)
+                    blank = held.record.to_map(np.broadcast_to(np.float32(0), held.encoded.shape))  # takes no memory
+                    kept.psnr = measure_regions(regions, blank, source, opened, progress, elsewhere)
+                    kept.note(*filter(None, [domain_note(blank, source)]))
+                    if perceptual:
+                        split = split_by_fit(source, blank)
+                        kept.psnr |= measure_perceived(relit_regions(regions, opened), source, split, progress)
                     kept.add("measure", since)
                     return kept.psnr
             shown = shown_of(held, fitted, opened, kept, progress)
@@ -104,25 +109,21 @@ def _elsewhere(farm: Farm, fitted: FittedLike, stack: StackLike) -> MeasureWindo
     return functools.partial(measure_elsewhere, farm, stack_path, coded_path)
 
 
-def _measure_regions(
+def measure_regions(
     regions: Regions,
-    packed: Packed,
+    fitted: CoefficientMap,
     stack: LightStack,
-    perceptual: bool,
     device: Device,
-    report: Report,
-    progress: Progress | None,
-    elsewhere: MeasureWindows | None,
+    progress: Progress | None = None,
+    elsewhere: MeasureWindows | None = None,
 ) -> dict[str, float]:
-    record = packed.record
-    blank = record.to_map(np.broadcast_to(np.float32(0), packed.encoded.shape))  # takes no memory
-    check_view(blank, stack)
-    report.note(*filter(None, [domain_note(blank, stack)]))
-    split = split_by_fit(stack, blank)
-    found = measure_parts(regions, record, stack, split, device, sampled=False, progress=progress, elsewhere=elsewhere)
-    if perceptual:
-        found |= measure_perceived(relit_regions(regions, device), stack, split, progress)
-    return found
+    """Return PSNRs of an encoding as `measure_split` does, part by part; of its fit, no coefficient is read.
+
+    InputError if the two are not of one view.
+    """
+    check_view(fitted, stack)
+    record, split = FitRecord.of(fitted), split_by_fit(stack, fitted)
+    return measure_parts(regions, record, stack, split, device, sampled=False, progress=progress, elsewhere=elsewhere)
 
 
 def measure_split(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from clrelight.codec import decode_shown
+from clrelight.codec import bent_regions, decode_shown
 from clrelight.dataset import CoefficientMap
 from clrelight.device import Device
 from clrelight.jobs.inputs import FittedLike, Packed, decoded_of
@@ -36,8 +36,8 @@ def shown_of(
     held: CoefficientMap | Packed, source: FittedLike, device: Device, report: Report, progress: Progress | None
 ) -> Shown:
     """Return what a fit or an encoding that is lent shows, decoded where it is encoded; the report gets the seconds."""
-    regions = held.regions() if isinstance(held, Packed) else None
-    if not isinstance(held, Packed) or regions is None or regions.curve == "linear":
+    regions = bent_regions(held.encoded) if isinstance(held, Packed) else None
+    if not isinstance(held, Packed) or regions is None:
         coefficients = decoded_of(held, source, device, report, progress)
         return Shown(coefficients, "linear", relit_map(coefficients, device))
     since = time.perf_counter()

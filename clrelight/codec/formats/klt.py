@@ -139,8 +139,7 @@ class Klt(PartsCodec):
         shape, values_khwc = coeffs_khwc.shape, code_values_of(coeffs_khwc, device, basis)
 
         def error(shown_khwc: NDArray[np.float32], curve: str) -> float:
-            bent = curve == "srgb"
-            return code_value_error(shown_khwc, coeffs_khwc, device, basis, lights_i3, as_code_values=bent)
+            return code_value_error(shown_khwc, coeffs_khwc, device, basis, lights_i3, as_code_values=curve == "srgb")
 
         def lost_in(content: bytes) -> float:
             found = self.decode_regions(content, shape)

@@ -103,10 +103,9 @@ class Encoder(StepFinder):
 
     def _pack(self, axes: Axes, step: float, streams: list[bytes]) -> bytes:
         whitening = self._whitening
-        if not len(axes.scales_j):
-            streams = []
-        head = Head(whitening.exponent, step, len(axes.scales_j), self._transfer, 0, self._pixels.basis)
-        return pack_body(head._replace(fineness=self._mean(step)[0]), self._tables(axes, step), streams)
+        count, basis, fineness = len(axes.scales_j), self._pixels.basis, self._mean(step)[0]
+        head = Head(whitening.exponent, step, count, self._transfer, 0, basis, fineness=fineness)
+        return pack_body(head, self._tables(axes, step), streams if count else [])
 
     def _encode_tiles(self, tiles: list[Tile], planes: Planes, step: float, multiplier: float) -> Iterator[Coded]:
         """Return the streams of tiles, one after another; where others help, parts of all are begun at once."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from clrelight.codec.entropy.units import LEVELS, Window
 from clrelight.codec.transforms.pixels import Pixels
+from clrelight.codec.transforms.principal import each_channel
 from clrelight.codec.transforms.whitening import Whitening
 
 _MOST, _HELD = 256, 1 << 22
@@ -28,8 +29,7 @@ def missed_pixels(pixels: Pixels, whitening: Whitening, step: float) -> list[tup
         at_2p = np.argwhere(differs_hw)
         value_pq = coeffs_khwc[:, differs_hw].transpose(1, 0, 2).reshape(len(at_2p), -1)
         error_pd = value_pq.astype(np.float64) @ whitening.forward_dq.T - whitening.mean_d
-        shown_pd = (error_pd.reshape(-1, len(whitening.root_nn)) @ whitening.root_nn.T).reshape(error_pd.shape)
-        length_p = np.sqrt(np.square(shown_pd).sum(axis=1))
+        length_p = np.sqrt(np.square(each_channel(error_pd, whitening.root_nn.T)).sum(axis=1))
         kept = np.flatnonzero(length_p > step)
         found += [(float(length_p[p]), top + int(at_2p[p, 0]), int(at_2p[p, 1])) for p in kept]
         found = sorted(found, reverse=True)[:_MOST]

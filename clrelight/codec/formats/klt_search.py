@@ -90,12 +90,17 @@ class StepFinder(TileEncoder):
         self._tried: dict[tuple[float, int], dict[int, Tried]] = {}
         self._exact = self._whitening.exact(0)
         self._packed: tuple[Axes, float, bytes] | None = None
+        self._meant: tuple[float, tuple[int, NDArray[np.int64]]] | None = None
         self._of_entropy: tuple[int, float] | None = None
         self._surely = False
         self._begun: float | None = None
 
     def _mean(self, step: float) -> tuple[int, NDArray[np.int64]]:
-        return quantise_mean(self._whitening.mean_d, self._n_pixel, step, self._whitening.root_nn)
+        """Return the mean's fineness, and its entries; the last are remembered."""
+        if self._meant is None or self._meant[0] != step:
+            mean_d, root_nn = self._whitening.mean_d, self._whitening.root_nn
+            self._meant = step, quantise_mean(mean_d, self._n_pixel, step, root_nn)
+        return self._meant[1]
 
     def _prepare(self, count: int) -> None:
         """List pieces of which so many planes can be tried."""
@@ -113,7 +118,7 @@ class StepFinder(TileEncoder):
     def missed(self, step: float) -> list[tuple[int, int]]:
         """Return pixels that lie over a step from the mean, the farthest first, at most some hundred.
 
-        None where the sample has others that do: these have had their chance.
+        None at all where the sample has others that do: these have had their chance.
         """
         return [] if self._count(step) else missed_pixels(self._pixels, self._whitening, step)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clrelight.codec.entropy.known_batches import plan_signed
-from clrelight.codec.entropy.range_coding import Coder, Encoder, ModelSet, Step, code_integers
+from clrelight.codec.entropy.range_coding import Coder, Decoder, Encoder, ModelSet, Step, code_integers
 from clrelight.codec.entropy.symbols import CLASSES, class_floor, classify, even_prior, geometric_prior
 from clrelight.errors import PayloadError
 
@@ -89,6 +89,12 @@ def round_jointly(exact_jd: NDArray[np.float64], root_nn: NDArray[np.float64], p
     return rounded_nr.T.reshape(exact_jd.shape).astype(np.int64)
 
 
+def each_channel(rows_jd: NDArray[np.float64], matrix_nn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rows whose part of each channel is multiplied by a matrix."""
+    # As one product: of an array of three dimensions NumPy makes as many small ones as it has rows.
+    return (rows_jd.reshape(-1, len(matrix_nn)) @ matrix_nn).reshape(rows_jd.shape)
+
+
 def mean_steps(fineness: int) -> int:
     """Return how much finer than the planes the mean is quantised, by the number that bodies have for it, 0 to 3."""
     return MEAN_STEPS << 2 * fineness
@@ -108,9 +114,9 @@ def quantise_mean(
         if fineness and np.abs(exact_d).max(initial=0.0) > MAX_ENTRY / 2:
             break  # numbers that cannot be coded, or nearly
         entries_d = round_jointly(exact_d, root_nn)
-        error_cn = (exact_d - entries_d).reshape(-1, len(root_nn)) @ root_nn.T / mean_steps(fineness)
+        error_d = each_channel(exact_d - entries_d, root_nn.T) / mean_steps(fineness)
         bits = np.log2(1.0 + 2.0 * np.abs(entries_d)).sum()
-        found.append((float(n_pixel * np.square(error_cn).sum() + _MEAN_MULTIPLIER * bits), fineness, entries_d))
+        found.append((float(n_pixel * np.square(error_d).sum() + _MEAN_MULTIPLIER * bits), fineness, entries_d))
     _, fineness, entries_d = min(found, key=lambda each: each[0])
     return fineness, entries_d
 
@@ -153,7 +159,7 @@ def code_vectors(coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray
 
 
 def code_by_shells(
-    coder: Coder, shape: tuple[int, int, int], entries_rcj: NDArray[np.int64] | None
+    coder: Encoder | Decoder, shape: tuple[int, int, int], entries_rcj: NDArray[np.int64] | None
 ) -> NDArray[np.int64]:
     """Code vectors of shape (rows, channel, component) as `code_vectors` does, the first one from smooth to rough.
 
@@ -162,7 +168,8 @@ def code_by_shells(
     sixteenths.
     """
     rows, channel, component = shape
-    if entries_rcj is not None and isinstance(coder, Encoder):
+    if isinstance(coder, Encoder):
+        assert entries_rcj is not None
         coder.put(_plan_shells(entries_rcj))
         return entries_rcj
     models = ModelSet(_shell_prior())
@@ -170,18 +177,17 @@ def code_by_shells(
     entries = np.zeros(shape, np.int64)
     if not rows:
         return entries
-    given = None if entries_rcj is None else entries_rcj[0]
     expected_c = np.full(channel, _FIRST_EXPECTED)
     for part in _shells(component):
         activity = np.repeat(expected_c[:, None], part.stop - part.start, axis=1)
-        found = _code_entries(coder, models, signs, activity, None if given is None else given[:, part])
+        found = _code_entries(coder, models, signs, activity, None)
         entries[0][:, part] = found
         expected_c = 16 * np.abs(found).sum(axis=1) // (part.stop - part.start)
     before = np.zeros((channel, component + 2), np.int64)
     before[:, 1:-1] = 16 * np.abs(entries[0])
     for row in range(1, rows):
         activity = (2 * before[:, 1:-1] + before[:, :-2] + before[:, 2:]) >> 2
-        entries[row] = _code_entries(coder, models, signs, activity, None if entries_rcj is None else entries_rcj[row])
+        entries[row] = _code_entries(coder, models, signs, activity, None)
         before[:, 1:-1] = (before[:, 1:-1] + 16 * np.abs(entries[row])) >> 1
     return entries
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from clrelight.bases import SH
 from clrelight.codec.transforms.light_metric import light_root
 from clrelight.codec.transforms.metric import hemisphere_metric
-from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes
+from clrelight.codec.transforms.principal import ROTATION_UNIT, Axes, each_channel
 from clrelight.opencl.arguments import DeviceArray
 from clrelight.threads import on_one_thread
 
@@ -64,11 +64,11 @@ class Whitening:
 
     def exact(self, count: int) -> Planes:
         """Return what makes the first planes."""
-        return self._made(_each_channel(self.vectors_jd[:count], self.root_nn.T))
+        return self._made(each_channel(self.vectors_jd[:count], self.root_nn.T))
 
     def solved(self, axes: Axes) -> Planes:
         """Return the same for axes as the decoder knows them: planes are coordinates along them by least squares."""
-        vectors = _each_channel(axes.vectors_jd, self.root_nn.T)
+        vectors = each_channel(axes.vectors_jd, self.root_nn.T)
         # The axes being near orthonormal, their Gram matrix is near the identity, and far smaller than they are.
         return self._made(np.linalg.pinv(vectors @ vectors.T, hermitian=True) @ vectors)
 
@@ -84,10 +84,10 @@ class Whitening:
 
     def cost_j(self, errors_jd: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what errors of axes cost for each squared unit of their planes."""
-        return (_each_channel(errors_jd, self.root_nn.T) ** 2).sum(axis=1)
+        return (each_channel(errors_jd, self.root_nn.T) ** 2).sum(axis=1)
 
     def _made(self, solution_jd: NDArray[np.float64]) -> Planes:
-        weighted_jd = _each_channel(solution_jd, self.root_nn)
+        weighted_jd = each_channel(solution_jd, self.root_nn)
         return weighted_jd @ self.forward_dq, weighted_jd @ self.mean_d
 
 
@@ -157,17 +157,11 @@ def _whiten(
     rotation_cc = np.rint(ROTATION_UNIT * wanted_dc).astype(np.int8)
     turn_dc = rotation_cc / ROTATION_UNIT
     forward_dq = np.einsum("dc,jk->djkc", turn_dc, forward_jk).reshape(channel * len(forward_jk), n_coeff * channel)
-    shown_dq = _each_channel(forward_dq.T, root_nn.T).T
+    shown_dq = each_channel(forward_dq.T, root_nn.T).T
     variance, vectors = np.linalg.eigh(shown_dq @ covariance_qq @ shown_dq.T)
     deviation = np.sqrt(np.maximum(variance[::-1], 0.0))
-    vectors_jd = _each_channel(vectors[:, ::-1].T, np.asarray(np.linalg.inv(root_nn).T, np.float64))
+    vectors_jd = each_channel(vectors[:, ::-1].T, np.asarray(np.linalg.inv(root_nn).T, np.float64))
     return Whitening(exponent, rotation_cc, forward_dq, forward_dq @ mean_q, vectors_jd, deviation, root_nn)
-
-
-def _each_channel(rows_jd: NDArray[np.float64], matrix_nn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rows whose part of each channel is multiplied by a matrix."""
-    # As one product: of an array of three dimensions NumPy makes as many small ones as it has rows.
-    return (rows_jd.reshape(-1, len(matrix_nn)) @ matrix_nn).reshape(rows_jd.shape)
 
 
 def _sample(
