@@ -146,21 +146,20 @@ class _Kriged:
         return LeftOut.make(self.model, self.trials)
 
     def choose_degree(self, degrees: Sequence[int], within: float, expected: Expectation) -> tuple[int, float, int]:
-        """Return the degree asked for, or the least that costs no more than `within`, what it costs, and the least.
+        """Return the degree asked for, or the least that costs no more than `within`, and what it costs.
 
-        Beyond `_MANY` coefficients for each light it is one that likely costs little.
+        Beyond `_MANY` coefficients for each light a lower one that likely costs little; and, last, the one without that.
         """
         series = functools.partial(self.settled.relit, self.model, self.trials.samples)
+        likely = expected.error if expected.psnr is None else 10.0 ** (-expected.psnr / 10.0)
         if len(degrees) == 1:  # nothing is decided by it: what is likely counts, not the least that errors may be
-            error = expected.error if expected.psnr is None else 10.0 ** (-expected.psnr / 10.0)
-            return degrees[0], cost_of_series(self.model, self.trials, error, series)(degrees[0]), degrees[0]
+            return degrees[0], cost_of_series(self.model, self.trials, likely, series)(degrees[0]), degrees[0]
         rounding = rounding_of(self.trials.samples.source)  # nothing that is measured tells what is below it
         cost = cost_of_series(self.model, self.trials, max(expected.error, rounding), series)
         most = least_degree(cost, within)
         enough = math.isqrt(_MANY * len(self.trials.places.directions_g3)) - 1
         if most <= enough:
             return most, cost(most), most
-        likely = expected.error if expected.psnr is None else 10.0 ** (-expected.psnr / 10.0)
         likely_cost = cost_of_series(self.model, self.trials, max(likely, rounding), series)
         degree = min(most, max(enough, least_degree(likely_cost, _LITTLE)))
         return degree, cost(degree), most
