@@ -148,7 +148,7 @@ class _Kriged:
     def choose_degree(self, degrees: Sequence[int], within: float, expected: Expectation) -> tuple[int, float, int]:
         """Return the degree asked for, or the least that costs no more than `within`, and what it costs.
 
-        Beyond `_MANY` coefficients for each light a lower one that likely costs little; and, last, the one without that.
+        Beyond `_MANY` coefficients for each light a lower one that likely costs little; last, the one without that.
         """
         series = functools.partial(self.settled.relit, self.model, self.trials.samples)
         likely = expected.error if expected.psnr is None else 10.0 ** (-expected.psnr / 10.0)
